@@ -1,0 +1,44 @@
+# What every target of this tree shares: language level, warnings, sanitizers, coverage. None of it reaches a consumer.
+
+set(CMAKE_CXX_STANDARD 20)
+set(CMAKE_CXX_STANDARD_REQUIRED ON)
+set(CMAKE_CXX_EXTENSIONS OFF)
+set(CMAKE_POSITION_INDEPENDENT_CODE ON)
+set(CMAKE_CXX_VISIBILITY_PRESET hidden)
+set(CMAKE_VISIBILITY_INLINES_HIDDEN ON)
+set(CMAKE_EXPORT_COMPILE_COMMANDS ON)
+if(NOT CMAKE_BUILD_TYPE AND NOT CMAKE_CONFIGURATION_TYPES)
+  set(CMAKE_BUILD_TYPE RelWithDebInfo CACHE STRING "Debug, RelWithDebInfo or Release" FORCE)
+endif()
+find_program(CCACHE_PROGRAM ccache)
+if(CCACHE_PROGRAM AND PROJECT_IS_TOP_LEVEL)
+  set(CMAKE_CXX_COMPILER_LAUNCHER ${CCACHE_PROGRAM})
+  set(CMAKE_C_COMPILER_LAUNCHER ${CCACHE_PROGRAM})
+endif()
+
+add_library(agnocast_warnings INTERFACE)
+target_compile_options(agnocast_warnings INTERFACE
+  -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wsign-conversion -Wcast-align=strict -Wformat=2 -Wundef
+  -Werror=unused-result
+  $<$<COMPILE_LANGUAGE:CXX>:-Wnon-virtual-dtor -Woverloaded-virtual -Wold-style-cast>
+  $<$<CXX_COMPILER_ID:GNU>:-Wduplicated-cond -Wlogical-op>
+  # GCC 12 reports atomics and spans at constant addresses as out of bounds; both are what this project is made of.
+  $<$<CXX_COMPILER_ID:GNU>:-Wno-array-bounds -Wno-stringop-overflow>
+  $<$<BOOL:${AGNOCAST_WARNINGS_AS_ERRORS}>:-Werror>)
+
+add_library(agnocast_sanitizers INTERFACE)
+if(AGNOCAST_SANITIZE)
+  string(REPLACE ";" "," sanitize_list "${AGNOCAST_SANITIZE}")
+  target_compile_options(agnocast_sanitizers INTERFACE -fsanitize=${sanitize_list} -fno-sanitize-recover=all -fno-omit-frame-pointer)
+  target_link_options(agnocast_sanitizers INTERFACE -fsanitize=${sanitize_list})
+endif()
+option(AGNOCAST_COVERAGE "Measure line coverage (gcov)" OFF)
+if(AGNOCAST_COVERAGE)
+  target_compile_options(agnocast_sanitizers INTERFACE --coverage)
+  target_link_options(agnocast_sanitizers INTERFACE --coverage)
+endif()
+
+# agnocast_target_defaults(TARGET): warnings and sanitizers for one of our own targets, privately.
+function(agnocast_target_defaults target)
+  target_link_libraries(${target} PRIVATE $<BUILD_INTERFACE:agnocast_warnings> $<BUILD_INTERFACE:agnocast_sanitizers>)
+endfunction()

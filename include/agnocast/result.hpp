@@ -1,0 +1,22 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Result<T>: a value, or the Failure that kept it from existing. The only alias of tl::expected in this tree; it must not
+// depend on the consumer's language mode, or library and user would disagree about a type.
+#pragma once
+
+#include <agnocast/error.hpp>
+
+#include <tl/expected.hpp>
+
+namespace agnocast {
+
+/// A T, or why there is none. Functions that return one are [[nodiscard]].
+template <class T>
+using Result = tl::expected<T, Failure>;
+
+/// Makes the failing half of a Result. `what` is static text.
+inline tl::unexpected<Failure> fail(Errc code, const char* what, int os_errno = 0) noexcept {
+  return tl::unexpected<Failure>(Failure{code, os_errno, what});
+}
+
+}  // namespace agnocast

@@ -1,0 +1,16 @@
+# SPDX-License-Identifier: Apache-2.0
+#
+# Goal: the version number has one home. Method: package.xml must repeat what include/agnocast/version.hpp says.
+import pathlib
+import re
+import sys
+import xml.etree.ElementTree as xml
+
+root = pathlib.Path(sys.argv[1])
+header = (root / "include/agnocast/version.hpp").read_text()
+parts = [re.search(rf"AGNOCAST_VERSION_{part} (\d+)", header).group(1) for part in ("MAJOR", "MINOR", "PATCH")]
+expected = ".".join(parts)
+found = xml.parse(root / "package.xml").findtext("version")
+if found != expected:
+    sys.exit(f"package.xml says {found}, include/agnocast/version.hpp says {expected}")
+print("version", expected)
