@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+#
+# The skip rule of interfaces/: a package of this folder stands in for the package of ROS 2 that has the same
+# name, so it must vanish where a sourced ROS 2 brings the real one.
+#
+#     skip_if_ros_provides(MESSAGES)   the real one lists its messages in the ament index
+#     skip_if_ros_provides(BUILD)      the real one has a package.xml
+#
+# Sourced means: in AMENT_PREFIX_PATH. That variable also holds prefixes of this folder's own packages: their
+# siblings while colcon builds, themselves after install/setup.bash was sourced, and those of other workspaces
+# with a copy of this folder. So our packages leave a mark in the ament index, and a prefix that has the mark is
+# never the real thing. Comparing paths instead would need to know the layouts of colcon, and would let a build
+# into a second install folder vanish because the first one is sourced.
+#
+# If the real one exists, the calling CMakeLists.txt ends here, after a STATUS message. It then has no install
+# target, about which colcon warns; an empty install target would be worse, as colcon's setup scripts would look
+# for files that nobody installed.
+
+set(skip_rule_mark "agnocast_interfaces")
+
+function(find_ros_prefix result file)
+  set(${result} "" PARENT_SCOPE)
+  file(TO_CMAKE_PATH "$ENV{AMENT_PREFIX_PATH}" prefixes)
+  foreach(prefix IN LISTS prefixes)
+    set(mark "${prefix}/share/ament_index/resource_index/${skip_rule_mark}/${PROJECT_NAME}")
+    if(EXISTS "${prefix}/${file}" AND NOT EXISTS "${mark}")
+      set(${result} "${prefix}" PARENT_SCOPE)
+      return()
+    endif()
+  endforeach()
+endfunction()
+
+# A macro, so that return() leaves the caller.
+macro(skip_if_ros_provides kind)
+  if("${kind}" STREQUAL "MESSAGES")
+    find_ros_prefix(ros_prefix "share/ament_index/resource_index/rosidl_interfaces/${PROJECT_NAME}")
+  elseif("${kind}" STREQUAL "BUILD")
+    find_ros_prefix(ros_prefix "share/${PROJECT_NAME}/package.xml")
+  else()
+    message(FATAL_ERROR "skip_if_ros_provides: MESSAGES or BUILD, not '${kind}'")
+  endif()
+
+  if(ros_prefix)
+    message(STATUS "${PROJECT_NAME}: nothing to build or install, ROS 2 has it in ${ros_prefix}")
+    if(EXISTS "${CMAKE_INSTALL_PREFIX}/share/ament_index/resource_index/${skip_rule_mark}/${PROJECT_NAME}")
+      message(WARNING "An earlier build installed our ${PROJECT_NAME} in ${CMAKE_INSTALL_PREFIX}, "
+        "where it may hide the one of ROS 2. Please remove the folders build and install.")
+    endif()
+    # Reading it spares the user CMake's remark that nobody used this setting of colcon_defaults.yaml.
+    set(unused_here "${Python3_EXECUTABLE}")
+    return()
+  endif()
+
+  find_package(ament_cmake_core REQUIRED)
+  ament_index_register_resource(${skip_rule_mark})
+endmacro()
