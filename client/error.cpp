@@ -15,10 +15,9 @@ struct Row {
   const char* remedy;
 };
 
-constexpr Row rows[] = {
-    {Errc::ok, "no error", ""},
+constexpr Row rows[] = {{Errc::ok, "no error", ""},
 #define AGNOCAST_ERROR_ROW(name, sentence, remedy) {Errc::name, sentence, remedy},
-    AGNOCAST_ERROR_TABLE(AGNOCAST_ERROR_ROW)
+                        AGNOCAST_ERROR_TABLE(AGNOCAST_ERROR_ROW)
 #undef AGNOCAST_ERROR_ROW
 };
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What can go wrong, as values. One table holds every code with its sentence and its remedy; messages, documentation and
-// tests are made from it, so a code exists exactly once.
+// What can go wrong, as values. One table holds every code with its sentence and its remedy;
+// messages, documentation and tests are made from it, so a code exists exactly once.
 #pragma once
 
 #include <agnocast/export.hpp>
@@ -11,19 +11,24 @@
 
 namespace agnocast {
 
-// AGNOCAST_ERROR_TABLE(X): X(enumerator, sentence, remedy). Codes are appended, never renumbered: they travel on the wire.
-#define AGNOCAST_ERROR_TABLE(X)                                                                                   \
-  X(os_failure, "the operating system refused an operation", "see the errno beside it")                          \
-  X(internal, "an invariant of agnocast itself is broken; the endpoint is out of service", "report it")          \
-  X(protocol_violation, "a peer wrote something that the protocol does not allow", "check the peer's version")   \
-  X(no_slot, "every message slot of this publisher is in use",                                                   \
-    "let subscriptions release messages, or raise their hold quota")                                             \
-  X(would_block, "a keep-all subscription has not read enough yet", "publish later, or use a deeper history")    \
-  X(heap_exhausted, "the shared heap of this process has no room for the message",                               \
-    "release messages, or raise the heap quota")                                                                 \
+// AGNOCAST_ERROR_TABLE(X): X(enumerator, sentence, remedy). Codes are appended, never renumbered:
+// they travel on the wire.
+#define AGNOCAST_ERROR_TABLE(X)                                                            \
+  X(os_failure, "the operating system refused an operation", "see the errno beside it")    \
+  X(internal, "an invariant of agnocast itself is broken; the endpoint is out of service", \
+    "report it")                                                                           \
+  X(protocol_violation, "a peer wrote something that the protocol does not allow",         \
+    "check the peer's version")                                                            \
+  X(no_slot, "every message slot of this publisher is in use",                             \
+    "let subscriptions release messages, or raise their hold quota")                       \
+  X(would_block, "a keep-all subscription has not read enough yet",                        \
+    "publish later, or use a deeper history")                                              \
+  X(heap_exhausted, "the shared heap of this process has no room for the message",         \
+    "release messages, or raise the heap quota")                                           \
   X(invalid_argument, "an argument is outside its domain", "see what is named beside it")
 
-/// Codes of everything that a user of the library can be told. Zero is success (std::error_code convention).
+/// Codes of everything that a user of the library can be told. Zero is success (std::error_code
+/// convention).
 enum class Errc : std::int32_t {
   ok = 0,
 #define AGNOCAST_ERROR_ENUMERATOR(name, sentence, remedy) name,
@@ -31,9 +36,11 @@ enum class Errc : std::int32_t {
 #undef AGNOCAST_ERROR_ENUMERATOR
 };
 
-/// The sentence of a code, static text; "unknown error" for a number outside the table. Any thread; no allocation.
+/// The sentence of a code, static text; "unknown error" for a number outside the table. Any thread;
+/// no allocation.
 AGNOCAST_PUBLIC const char* sentence_of(Errc code) noexcept;
-/// What the user can do about it, static text; empty for a number outside the table. Any thread; no allocation.
+/// What the user can do about it, static text; empty for a number outside the table. Any thread; no
+/// allocation.
 AGNOCAST_PUBLIC const char* remedy_of(Errc code) noexcept;
 
 /// The std::error_category of Errc; its name is "agnocast". Lives as long as the process.
@@ -42,14 +49,16 @@ inline std::error_code make_error_code(Errc code) noexcept {
   return {static_cast<int>(code), error_category()};
 }
 
-/// Why a function that returns Result did not do its work. Trivially copyable; `what` is static text, never owned.
+/// Why a function that returns Result did not do its work. Trivially copyable; `what` is static
+/// text, never owned.
 struct Failure {
   Errc code = Errc::internal;
-  int os_errno = 0;          ///< errno of the refusing call, 0 when no call was involved
-  const char* what = "";     ///< which part, in plain words
+  int os_errno = 0;       ///< errno of the refusing call, 0 when no call was involved
+  const char* what = "";  ///< which part, in plain words
 };
 
-/// Thrown by creation functions of the public interface (rclcpp users expect exceptions there), never by the data path.
+/// Thrown by creation functions of the public interface (rclcpp users expect exceptions there),
+/// never by the data path.
 class AGNOCAST_PUBLIC Error : public std::system_error {
  public:
   explicit Error(const Failure& failure);

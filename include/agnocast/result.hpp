@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Result<T>: a value, or the Failure that kept it from existing. The only alias of tl::expected in this tree; it must not
-// depend on the consumer's language mode, or library and user would disagree about a type.
+// Result<T>: a value, or the Failure that kept it from existing. The only alias of tl::expected in
+// this tree; it must not depend on the consumer's language mode, or library and user would disagree
+// about a type.
 #pragma once
 
 #include <agnocast/error.hpp>

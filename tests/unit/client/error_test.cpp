@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the error table is complete and says something useful. Method: walk it, and look at the texts a user would see.
+// Goal: the error table is complete and says something useful. Method: walk it, and look at the
+// texts a user would see.
 
 #include <agnocast/error.hpp>
 #include <agnocast/result.hpp>
@@ -25,7 +26,8 @@ const Errc all_codes[] = {
 TEST(Error, EveryCodeHasItsOwnSentenceAndARemedy) {
   std::set<std::string> sentences;
   for (Errc code : all_codes) {
-    EXPECT_TRUE(sentences.insert(sentence_of(code)).second) << "sentence used twice: " << sentence_of(code);
+    EXPECT_TRUE(sentences.insert(sentence_of(code)).second)
+        << "sentence used twice: " << sentence_of(code);
     EXPECT_STRNE(remedy_of(code), "") << sentence_of(code);
   }
 }

@@ -1,0 +1,58 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Memory policy: how the data plane's templates reach shared words. `SharedMemory` is what ships:
+// real atomics in mapped regions, every call an inline load or store. The explorer in tests/model
+// has another policy with the same members, whose words live in a modelled memory with store
+// buffers, so the statements it checks are the statements that ship.
+//
+// A policy M provides
+//   M::Region                          a mapped region (copyable)
+//   M::word(region, byte_offset)       something with load, store, fetch_or, fetch_and like
+//   std::atomic<std::uint64_t> M::fence()                         atomic_thread_fence(seq_cst)
+//   M::step(Step)                      true; names the statement that follows (crash point,
+//   mutation point) M::holds(Step, bool)               the bool; names a decision M::slot_capacity,
+//   …                array sizes of private memory;  M::ring_count(), …  geometry of the regions
+#pragma once
+
+#include <agnocast/abi/client_region.hpp>
+#include <agnocast/abi/limits.hpp>
+#include <base/step.hpp>
+
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+
+namespace agnocast {
+
+/// Real shared memory. With AGNOCAST_CRASH_POINTS every named step may end the process (tests
+/// only); without, it costs nothing.
+struct SharedMemory {
+  using Region = std::byte*;
+
+  static constexpr std::uint32_t slot_capacity = abi::slot_count_max;
+  static constexpr std::uint32_t subscription_capacity = abi::subscription_count_max;
+  static constexpr std::uint64_t ring_count() noexcept { return abi::ring_count; }
+  static constexpr std::uint64_t publisher_count() noexcept { return abi::publisher_count_max; }
+  static constexpr std::uint64_t near_slot_count() noexcept { return abi::near_slot_count; }
+
+  static abi::SharedWord& word(Region region, std::uint64_t offset) noexcept {
+    return *reinterpret_cast<abi::SharedWord*>(region + offset);
+  }
+  static void fence() noexcept { std::atomic_thread_fence(std::memory_order_seq_cst); }
+
+#ifdef AGNOCAST_CRASH_POINTS
+  static bool step(Step name) noexcept {
+    crash_point(name);
+    return true;
+  }
+#else
+  static constexpr bool step(Step) noexcept { return true; }
+#endif
+  static constexpr bool holds(Step, bool condition) noexcept { return condition; }
+};
+
+}  // namespace agnocast
+
+/// Names the statement that follows it: the crash sweep may kill before it, the explorer may leave
+/// it out.
+#define AGNOCAST_STEP(name) if (M::step(Step::name))

@@ -1,0 +1,125 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// The numbered steps of the protocol (docs/protocol.md), each with what it is. The crash sweep
+// kills before each of them, the explorer leaves each of them out in turn, and both print these
+// names.
+#pragma once
+
+#include <cstdint>
+
+namespace agnocast {
+
+#define AGNOCAST_STEP_TABLE(X)                                     \
+  /* publish */                                                    \
+  X(P0_frontier, "store the grown frontier of a window")           \
+  X(P1_sequence, "intent: sequence")                               \
+  X(P1_slot, "intent: slot")                                       \
+  X(P1_op, "intent: publishing")                                   \
+  X(P2_address, "slot: address")                                   \
+  X(P2_stamp, "slot: stamp")                                       \
+  X(P2_size, "slot: size")                                         \
+  X(P3_id, "slot: live")                                           \
+  X(P4_order, "order ring entry")                                  \
+  X(P5_head, "commit")                                             \
+  X(P6_fence, "fence before looking at anybody")                   \
+  X(P7_epoch, "load the epoch")                                    \
+  X(P7_changed, "has the membership changed?")                     \
+  X(P7_word, "load a member's word")                               \
+  X(P7_self, "load the own word")                                  \
+  X(P7_since, "lower bound of where a new member starts")          \
+  X(P7_seen, "remember the head of this epoch check")              \
+  X(P8_armed, "load an executor's sleep word")                     \
+  X(P8_asleep, "is it asleep and not rung yet?")                   \
+  X(P8_rung, "remember the generation rung")                       \
+  X(P8_ring, "ring")                                               \
+  X(P9_linked, "is the member linked to this generation?")         \
+  X(P9_cursor, "load the cursor")                                  \
+  X(P9_hold, "load the hold bits")                                 \
+  X(P9_unknown, "keep what an unmapped member may start at")       \
+  X(P10_needed, "may somebody still ask for it?")                  \
+  X(P10_past, "has everybody passed it?")                          \
+  X(P10_marked, "was it retired before the fence?")                \
+  X(P10_held, "does somebody hold it?")                            \
+  X(P10_free, "slot: free")                                        \
+  X(P10_retire, "slot: retired")                                   \
+  X(P11_idle, "intent: idle")                                      \
+  X(K0_room, "would a keep-all member be overrun?")                \
+  /* take and release */                                           \
+  X(T1_head, "load the head")                                      \
+  X(T1_window, "skip what lies outside the own depth")             \
+  X(T2_order, "is the ring entry the one wanted?")                 \
+  X(T3_live, "is the slot live before the hold?")                  \
+  X(T4_hold, "publish the hold")                                   \
+  X(T5_valid, "is the slot still live after the hold?")            \
+  X(T5_undo, "take the hold back")                                 \
+  X(T6_frontier, "load the owner's frontiers and open up to them") \
+  X(T6_inside, "does the message lie in an open window?")          \
+  X(T7_cursor, "store the cursor")                                 \
+  X(L1_release, "clear the hold")                                  \
+  /* sleep */                                                      \
+  X(S1_arm, "sleep word: about to sleep")                          \
+  X(S2_fence, "fence before the re-check")                         \
+  X(S3_news, "has something been published meanwhile?")            \
+  X(S5_disarm, "sleep word: awake")                                \
+  /* link, unlink */                                               \
+  X(J6_head, "load the head the link starts from")                 \
+  X(J6_cursor, "link line: cursor")                                \
+  X(J6_generation, "link line: generation")                        \
+  X(J6_check, "is the publisher still the announced one?")         \
+  X(J7_ring, "ring a newly mapped member once")                    \
+  X(U1_generation, "unlink: generation")                           \
+  X(U2_cursor, "unlink: cursor")                                   \
+  /* the daemon's board */                                         \
+  X(J3_descriptor, "board: descriptor of a new member")            \
+  X(J3_word, "board: word of a new member")                        \
+  X(J3_epoch, "board: epoch after a new member")                   \
+  X(D2_word, "board: state of a subscription")                     \
+  X(D2_epoch, "board: epoch after it")                             \
+  X(D3_slot, "roll back: slot")                                    \
+  X(D3_order, "roll back: order ring entry")                       \
+  X(D3_final_head, "board: final head")                            \
+  X(D3_word, "board: publisher orphaned")                          \
+  X(D3_epoch, "board: epoch after it")                             \
+  X(D3_ring, "ring every subscription of the topic")               \
+  /* rule RU: who was told about a generation */                   \
+  X(R1_tell, "journal: told, before the announcement is sent")     \
+  X(R2_let_go, "journal: has let go")                              \
+  X(R2_generation, "does the message speak of this generation?")   \
+  X(R3_died, "journal: died")                                      \
+  X(R4_reusable, "has everybody let go?")                          \
+  X(R5_again, "was this generation unlinked before?")              \
+  X(R6_link, "client: the generation is linked")                   \
+  X(R7_unlinked, "client: the generation is unlinked")             \
+  X(R8_again, "announce again to every member after a reconnect")
+
+enum class Step : std::uint16_t {
+#define AGNOCAST_STEP_ENUMERATOR(name, text) name,
+  AGNOCAST_STEP_TABLE(AGNOCAST_STEP_ENUMERATOR)
+#undef AGNOCAST_STEP_ENUMERATOR
+      count
+};
+
+constexpr const char* name_of(Step step) noexcept {
+  constexpr const char* names[] = {
+#define AGNOCAST_STEP_NAME(name, text) #name,
+      AGNOCAST_STEP_TABLE(AGNOCAST_STEP_NAME)
+#undef AGNOCAST_STEP_NAME
+  };
+  return step < Step::count ? names[static_cast<std::uint16_t>(step)] : "?";
+}
+
+constexpr const char* text_of(Step step) noexcept {
+  constexpr const char* texts[] = {
+#define AGNOCAST_STEP_TEXT(name, text) text,
+      AGNOCAST_STEP_TABLE(AGNOCAST_STEP_TEXT)
+#undef AGNOCAST_STEP_TEXT
+  };
+  return step < Step::count ? texts[static_cast<std::uint16_t>(step)] : "?";
+}
+
+#ifdef AGNOCAST_CRASH_POINTS
+/// Tests only: may end this process with SIGKILL. See journal/crash_point.cpp.
+void crash_point(Step name) noexcept;
+#endif
+
+}  // namespace agnocast

@@ -1,0 +1,387 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Publisher core: publish, retain, retire, free. docs/protocol.md §3.1 and §3.4 have the same
+// numbers.
+//
+// A publish is one commit (P5) between an intent and a pass. A pass looks at every subscription of
+// the topic once and decides what may go: it loads from peers and stores to its own memory only,
+// waits for nobody and takes no lock that another process could hold. The caller holds the
+// publisher's private mutex; everything in this object is memory of this process.
+//
+// Three numbers decide everything (h = newest sequence, H = history kept for late joiners, D = a
+// subscription's window):
+//   need  below it nobody may ask for an entry any more        min(h-H+1, min over active s of
+//   max(low_s, h-D_s+1)) past  below it nobody will ever take an entry again        min over active
+//   and leaving s of low_s unk   from it on an unmapped member may have started       min over
+//   unmapped s of since_s
+//
+//            past            need                          h
+//   ---------|---------------|-----------------------------|--->  sequence
+//   free now   retire, free in a later pass    keep
+#pragma once
+
+#include <client/dataplane/views.hpp>
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <cstddef>
+#include <cstdint>
+
+namespace agnocast::dataplane {
+
+enum class PublishOutcome : std::uint8_t { published, no_slot, would_block };
+
+/// A message as it enters the queue: the object in the shared heap, and when it was committed.
+struct Entry {
+  std::uint64_t address = 0;
+  std::uint64_t size = 0;
+  std::uint64_t stamp_ns = 0;
+};
+
+template <class M>
+class PublisherCore {
+ public:
+  struct Identity {
+    TopicWords<M> topic;
+    PublisherWords<M> words;
+    std::uint64_t index;  // of this publisher in the topic
+    std::uint64_t generation;
+    std::uint64_t first_sequence;  // the queue is empty while head stands here
+    abi::Qos qos;
+    std::uint64_t slot_count;
+    std::uint64_t
+        lazy_limit;  // passes that may be left out between two that look at links; 0 = none
+  };
+
+  explicit PublisherCore(const Identity& identity) noexcept
+      : self_(identity),
+        head_sequence_(identity.first_sequence),
+        seen_(identity.first_sequence),
+        history_(identity.qos.transient_local ? identity.qos.depth : 0),
+        slot_count_(identity.slot_count) {}
+
+  /// Commits one message. `environment` is told which sleepers to ring and which messages to
+  /// destroy: ring(executor, armed) and freed(slot, address). On an error the caller keeps the
+  /// message.
+  template <class Environment>
+  PublishOutcome publish(const Entry& entry, Environment& environment) noexcept {
+    if (self_.qos.keep_all && !room_for_one_more()) {
+      pass(environment, false);
+      if (!room_for_one_more()) return PublishOutcome::would_block;
+    }
+    std::uint64_t slot = lowest_free_slot();
+    if (slot == no_slot) {
+      pass(environment, false);
+      slot = lowest_free_slot();
+      if (slot == no_slot) return PublishOutcome::no_slot;
+    }
+    const std::uint64_t sequence = head_sequence_ + 1;
+    const auto& words = self_.words;
+    AGNOCAST_STEP(P1_sequence) words.intent_sequence().store(sequence, std::memory_order_relaxed);
+    AGNOCAST_STEP(P1_slot) words.intent_slot().store(slot, std::memory_order_relaxed);
+    AGNOCAST_STEP(P1_op) words.intent_op().store(abi::intent_publish, std::memory_order_release);
+    AGNOCAST_STEP(P2_address)
+    words.slot_address(slot).store(entry.address, std::memory_order_relaxed);
+    AGNOCAST_STEP(P2_stamp) words.slot_stamp(slot).store(entry.stamp_ns, std::memory_order_relaxed);
+    AGNOCAST_STEP(P2_size) words.slot_size(slot).store(entry.size, std::memory_order_relaxed);
+    // [sync:publish] release, in this order; pairs with the acquires of T1, T2 and T3, so what lies
+    // at or below head is whole.
+    AGNOCAST_STEP(P3_id) words.slot_id(slot).store(sequence, std::memory_order_release);
+    AGNOCAST_STEP(P4_order)
+    words.order(sequence).store(abi::pack_entry(sequence, slot), std::memory_order_release);
+    AGNOCAST_STEP(P5_head)
+    words.head().store(abi::pack_entry(sequence, slot), std::memory_order_release);
+    head_sequence_ = sequence;
+    sequence_[slot] = sequence;
+    address_[slot] = entry.address;
+    set(allocated_, slot);
+    pass(environment, true);
+    AGNOCAST_STEP(P11_idle) words.intent_op().store(abi::intent_idle, std::memory_order_release);
+    return PublishOutcome::published;
+  }
+
+  /// Looks at every member once and frees what may go. Called by publish, and by the control thread
+  /// when a member died, left or was mapped, and by its timer while anything outside the history is
+  /// allocated.
+  template <class Environment>
+  void pass(Environment& environment) noexcept {
+    pass(environment, false);
+  }
+
+  /// The control thread has mapped the client region of the subscription with this index and
+  /// generation. `executor` numbers the sleepers of this publisher (below subscription_capacity):
+  /// subscriptions that share an executor share the number. Rings once: a commit between the
+  /// member's join and here could not ring it. The caller makes a pass afterwards.
+  template <class Environment>
+  void attach(std::uint64_t index, std::uint64_t generation, typename M::Region region,
+              std::uint64_t extent, std::uint64_t armed_offset, std::uint64_t executor,
+              Environment& environment) noexcept {
+    Member& member = members_[index];
+    member.executor = executor;
+    member.attached_generation = generation;
+    member.region = region;
+    member.extent = extent;
+    member.armed_offset = armed_offset;
+    if (index >= member_high_) member_high_ = index + 1;
+    AGNOCAST_STEP(J7_ring) environment.ring(executor, 0);
+  }
+  /// The control thread is about to unmap it.
+  void detach(std::uint64_t index, std::uint64_t generation) noexcept {
+    if (members_[index].attached_generation == generation) members_[index].attached_generation = 0;
+  }
+
+  /// True while a message outside the history is allocated: a timer pass may free it.
+  bool has_reclaimable() const noexcept {
+    const std::uint64_t keep_from = minus_at_least(head_sequence_ + 1, history_, 0);
+    bool found = false;
+    for_each(allocated_, [&](std::uint64_t slot) { found = found || sequence_[slot] < keep_from; });
+    return found;
+  }
+  std::uint64_t head_sequence() const noexcept { return head_sequence_; }
+  std::uint64_t allocated_count() const noexcept {
+    std::uint64_t count = 0;
+    for (std::uint64_t word : allocated_) count += static_cast<std::uint64_t>(std::popcount(word));
+    return count;
+  }
+
+ private:
+  static constexpr std::uint64_t no_slot = ~std::uint64_t{0};
+  static constexpr std::uint64_t infinite = ~std::uint64_t{0};
+  static constexpr std::size_t mask_words = (M::slot_capacity + 63) / 64;
+  using Mask = std::array<std::uint64_t, mask_words>;
+
+  struct Member {
+    std::uint64_t word = 0;    // as last read from the board
+    std::uint64_t since = 0;   // lower bound of where it starts, while it is not linked
+    std::uint64_t window = 0;  // newest messages that it can still ask for
+    std::uint64_t bound =
+        0;  // unread messages beyond which a keep-all publisher waits; 0 = it never limits us
+    std::uint64_t attached_generation = 0;  // 0 = not mapped
+    std::uint64_t extent = 0;
+    std::uint64_t armed_offset = 0;
+    std::uint64_t executor = 0;
+    std::uint64_t low = 0;  // of the last pass, for room_for_one_more
+    typename M::Region region{};
+  };
+
+  static void set(Mask& mask, std::uint64_t slot) noexcept {
+    mask[slot / 64] |= std::uint64_t{1} << slot % 64;
+  }
+  static void clear(Mask& mask, std::uint64_t slot) noexcept {
+    mask[slot / 64] &= ~(std::uint64_t{1} << slot % 64);
+  }
+  static bool test(const Mask& mask, std::uint64_t slot) noexcept {
+    return (mask[slot / 64] >> slot % 64 & 1) != 0;
+  }
+  template <class Function>
+  static void for_each(const Mask& mask, Function function) noexcept {
+    for (std::size_t word = 0; word < mask_words; ++word) {
+      for (std::uint64_t bits = mask[word]; bits != 0; bits &= bits - 1) {
+        function(word * 64 + static_cast<std::uint64_t>(std::countr_zero(bits)));
+      }
+    }
+  }
+
+  std::uint64_t lowest_free_slot() const noexcept {
+    for (std::size_t word = 0; word < mask_words; ++word) {
+      if (~allocated_[word] == 0) continue;
+      const std::uint64_t slot =
+          word * 64 + static_cast<std::uint64_t>(std::countr_one(allocated_[word]));
+      return slot < slot_count_ ? slot : no_slot;
+    }
+    return no_slot;
+  }
+
+  /// keep-all: no reliable keep-all member may be left with more unread messages than both sides
+  /// agreed to.
+  bool room_for_one_more() const noexcept {
+    bool room = true;
+    for (std::uint64_t i = 0; i < member_high_; ++i) {
+      const Member& member = members_[i];
+      if (abi::state_of(member.word) != abi::MemberState::active || member.bound == 0) continue;
+      const std::uint64_t bound = std::min<std::uint64_t>(self_.qos.depth, member.bound);
+      if (M::holds(Step::K0_room, head_sequence_ + 2 > member.low + bound)) room = false;
+    }
+    return room;
+  }
+
+  /// P7: learn who is a member now. A member seen for the first time may have started as early as
+  /// the head of the previous look: that look missed its J3, so its J6 reads a head at or after it.
+  void refresh_members() noexcept {
+    std::uint64_t epoch = epoch_seen_;
+    // [sync:join] acquire; pairs with the daemon's seq_cst store at J3, behind the fence of P6.
+    AGNOCAST_STEP(P7_epoch) epoch = self_.topic.epoch().load(std::memory_order_acquire);
+    if (M::holds(Step::P7_changed, epoch != epoch_seen_)) {
+      epoch_seen_ = epoch;
+      std::uint64_t high = self_.topic.subscription_high().load(std::memory_order_acquire);
+      high = std::min<std::uint64_t>(high, M::subscription_capacity);
+      member_high_ = std::max(member_high_, high);
+      for (std::uint64_t i = 0; i < high; ++i) refresh_member(i);
+      std::uint64_t self_word = abi::pack_member(self_.generation, abi::MemberState::active);
+      AGNOCAST_STEP(P7_self)
+      self_word = self_.topic.publisher(self_.index, offsetof(abi::PublisherEntry, word))
+                      .load(std::memory_order_acquire);
+      if (abi::state_of(self_word) != abi::MemberState::active) history_ = 0;
+      // Free again: everybody it was announced to has unlinked or is dead (rule RU), so nobody can
+      // hold anything.
+      if (abi::state_of(self_word) == abi::MemberState::free) over_ = 1;
+      const std::uint64_t slots =
+          self_.topic.publisher(self_.index, offsetof(abi::PublisherEntry, slot_count))
+              .load(std::memory_order_relaxed);
+      slot_count_ = std::clamp<std::uint64_t>(slots, slot_count_, M::slot_capacity);
+    }
+    AGNOCAST_STEP(P7_seen) seen_ = head_sequence_;
+  }
+
+  void refresh_member(std::uint64_t index) noexcept {
+    Member& member = members_[index];
+    std::uint64_t word = member.word;
+    AGNOCAST_STEP(P7_word)
+    word = self_.topic.subscription(index, offsetof(abi::SubscriptionEntry, word))
+               .load(std::memory_order_acquire);
+    if (abi::generation_of(word) != abi::generation_of(member.word)) {
+      const abi::Qos qos =
+          abi::unpack_qos(self_.topic.subscription(index, offsetof(abi::SubscriptionEntry, qos))
+                              .load(std::memory_order_relaxed));
+      if (!abi::qos_match(self_.qos, qos))
+        word = abi::pack_member(abi::generation_of(word), abi::MemberState::free);
+      member.window = abi::window_of(qos);
+      member.bound = qos.keep_all && qos.reliable ? qos.depth : 0;
+      member.since = head_sequence_ + 1;
+      AGNOCAST_STEP(P7_since)
+      member.since = minus_at_least(seen_ + 1, history_, self_.first_sequence + 1);
+      member.low = member.since;
+    } else if (member.word != word && !is_member(member.word)) {
+      word = abi::pack_member(abi::generation_of(word),
+                              abi::MemberState::free);  // refused or over: it stays so
+    }
+    member.word = word;
+  }
+
+  static bool is_member(std::uint64_t word) noexcept {
+    const abi::MemberState state = abi::state_of(word);
+    return state == abi::MemberState::active || state == abi::MemberState::leaving;
+  }
+
+  /// P8: one ring per sleeper and sleep.
+  template <class Environment>
+  void ring_sleepers(Environment& environment) noexcept {
+    for (std::uint64_t i = 0; i < member_high_; ++i) {
+      Member& member = members_[i];
+      if (abi::state_of(member.word) != abi::MemberState::active) continue;
+      if (member.attached_generation != abi::generation_of(member.word))
+        continue;  // J7 rings it once it is mapped
+      std::uint64_t armed = 0;
+      // [sync:sleep] relaxed behind the fence of P6; pairs with S1, S2: either this sees the
+      // sleeper or its re-check sees the commit.
+      AGNOCAST_STEP(P8_armed)
+      armed = M::word(member.region, member.armed_offset).load(std::memory_order_relaxed);
+      if (!M::holds(Step::P8_asleep, (armed & 1) != 0 && armed != rung_[member.executor])) continue;
+      AGNOCAST_STEP(P8_rung) rung_[member.executor] = armed;
+      AGNOCAST_STEP(P8_ring) environment.ring(member.executor, armed);
+    }
+  }
+
+  template <class Environment>
+  void pass(Environment& environment, bool after_commit) noexcept {
+    // [sync:hold] seq_cst; pairs with T4 and T5: a take that validated an entry is seen here, or
+    // sees the mark made before here.
+    AGNOCAST_STEP(P6_fence) M::fence();
+    const Mask marked = retired_;
+    refresh_members();
+    if (after_commit) {
+      ring_sleepers(environment);
+      if (lazy_passes_ < self_.lazy_limit) {
+        ++lazy_passes_;
+        return;
+      }
+    }
+    lazy_passes_ = 0;
+
+    std::uint64_t need = minus_at_least(head_sequence_ + 1, history_, 0);
+    std::uint64_t past = infinite;
+    std::uint64_t unknown_from = infinite;
+    Mask held{};
+    for (std::uint64_t i = 0; i < (over_ != 0 ? 0 : member_high_); ++i) {
+      Member& member = members_[i];
+      if (!is_member(member.word)) continue;
+      const bool leaving = abi::state_of(member.word) == abi::MemberState::leaving;
+      const bool mapped = member.attached_generation == abi::generation_of(member.word);
+      std::uint64_t low = member.since;
+      if (mapped) {
+        const LinkWords<M> link{member.region, member.extent, self_.index};
+        // [sync:link] acquire; pairs with the seq_cst store at J6: the cursor read next is at least
+        // the one it was linked with.
+        const bool linked =
+            M::holds(Step::P9_linked, link.publisher_generation().load(std::memory_order_acquire) ==
+                                          self_.generation);
+        if (linked) {
+          // [sync:direct-free] acquire, before the holds; pairs with T7: behind a passed cursor a
+          // clear bit means released.
+          AGNOCAST_STEP(P9_cursor) low = link.cursor().load(std::memory_order_acquire);
+          AGNOCAST_STEP(P9_hold) collect_holds(link, held);
+        }
+      } else {
+        AGNOCAST_STEP(P9_unknown) unknown_from = std::min(unknown_from, member.since);
+      }
+      if (leaving) low = infinite;
+      member.low = low;
+      past = std::min(past, low);
+      if (!leaving)
+        need = std::min(need, std::max(low, minus_at_least(head_sequence_ + 1, member.window, 0)));
+    }
+    retire_and_free(environment, need, past, unknown_from, held, marked);
+  }
+
+  void collect_holds(const LinkWords<M>& link, Mask& held) const noexcept {
+    for (std::size_t word = 0; word < mask_words; ++word) {
+      // [sync:hold] acquire; pairs with the release of L1: what the holder read, it read before
+      // this message is destroyed.
+      if (allocated_[word] != 0) held[word] |= link.hold(word).load(std::memory_order_acquire);
+    }
+  }
+
+  template <class Environment>
+  void retire_and_free(Environment& environment, std::uint64_t need, std::uint64_t past,
+                       std::uint64_t unknown_from, const Mask& held, const Mask& marked) noexcept {
+    const Mask candidates = allocated_;
+    for_each(candidates, [&](std::uint64_t slot) {
+      const std::uint64_t sequence = sequence_[slot];
+      const bool retired = test(retired_, slot);
+      if (!M::holds(Step::P10_needed, sequence < need) && !retired) return;
+      const bool untouchable = M::holds(Step::P10_past, sequence < past) ||
+                               M::holds(Step::P10_marked, test(marked, slot));
+      if (untouchable && !M::holds(Step::P10_held, test(held, slot)) && sequence < unknown_from) {
+        AGNOCAST_STEP(P10_free) self_.words.slot_id(slot).store(0, std::memory_order_release);
+        clear(allocated_, slot);
+        clear(retired_, slot);
+        environment.freed(slot, address_[slot]);
+      } else if (!retired) {
+        // [sync:hold] release, before the fence of a later pass; pairs with the seq_cst load of T5.
+        AGNOCAST_STEP(P10_retire)
+        self_.words.slot_id(slot).store(abi::retired_mark | sequence, std::memory_order_release);
+        set(retired_, slot);
+      }
+    });
+  }
+
+  Identity self_;
+  std::uint64_t head_sequence_;
+  std::uint64_t seen_;  // head at the last epoch check
+  std::uint64_t epoch_seen_ = 0;
+  std::uint64_t history_;     // H
+  std::uint64_t slot_count_;  // N
+  std::uint64_t over_ = 0;    // 1: the daemon has freed this publisher's index
+  std::uint64_t lazy_passes_ = 0;
+  std::uint64_t member_high_ = 0;
+  Mask allocated_{};
+  Mask retired_{};
+  std::array<std::uint64_t, M::slot_capacity> sequence_{};
+  std::array<std::uint64_t, M::slot_capacity> address_{};
+  std::array<Member, M::subscription_capacity> members_{};
+  std::array<std::uint64_t, M::subscription_capacity>
+      rung_{};  // per executor: the sleep that was rung last
+};
+
+}  // namespace agnocast::dataplane

@@ -1,0 +1,237 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Subscription core: link, take, release, unlink, sleep. docs/protocol.md §3.2, §3.3, §3.5 and §4.1
+// have the same numbers.
+//
+// A link is how one subscription stands towards one publisher. A take publishes a hold bit and only
+// then looks whether the entry is still the one it wanted (the reader's half of the handshake whose
+// writer's half is P6…P10). The caller holds the subscription's private mutex. Whatever the
+// publisher wrote is input: loaded once, checked, and every loop is bounded by 2 × ring entries.
+#pragma once
+
+#include <client/dataplane/views.hpp>
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+
+namespace agnocast::dataplane {
+
+/// A message that is held now: release it with the same slot.
+struct Taken {
+  std::uint64_t sequence = 0;
+  std::uint64_t slot = 0;
+  std::uint64_t address = 0;
+  std::uint64_t size = 0;
+  std::uint64_t stamp_ns = 0;
+};
+
+template <class M>
+class LinkCore {
+ public:
+  struct Identity {
+    TopicWords<M> topic;
+    PublisherWords<M> publisher;  // in the publisher's client region, read-only here
+    LinkWords<M> line;            // in this process's client region
+    std::uint64_t index;          // of the publisher in the topic
+    std::uint64_t generation;     // of the publisher
+    std::uint64_t first_sequence;
+    abi::Qos offered;
+    abi::Qos requested;
+  };
+
+  explicit LinkCore(const Identity& identity) noexcept
+      : self_(identity), cursor_(identity.first_sequence + 1) {}
+
+  /// J6. `from_start`: the publisher joined later than the subscription, so everything it committed
+  /// is wanted. False when the board no longer shows the announced publisher: rule RU excludes
+  /// that, so it is an invariant broken by a peer, and nothing is linked.
+  bool link(bool from_start) noexcept {
+    std::uint64_t head = abi::pack_entry(self_.first_sequence, 0);
+    // [sync:join] seq_cst; behind J3 in the single total order, so a publisher that missed J3
+    // looked at an earlier head.
+    AGNOCAST_STEP(J6_head) head = self_.publisher.head().load(std::memory_order_seq_cst);
+    const bool history = self_.offered.transient_local && self_.requested.transient_local;
+    const std::uint64_t back = history ? std::min(self_.offered.depth, self_.requested.depth) : 0;
+    cursor_ = from_start
+                  ? self_.first_sequence + 1
+                  : minus_at_least(abi::sequence_of(head) + 1, back, self_.first_sequence + 1);
+    AGNOCAST_STEP(J6_cursor) self_.line.cursor().store(cursor_, std::memory_order_relaxed);
+    // [sync:link] seq_cst; pairs with the acquire at P9.
+    AGNOCAST_STEP(J6_generation)
+    self_.line.publisher_generation().store(self_.generation, std::memory_order_seq_cst);
+    const std::uint64_t word = publisher_word();
+    const bool announced = abi::generation_of(word) == self_.generation &&
+                           (abi::state_of(word) == abi::MemberState::active ||
+                            abi::state_of(word) == abi::MemberState::orphan);
+    if (M::holds(Step::J6_check, announced)) return true;
+    unlink();
+    return false;
+  }
+
+  /// No message of this link may be held. After it the caller may tell the daemon UNLINKED.
+  void unlink() noexcept {
+    AGNOCAST_STEP(U1_generation)
+    self_.line.publisher_generation().store(0, std::memory_order_release);
+    AGNOCAST_STEP(U2_cursor) self_.line.cursor().store(0, std::memory_order_release);
+  }
+
+  /// The next message, held, or nothing. `windows` knows the publisher's heap: open() makes it
+  /// accessible up to the frontiers that the publisher has stored, contains(address, size) says
+  /// whether a range lies in what is open.
+  template <class Windows>
+  std::optional<Taken> take(Windows& windows) noexcept {
+    const std::uint64_t stored_cursor = cursor_;
+    for (std::uint64_t round = 0; round < 2 * M::ring_count(); ++round) {
+      const std::uint64_t head = newest();
+      const std::uint64_t newest_sequence = abi::sequence_of(head);
+      if (newest_sequence < cursor_) break;
+      std::uint64_t wanted = cursor_;
+      AGNOCAST_STEP(T1_window)
+      wanted = std::max(cursor_,
+                        minus_at_least(newest_sequence + 1, abi::window_of(self_.requested), 0));
+      lose(wanted - cursor_);
+      // [sync:publish] acquire; pairs with P4.
+      const std::uint64_t entry =
+          wanted == newest_sequence ? head
+                                    : self_.publisher.order(wanted).load(std::memory_order_acquire);
+      const std::uint64_t slot = abi::slot_of(entry);
+      if (!M::holds(Step::T2_order, abi::sequence_of(entry) == wanted) ||
+          slot >= M::slot_capacity) {
+        if (abi::sequence_of(entry) < wanted || slot >= M::slot_capacity) ++malformed_;
+        lose(1);
+        continue;
+      }
+      // [sync:publish] acquire; pairs with P3. Only saves a pin on a message that is gone already.
+      if (!M::holds(Step::T3_live,
+                    self_.publisher.slot_id(slot).load(std::memory_order_acquire) == wanted)) {
+        lose(1);
+        continue;
+      }
+      const std::uint64_t bit = std::uint64_t{1} << slot % 64;
+      std::uint64_t before = 0;
+      // [sync:hold] seq_cst, then a seq_cst load: pairs with mark, fence (P6), scan (P9) of the
+      // publisher.
+      AGNOCAST_STEP(T4_hold)
+      before = self_.line.hold(slot / 64).fetch_or(bit, std::memory_order_seq_cst);
+      if (!M::holds(Step::T5_valid,
+                    self_.publisher.slot_id(slot).load(std::memory_order_seq_cst) == wanted)) {
+        if ((before & bit) == 0) {
+          AGNOCAST_STEP(T5_undo)
+          self_.line.hold(slot / 64).fetch_and(~bit, std::memory_order_release);
+        }
+        lose(1);
+        continue;
+      }
+      Taken taken{wanted, slot, self_.publisher.slot_address(slot).load(std::memory_order_relaxed),
+                  self_.publisher.slot_size(slot).load(std::memory_order_relaxed),
+                  self_.publisher.slot_stamp(slot).load(std::memory_order_relaxed)};
+      AGNOCAST_STEP(T6_frontier) windows.open();
+      if (!M::holds(Step::T6_inside, windows.contains(taken.address, taken.size))) {
+        release(slot);
+        ++malformed_;
+        lose(1);
+        continue;
+      }
+      cursor_ = wanted + 1;
+      store_cursor();
+      return taken;
+    }
+    if (cursor_ != stored_cursor) store_cursor();
+    return std::nullopt;
+  }
+
+  /// L1. Commit and effect are one instruction. Any thread of the process that holds the
+  /// subscription's mutex or the last reference.
+  void release(std::uint64_t slot) noexcept {
+    // [sync:hold] release; pairs with the acquire at P9: everything read from the message was read
+    // before this.
+    AGNOCAST_STEP(L1_release)
+    self_.line.hold(slot / 64).fetch_and(~(std::uint64_t{1} << slot % 64),
+                                         std::memory_order_release);
+  }
+
+  /// S3: is there anything to take? Called between S2 and the sleep.
+  bool has_news() const noexcept { return abi::sequence_of(newest()) >= cursor_; }
+
+  /// Learns whether the publisher is gone. From then on only what the daemon recorded as committed
+  /// is taken.
+  void observe_publisher() noexcept {
+    if (orphaned_ != 0) return;
+    const std::uint64_t word = publisher_word();
+    if (abi::generation_of(word) == self_.generation &&
+        abi::state_of(word) == abi::MemberState::active)
+      return;
+    final_head_ = self_.topic.publisher(self_.index, offsetof(abi::PublisherEntry, final_head))
+                      .load(std::memory_order_relaxed);
+    orphaned_ = 1;
+  }
+  /// True once the publisher is gone and everything it committed has been taken or lost.
+  bool drained() const noexcept {
+    return orphaned_ != 0 && abi::sequence_of(final_head_) < cursor_;
+  }
+
+  std::uint64_t cursor() const noexcept { return cursor_; }
+  std::uint64_t lost() const noexcept { return lost_; }
+  std::uint64_t malformed() const noexcept { return malformed_; }
+
+ private:
+  std::uint64_t newest() const noexcept {
+    if (orphaned_ != 0) return final_head_;
+    std::uint64_t head = 0;
+    // [sync:publish] acquire; pairs with P5.
+    AGNOCAST_STEP(T1_head) head = self_.publisher.head().load(std::memory_order_acquire);
+    return head;
+  }
+  std::uint64_t publisher_word() const noexcept {
+    return self_.topic.publisher(self_.index, offsetof(abi::PublisherEntry, word))
+        .load(std::memory_order_acquire);
+  }
+  void lose(std::uint64_t count) noexcept {
+    lost_ += count;
+    cursor_ += count;
+  }
+  void store_cursor() noexcept {
+    // [sync:direct-free] release, behind the hold; pairs with the acquire at P9.
+    AGNOCAST_STEP(T7_cursor) self_.line.cursor().store(cursor_, std::memory_order_release);
+  }
+
+  Identity self_;
+  std::uint64_t cursor_;
+  std::uint64_t lost_ = 0;
+  std::uint64_t malformed_ = 0;
+  std::uint64_t orphaned_ = 0;
+  std::uint64_t final_head_ = 0;
+};
+
+/// An executor's sleep word. Order of a sleep: arm() → look at every link → block on the doorbell →
+/// disarm().
+template <class M>
+class SleepCore {
+ public:
+  SleepCore(typename M::Region region, std::uint64_t offset) noexcept
+      : region_(region), offset_(offset) {}
+
+  /// S1, S2. From here on a publisher rings; what was committed before is seen by the look that
+  /// follows.
+  void arm() noexcept {
+    // [sync:sleep] relaxed, then a fence; pairs with P6, P8. The generation is 64 bits wide: a
+    // narrow one loses a wake by wrapping.
+    ++generation_;
+    AGNOCAST_STEP(S1_arm) M::word(region_, offset_).store(generation_, std::memory_order_relaxed);
+    AGNOCAST_STEP(S2_fence) M::fence();
+  }
+  void disarm() noexcept {
+    ++generation_;
+    AGNOCAST_STEP(S5_disarm)
+    M::word(region_, offset_).store(generation_, std::memory_order_relaxed);
+  }
+
+ private:
+  typename M::Region region_;
+  std::uint64_t offset_;
+  std::uint64_t generation_ = 0;  // even = awake
+};
+
+}  // namespace agnocast::dataplane

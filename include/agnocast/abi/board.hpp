@@ -1,0 +1,82 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Board: who takes part in which topic. One memfd, written by the daemon alone, mapped read-only by
+// every client.
+//
+//      0  header page
+//   4096  topic[4096], 64 KiB each: TopicHeader, publisher[254], subscription[768]
+#pragma once
+
+#include <agnocast/abi/client_region.hpp>
+#include <agnocast/abi/limits.hpp>
+
+#include <cstddef>
+#include <cstdint>
+#include <type_traits>
+
+namespace agnocast::abi {
+
+//    0  epoch              u64  +1 after every membership change       [sync:join] seq_cst store at
+//    J3, acquire at P7 8  word               u64  generation | state of the topic
+//   64  publisher_high     u64  publisher indexes ever used             bound of every loop over
+//   them 72  subscription_high  u64  subscription indexes ever used
+struct TopicHeader {
+  alignas(cache_line_bytes) SharedWord epoch;
+  SharedWord word;
+  alignas(cache_line_bytes) SharedWord publisher_high;
+  SharedWord subscription_high;
+};
+static_assert(sizeof(TopicHeader) == 128 && offsetof(TopicHeader, publisher_high) == 64 &&
+              offsetof(TopicHeader, subscription_high) == 72);
+
+//    0  word            u64  generation | state; written last, release  [sync:join]
+//    8  qos             u64
+//   16  client          u64  index of the process
+//   24  extent          u64  offset of its PublisherEndpoint in the client region, bytes
+//   32  slot_count      u64  N; only grows
+//   40  first_sequence  u64  sequence numbers start above it
+//   48  final_head      u64  head when it died or left; valid once the state is orphan
+struct alignas(cache_line_bytes) PublisherEntry {
+  SharedWord word;
+  SharedWord qos;
+  SharedWord client;
+  SharedWord extent;
+  SharedWord slot_count;
+  SharedWord first_sequence;
+  SharedWord final_head;
+};
+static_assert(sizeof(PublisherEntry) == 64 && offsetof(PublisherEntry, qos) == 8 &&
+              offsetof(PublisherEntry, slot_count) == 32 &&
+              offsetof(PublisherEntry, first_sequence) == 40 &&
+              offsetof(PublisherEntry, final_head) == 48);
+
+//    0  word      u64  generation | state; written last, release        [sync:join]
+//    8  qos       u64
+//   16  client    u64  index of the process
+//   24  extent    u64  offset of its subscription endpoint in the client region, bytes
+//   32  quota     u64  messages it may hold, per publisher
+//   40  executor  u64  index of the executor that it sleeps in
+struct alignas(cache_line_bytes) SubscriptionEntry {
+  SharedWord word;
+  SharedWord qos;
+  SharedWord client;
+  SharedWord extent;
+  SharedWord quota;
+  SharedWord executor;
+};
+static_assert(sizeof(SubscriptionEntry) == 64 && offsetof(SubscriptionEntry, qos) == 8 &&
+              offsetof(SubscriptionEntry, executor) == 40);
+
+constexpr std::uint64_t publisher_entry_offset(std::uint64_t index) noexcept {
+  return sizeof(TopicHeader) + index * sizeof(PublisherEntry);
+}
+constexpr std::uint64_t subscription_entry_offset(std::uint64_t publishers,
+                                                  std::uint64_t index) noexcept {
+  return publisher_entry_offset(publishers) + index * sizeof(SubscriptionEntry);
+}
+inline constexpr std::uint64_t topic_bytes =
+    subscription_entry_offset(publisher_count_max, subscription_count_max);
+static_assert(topic_bytes == 65536);
+static_assert(std::is_standard_layout_v<TopicHeader> && std::is_standard_layout_v<PublisherEntry>);
+
+}  // namespace agnocast::abi

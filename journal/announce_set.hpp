@@ -1,0 +1,83 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Announce set: who was told about one generation of something that can be used again (rule RU,
+// docs/protocol.md §3.6).
+//
+// A publisher index, an extent, a client region, a heap window or its addresses are used again only
+// when every process that was ever sent an announcement of that generation has said UNLINKED or is
+// dead. The set is part of the daemon's journaled tables; it is never inferred from shared memory.
+// Four details are mandatory:
+//   (a) tell() is journaled before the announcement is sent        (b) a client says UNLINKED after
+//   its link is gone (c) a restarted daemon sends every member its announcement again   (d) a
+//   client answers a repeated one with UNLINKED again
+#pragma once
+
+#include <agnocast/abi/limits.hpp>
+#include <base/memory_policy.hpp>
+
+#include <cstdint>
+
+namespace agnocast::journal {
+
+/// Plain data, all of it: lies in the daemon's tables as it is.
+template <class M, std::uint32_t client_capacity = abi::client_count_max>
+class AnnounceSet {
+ public:
+  /// A new generation. Only when reusable().
+  void begin(std::uint64_t generation) noexcept { generation_ = generation; }
+  std::uint64_t generation() const noexcept { return generation_; }
+
+  void tell(std::uint64_t client) noexcept {
+    AGNOCAST_STEP(R1_tell) members_[client / 64] |= bit(client);
+  }
+  /// UNLINKED from a client. What speaks of another generation is late and means nothing.
+  void let_go(std::uint64_t client, std::uint64_t generation) noexcept {
+    if (!M::holds(Step::R2_generation, generation == generation_)) return;
+    AGNOCAST_STEP(R2_let_go) members_[client / 64] &= ~bit(client);
+  }
+  void died(std::uint64_t client) noexcept {
+    AGNOCAST_STEP(R3_died) members_[client / 64] &= ~bit(client);
+  }
+  bool contains(std::uint64_t client) const noexcept {
+    return (members_[client / 64] & bit(client)) != 0;
+  }
+  bool reusable() const noexcept {
+    std::uint64_t any = 0;
+    for (std::uint64_t word : members_) any |= word;
+    return M::holds(Step::R4_reusable, any == 0);
+  }
+
+ private:
+  static constexpr std::uint64_t bit(std::uint64_t client) noexcept {
+    return std::uint64_t{1} << client % 64;
+  }
+
+  std::uint64_t generation_ = 0;
+  std::uint64_t members_[(client_capacity + 63) / 64] = {};
+};
+
+/// The client's side: what to do with an announcement. One per index; plain data, private to the
+/// process.
+template <class M>
+class AnnouncementBook {
+ public:
+  enum class Action : std::uint8_t { link, nothing, say_unlinked };
+
+  Action on_announce(std::uint64_t generation) const noexcept {
+    if (M::holds(Step::R5_again, generation <= unlinked_)) return Action::say_unlinked;
+    return generation == linked_ ? Action::nothing : Action::link;
+  }
+  void linked(std::uint64_t generation) noexcept { AGNOCAST_STEP(R6_link) linked_ = generation; }
+  /// After the link is gone, before UNLINKED is sent.
+  void unlinked(std::uint64_t generation) noexcept {
+    AGNOCAST_STEP(R7_unlinked) unlinked_ = generation;
+    linked_ = 0;
+  }
+  std::uint64_t current() const noexcept { return linked_; }
+
+ private:
+  std::uint64_t linked_ = 0;
+  std::uint64_t unlinked_ = 0;
+};
+
+}  // namespace agnocast::journal

@@ -1,0 +1,216 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// The configurations that the explorer runs. Letters: M messages, K publisher depth, D subscription
+// depth; s0 was subscribed before the publisher came and links at any time, s1 joins while it
+// publishes.
+#pragma once
+
+#include <tests/model/queue_scenario.hpp>
+
+namespace agnocast::model {
+
+inline constexpr SubscriptionPlan none_planned{};
+
+constexpr SubscriptionPlan early(std::uint32_t depth) { return {.present = true, .depth = depth}; }
+constexpr SubscriptionPlan late(std::uint32_t depth, bool transient_local = false) {
+  return {.present = true, .late = true, .depth = depth, .transient_local = transient_local};
+}
+constexpr SubscriptionPlan holding(SubscriptionPlan plan, std::uint32_t quota) {
+  plan.quota = quota;
+  return plan;
+}
+constexpr SubscriptionPlan sleeping_while_holding(SubscriptionPlan plan, std::uint32_t quota) {
+  plan.quota = quota;
+  plan.sleep_holding = true;
+  return plan;
+}
+constexpr SubscriptionPlan releasing_elsewhere(SubscriptionPlan plan, std::uint32_t quota) {
+  plan.quota = quota;
+  plan.other_thread_releases = true;
+  return plan;
+}
+constexpr SubscriptionPlan leaving(SubscriptionPlan plan, bool rejoins) {
+  plan.leaves = true;
+  plan.rejoins = rejoins;
+  return plan;
+}
+constexpr SubscriptionPlan hanging(SubscriptionPlan plan) {
+  plan.hangs = true;
+  return plan;
+}
+constexpr SubscriptionPlan keeping_all(SubscriptionPlan plan) {
+  plan.keep_all = true;
+  return plan;
+}
+
+// Small enough to be run once per mutant, together wide enough to notice each. Ordered by what they
+// cost.
+inline constexpr QueuePlan mutant_plans[] = {
+    {.name = "s0 M=2 K=1 D=2", .messages = 2, .sub = {early(2), none_planned}},
+    {.name = "s0 M=3 K=1 D=1 volatile, holds 2, sleeps while holding",
+     .messages = 3,
+     .transient_local = false,
+     .sub = {sleeping_while_holding(early(1), 2), none_planned}},
+    {.name = "s0 M=3 K=1 D=2, the heap grows",
+     .messages = 3,
+     .grow_before = 2,
+     .sub = {early(2), none_planned}},
+    {.name = "s0 hangs M=4 K=1 D=1, few slots",
+     .messages = 4,
+     .slots = 3,
+     .sub = {hanging(early(1)), none_planned}},
+    {.name = "s0 M=2 K=2 D=2, publisher leaves",
+     .messages = 2,
+     .depth = 2,
+     .sub = {early(2), none_planned},
+     .publisher_leaves = true},
+    {.name = "s0 M=2 K=1 D=1, publisher dies",
+     .messages = 2,
+     .sub = {early(1), none_planned},
+     .publisher_deaths = 1},
+    {.name = "s0 M=2 K=1 D=2, subscriber dies",
+     .messages = 2,
+     .sub = {early(2), none_planned},
+     .subscriber_deaths = 1},
+    {.name = "s0 M=4 K=2 D=3, ring exactly D+1",
+     .messages = 4,
+     .depth = 2,
+     .slots = 5,
+     .sub = {early(3), none_planned}},
+    {.name = "s1 late M=3 K=2 D=2 transient_local",
+     .messages = 3,
+     .depth = 2,
+     .sub = {none_planned, late(2, true)}},
+    {.name = "s1 late M=3 D=2 volatile",
+     .messages = 3,
+     .transient_local = false,
+     .sub = {none_planned, late(2)}},
+    {.name = "s1 late M=2 K=1 D=1, publisher and daemon die",
+     .messages = 2,
+     .sub = {none_planned, late(1)},
+     .publisher_deaths = 1,
+     .daemon_deaths = 1,
+     .store_buffers = false},
+    {.name = "s0 M=3 keep_all(1)",
+     .messages = 3,
+     .keep_all = true,
+     .sub = {keeping_all(early(1)), none_planned}},
+    {.name = "s1 late M=2 K=1 D=1, leaves and joins again",
+     .messages = 2,
+     .sub = {none_planned, leaving(late(1), true)},
+     .store_buffers = false},
+};
+
+// The proof proper.
+inline constexpr QueuePlan proof_plans[] = {
+    {.name = "s0 M=4 K=1 D=3 ring exactly D+1, P and S die",
+     .messages = 4,
+     .slots = 5,
+     .sub = {early(3), none_planned},
+     .publisher_deaths = 1,
+     .subscriber_deaths = 1,
+     .store_buffers = false},
+    {.name = "s0 M=3 K=1 D=2, P and S die",
+     .messages = 3,
+     .sub = {early(2), none_planned},
+     .publisher_deaths = 1,
+     .subscriber_deaths = 1},
+    {.name = "s0 M=3 volatile D=3, P and S die",
+     .messages = 3,
+     .transient_local = false,
+     .sub = {early(3), none_planned},
+     .publisher_deaths = 1,
+     .subscriber_deaths = 1},
+    {.name = "s0 M=4 K=3 D=1",
+     .messages = 4,
+     .depth = 3,
+     .slots = 5,
+     .sub = {early(1), none_planned}},
+    {.name = "s0 M=3 D=3 holds 2, may sleep while holding",
+     .messages = 3,
+     .sub = {sleeping_while_holding(early(3), 2), none_planned}},
+    {.name = "s0 M=3 slots run out (N=2)",
+     .messages = 3,
+     .slots = 2,
+     .sub = {sleeping_while_holding(early(2), 2), none_planned},
+     .store_buffers = false,
+     .may_run_out_of_slots = true},
+    {.name = "s0 M=3 D=3, another thread releases",
+     .messages = 3,
+     .sub = {releasing_elsewhere(early(3), 2), none_planned}},
+    {.name = "s0 M=3 keep_all(2) transient_local",
+     .messages = 3,
+     .depth = 2,
+     .keep_all = true,
+     .sub = {keeping_all(early(2)), none_planned}},
+    {.name = "s0 M=3 keep_all(2) volatile",
+     .messages = 3,
+     .depth = 2,
+     .transient_local = false,
+     .keep_all = true,
+     .sub = {keeping_all(early(2)), none_planned}},
+    {.name = "s1 late M=3 keep_all(2) transient_local",
+     .messages = 3,
+     .depth = 2,
+     .keep_all = true,
+     .sub = {none_planned, keeping_all(late(2, true))}},
+    {.name = "s1 late M=2 K=1 D=2, P, S and D die",
+     .messages = 2,
+     .sub = {none_planned, late(2, true)},
+     .publisher_deaths = 1,
+     .subscriber_deaths = 1,
+     .daemon_deaths = 1,
+     .store_buffers = false},
+    {.name = "s1 late M=2 K=2 D=1, D dies twice",
+     .messages = 2,
+     .depth = 2,
+     .sub = {none_planned, late(1, true)},
+     .daemon_deaths = 2},
+    {.name = "s1 late M=3 K=1 D=3 volatile",
+     .messages = 3,
+     .transient_local = false,
+     .sub = {none_planned, late(3)}},
+    {.name = "s1 late M=3 K=2 D=3 holds 2",
+     .messages = 3,
+     .depth = 2,
+     .sub = {none_planned, holding(late(3, true), 2)}},
+    {.name = "s1 late M=3 D=2, leaves and joins again in the same extent",
+     .messages = 3,
+     .sub = {none_planned, leaving(late(2), true)},
+     .store_buffers = false},
+    {.name = "s1 late M=2 K=2 D=2, the publisher leaves, S and D die",
+     .messages = 2,
+     .depth = 2,
+     .sub = {none_planned, late(2, true)},
+     .subscriber_deaths = 1,
+     .daemon_deaths = 1,
+     .store_buffers = false,
+     .publisher_leaves = true},
+    {.name = "lazy passes: s0 M=4 D=2",
+     .messages = 4,
+     .lazy_limit = 2,
+     .sub = {early(2), none_planned}},
+    {.name = "lazy passes: s1 late M=3 D=2 volatile, D dies",
+     .messages = 3,
+     .transient_local = false,
+     .lazy_limit = 1,
+     .sub = {none_planned, late(2)},
+     .daemon_deaths = 1,
+     .store_buffers = false},
+    {.name = "growth: s0 M=3 D=2, P dies",
+     .messages = 3,
+     .grow_before = 2,
+     .sub = {early(2), none_planned},
+     .publisher_deaths = 1},
+    {.name = "growth: s1 late M=3 K=2 D=2",
+     .messages = 3,
+     .depth = 2,
+     .grow_before = 3,
+     .sub = {none_planned, late(2, true)}},
+    {.name = "s0 and s1 together: M=1 D=2/1",
+     .messages = 1,
+     .sub = {early(2), late(1, true)},
+     .store_buffers = false},
+};
+
+}  // namespace agnocast::model

@@ -1,0 +1,47 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: no interleaving of publish, take, release, sleep, join, leave, growth and deaths of anybody
+// breaks an invariant. Method: every plan is explored to the end on the shipped templates; the
+// numbers of states are printed.
+
+#include <tests/model/plans.hpp>
+
+#include <gtest/gtest.h>
+
+#include <cstdio>
+#include <ostream>
+#include <string>
+
+namespace agnocast::model {
+
+void PrintTo(const QueuePlan& plan, std::ostream* out) { *out << plan.name; }
+
+namespace {
+
+// Twice the largest plan (10 M states, 80 MB of fingerprints): more means that somebody made the
+// scenario wider without noticing.
+constexpr std::uint64_t state_limit = 20'000'000;
+
+class QueueModel : public testing::TestWithParam<QueuePlan> {};
+
+TEST_P(QueueModel, HasNoBadInterleaving) {
+  machine.mutation = {};
+  QueueScenario scenario(GetParam());
+  Explorer<QueueScenario> explorer(scenario, state_limit);
+  const Report report = explorer.explore(scenario.start());
+  std::printf("%-62s %9llu states %10llu transitions %7llu endings\n", GetParam().name,
+              static_cast<unsigned long long>(report.states),
+              static_cast<unsigned long long>(report.transitions),
+              static_cast<unsigned long long>(report.endings));
+  std::string trace;
+  for (const std::string& line : report.trace) trace += line + "\n";
+  EXPECT_EQ(report.violation, "") << "after\n" << trace;
+  EXPECT_TRUE(report.complete) << "the limit of states was reached";
+  EXPECT_GT(report.endings, 0u) << "nothing ever came to an end";
+}
+
+INSTANTIATE_TEST_SUITE_P(Proof, QueueModel, testing::ValuesIn(proof_plans));
+INSTANTIATE_TEST_SUITE_P(Small, QueueModel, testing::ValuesIn(mutant_plans));
+
+}  // namespace
+}  // namespace agnocast::model

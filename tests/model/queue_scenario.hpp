@@ -1,0 +1,1036 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Queue scenario: one topic, one publisher with its control thread, two subscriptions, the daemon.
+// Anything may die.
+//
+// What runs is the shipped code: PublisherCore, LinkCore, SleepCore, BoardSteps, recover_queue,
+// store_frontier/load_frontier. Modelled around it are only scripts (who calls what next), messages
+// between the daemon and clients as flags, and ghosts that remember what was promised. Checked at
+// every step: no message is read or held after it was freed, none is freed twice, order per
+// publisher, every loss happens with D newer messages committed, a late joiner starts where it may,
+// the opened mapping covers what the message needs. Checked where nothing can move: nobody sleeps
+// beside a message, nothing is leaked, nobody is stuck, recovery left a consistent queue.
+#pragma once
+
+#include <client/dataplane/publisher_core.hpp>
+#include <client/dataplane/subscription_core.hpp>
+#include <client/dataplane/windows.hpp>
+#include <journal/board_steps.hpp>
+#include <journal/recovery.hpp>
+#include <tests/model/explorer.hpp>
+
+#include <algorithm>
+#include <cstdint>
+#include <new>
+
+namespace agnocast::model {
+
+struct SubscriptionPlan {
+  bool present = false;
+  bool late = false;  // joins while the publisher runs; otherwise it was there before
+  std::uint32_t depth = 1;
+  bool transient_local = false;
+  bool keep_all = false;
+  std::uint32_t quota = 1;     // messages held at once
+  bool sleep_holding = false;  // may go to sleep with messages held
+  bool other_thread_releases = false;
+  bool leaves = false;  // may leave after any take
+  bool rejoins = false;
+  bool hangs = false;  // links and then never takes, as if stopped
+};
+
+struct QueuePlan {
+  const char* name = "";
+  std::uint32_t messages = 3;
+  std::uint32_t depth = 1;
+  bool transient_local = true;
+  bool keep_all = false;
+  std::uint64_t slots = 4;
+  std::uint64_t ring = 4;
+  std::uint64_t lazy_limit = 0;
+  std::uint32_t grow_before = 0;  // the heap grows before this message (1-based); 0 = never
+  SubscriptionPlan sub[2];
+  std::uint32_t publisher_deaths = 0;
+  std::uint32_t subscriber_deaths = 0;
+  std::uint32_t daemon_deaths = 0;
+  bool store_buffers = true;
+  bool may_run_out_of_slots = false;
+  bool publisher_leaves = false;  // after its last message; its process stays
+};
+
+class QueueScenario {
+ public:
+  using MM = ModelMemory;
+  enum ThreadId : std::uint8_t {
+    publisher_main,
+    publisher_control,
+    sub0,
+    sub1,
+    releaser0,
+    daemon_main
+  };
+  static constexpr std::uint8_t thread_count = 6;
+  static constexpr std::size_t word_count = 64;
+  enum RegionId : std::uint32_t { board, publisher_region, sub_region0, sub_region1 };
+
+  // pc values: what a thread does next.
+  enum Pc : std::uint64_t {
+    idle = 0,
+    publish,
+    wait_for_room,
+    timer,
+    finished_publishing,
+    leave_topic,  // publisher
+    join,
+    await_join,
+    link_up,
+    take,
+    release_one,
+    sleep,
+    blocked,
+    leave,
+    await_leave,
+    drain_holds,
+    unlink_line,
+    left,
+    hung,  // subscription
+    redo_check,
+    apply,
+    reply,  // daemon
+    down
+  };
+
+  struct Held {
+    std::uint64_t slot = 0;
+    std::uint64_t sequence = 0;
+  };
+  struct PublisherPrivate {
+    dataplane::PublisherCore<MM> core;
+    std::uint64_t published = 0;
+    explicit PublisherPrivate(const dataplane::PublisherCore<MM>::Identity& identity)
+        : core(identity) {}
+  };
+  struct SubscriptionPrivate {
+    dataplane::LinkCore<MM> link;
+    dataplane::SleepCore<MM> sleep;
+    std::uint64_t opened = 0;  // bytes of the publisher's window that are accessible
+    std::uint64_t last = 0;    // newest sequence delivered
+    SubscriptionPrivate(const dataplane::LinkCore<MM>::Identity& identity, MM::Region region,
+                        std::uint64_t armed)
+        : link(identity), sleep(region, armed) {}
+  };
+  enum Request : std::uint64_t {
+    none,
+    joining,
+    leaving,
+    drained,
+    unlinked,
+    death_of_subscription,
+    publisher_leaving,
+    publisher_unlinked,
+    death_of_publisher
+  };
+  struct Journal {
+    std::uint64_t request = none;
+    std::uint64_t index = 0;
+    std::uint64_t generation = 0;
+  };
+  struct State {
+    alignas(8) unsigned char publisher[sizeof(PublisherPrivate)] = {};
+    alignas(8) unsigned char sub[2][sizeof(SubscriptionPrivate)] = {};
+    // on their way
+    std::uint64_t bell[2] = {};
+    std::uint64_t request[2] = {};   // client → daemon
+    std::uint64_t joined[2] = {};    // daemon → client, for join and leave
+    std::uint64_t announce[2] = {};  // daemon → publisher: generation to map
+    std::uint64_t forget[2] = {};    // daemon → publisher: generation to unmap
+    std::uint64_t announced[2] =
+        {};  // rule RU: generation the publisher was told about and has not unlinked
+    std::uint64_t kick = 0;
+    Journal journal;
+    std::uint64_t generation[2] = {};  // of the subscription index, daemon's table
+    // processes
+    std::uint64_t publisher_dead = 0;  // 1 dead, 2 known to the daemon, 3 recovered
+    std::uint64_t sub_dead[2] = {};
+    std::uint64_t publisher_deaths = 0, subscriber_deaths = 0, daemon_deaths = 0;
+    std::uint64_t publisher_request = 0;
+    std::uint64_t publisher_state =
+        0;  // daemon's table: 0 active, 1 orphan by its own wish, 2 free again
+    std::uint64_t linked_to[2] =
+        {};  // rule RU: the publisher was announced to this subscription, which has not unlinked
+    std::uint64_t timer_runs = 0;
+    std::uint64_t room_snapshot = 0;
+    // ghosts
+    std::uint64_t freed = 0;          // bit per message number
+    std::uint64_t join_head[2] = {};  // newest sequence when the subscription asked to join
+    std::uint64_t held_count[2] = {};
+    Held held[2][3] = {};
+    std::uint64_t cursor_before[2] = {};
+    std::uint64_t need_open[16] = {};  // per message: frontier it was built under
+    std::uint64_t rung[2] = {};        // sleep that was rung last
+  };
+
+  using W = World<QueueScenario>;
+
+  explicit QueueScenario(const QueuePlan& plan) : plan_(plan) {}
+
+  static constexpr std::uint64_t first = 16;      // first_sequence of the publisher
+  static constexpr std::uint64_t generation = 7;  // of the publisher
+  static constexpr std::uint64_t pe = 4096, se = 4096;
+  static constexpr std::uint64_t heap = 0x10000, page = 0x100;
+
+  W start() {
+    machine.ring = plan_.ring;
+    machine.store_buffers = plan_.store_buffers;
+    build_map();
+    W world;
+    poke(world, board, offsetof(abi::TopicHeader, epoch), 1);
+    poke(world, board, offsetof(abi::TopicHeader, publisher_high), 1);
+    poke_publisher(world, offsetof(abi::PublisherEntry, word),
+                   abi::pack_member(generation, abi::MemberState::active));
+    poke_publisher(world, offsetof(abi::PublisherEntry, slot_count), plan_.slots);
+    poke(world, publisher_region, pe, abi::pack_entry(first, 0));
+    poke(world, publisher_region, frontier_offset(), page);
+    new (world.state.publisher) PublisherPrivate(
+        {topic(), words(), 0, generation, first, offered(), plan_.slots, plan_.lazy_limit});
+    world.threads[publisher_main].pc = publish;
+    world.threads[daemon_main].pc = idle;
+    for (std::uint32_t s = 0; s < 2; ++s) {
+      const dataplane::LinkCore<MM>::Identity identity{
+          topic(),   words(),     {{sub_region0 + s}, se, 0}, 0, generation, first,
+          offered(), requested(s)};
+      new (world.state.sub[s]) SubscriptionPrivate(identity, {sub_region0 + s}, armed_offset());
+      sub_private(world, s).last = 0;
+      const SubscriptionPlan& sub = plan_.sub[s];
+      if (!sub.present) {
+        world.threads[sub0 + s].pc = left;
+      } else if (sub.late) {
+        world.threads[sub0 + s].pc = join;
+      } else {
+        // Subscribed before the publisher came: on the board, and announced to it; it links at any
+        // time.
+        world.state.generation[s] = 1;
+        poke(world, board, offsetof(abi::TopicHeader, subscription_high), s + 1);
+        poke_sub(world, s, offsetof(abi::SubscriptionEntry, word),
+                 abi::pack_member(1, abi::MemberState::active));
+        poke_sub(world, s, offsetof(abi::SubscriptionEntry, qos), abi::pack_qos(requested(s)));
+        world.state.announce[s] = 1;
+        world.state.announced[s] = 1;
+        world.state.linked_to[s] = 1;
+        world.threads[sub0 + s].pc = link_up;
+      }
+    }
+    return world;
+  }
+
+  // --- what may move
+  // -------------------------------------------------------------------------------------------------------------
+
+  bool runnable(const W& world, std::uint8_t t) const {
+    const State& state = world.state;
+    const std::uint64_t pc = world.threads[t].pc;
+    switch (t) {
+      case publisher_main:
+        if (state.publisher_dead != 0 || busy(world, publisher_control)) return false;
+        return pc == publish || pc == timer || pc == leave_topic ||
+               (pc == wait_for_room && state.room_snapshot != room_digest(world));
+      case publisher_control:
+        if (state.publisher_dead != 0 || busy(world, publisher_main)) return false;
+        return state.kick != 0 || state.announce[0] != 0 || state.announce[1] != 0 ||
+               state.forget[0] != 0 || state.forget[1] != 0;
+      case sub0:
+      case sub1: {
+        const std::uint32_t s = t - sub0;
+        if (state.sub_dead[s] != 0) return false;
+        if (pc == left || pc == hung) return false;
+        if (pc == await_join) return state.joined[s] == 1 || state.joined[s] == 3;
+        if (pc == await_leave) return state.joined[s] == 2;
+        if (pc == blocked) return state.bell[s] != 0;
+        if (pc == join && state.announced[s] != 0) return false;
+        if (plan_.sub[s].other_thread_releases) {
+          if (pc == release_one)
+            return state.held_count[s] < plan_.sub[s].quota;  // waits for the other thread
+          if (pc == drain_holds) return state.held_count[s] == 0;
+        }
+        return true;
+      }
+      case releaser0:
+        return plan_.sub[0].other_thread_releases && state.sub_dead[0] == 0 &&
+               state.held_count[0] > 0;
+      case daemon_main:
+        if (pc == down) return true;
+        if (pc != idle) return true;
+        return has_request(world);
+      default:
+        return false;
+    }
+  }
+
+  template <class Emit>
+  void moves(const W& world, Emit emit) const {
+    const State& state = world.state;
+    if (state.publisher_dead == 0 && state.publisher_deaths < plan_.publisher_deaths) {
+      emit_prefixes(world, publisher_main, emit);
+      if (busy(world, publisher_control)) emit_prefixes(world, publisher_control, emit);
+    }
+    for (std::uint8_t s = 0; s < 2; ++s) {
+      if (plan_.sub[s].present && state.sub_dead[s] == 0 &&
+          state.subscriber_deaths < plan_.subscriber_deaths) {
+        emit_prefixes(world, static_cast<std::uint8_t>(sub0 + s), emit);
+      }
+    }
+    if (state.daemon_deaths < plan_.daemon_deaths && world.threads[daemon_main].pc != down)
+      emit_prefixes(world, daemon_main, emit);
+    if (state.publisher_dead == 0 && state.timer_runs < 2 &&
+        publisher_private(world).core.has_reclaimable() && quiescent(world)) {
+      emit(publisher_main, 1000);
+    }
+  }
+
+  /// Deaths; and the publisher's timer where nothing else moves. True if the move is not a death:
+  /// then the state was no ending.
+  bool perform(W& world, std::uint8_t t, std::uint16_t argument) {
+    State& state = world.state;
+    if (argument == 1000) {
+      ++state.timer_runs;
+      world.threads[publisher_main].pc = timer;
+      return true;
+    }
+    Thread& thread = world.threads[t];
+    // What a SIGKILL leaves of the victim's stores is a prefix; the rest was never executed.
+    Machine::clear_buffer(thread, argument);
+    auto stop = [&](std::uint8_t which) {
+      world.threads[which].log_count = 0;
+      std::memset(world.threads[which].log, 0, sizeof thread.log);
+      world.threads[which].pc = down;
+    };
+    stop(t);
+    switch (t) {
+      case publisher_main:
+      case publisher_control:
+        stop(publisher_main);
+        stop(publisher_control);
+        state.publisher_dead = 1;
+        ++state.publisher_deaths;
+        break;
+      case sub0:
+      case sub1:
+        state.sub_dead[t - sub0] = 1;
+        if (t == sub0) stop(releaser0);
+        ++state.subscriber_deaths;
+        state.held_count[t - sub0] = 0;
+        std::memset(static_cast<void*>(state.held[t - sub0]), 0, sizeof state.held[0]);
+        break;
+      default:
+        ++state.daemon_deaths;
+        break;
+    }
+    return false;
+  }
+
+  /// Loads that nobody else alive can influence are no scheduling points.
+  void quiet(const W& world, std::uint8_t t, std::uint8_t* quiet_words) const {
+    const State& state = world.state;
+    for (std::size_t w = 0; w < word_count; ++w) {
+      std::uint8_t is_quiet = 0;
+      if (w < address_map.count) {
+        switch (address_map.region_of[w]) {
+          case board:
+            is_quiet = t == daemon_main;
+            break;
+          case publisher_region:
+            is_quiet =
+                t == publisher_main || t == publisher_control ||
+                (state.publisher_dead != 0 && world.threads[publisher_main].buffer_count == 0 &&
+                 world.threads[publisher_control].buffer_count == 0 &&
+                 (t == daemon_main || state.publisher_dead == 3));
+            break;
+          case sub_region0:
+            is_quiet = t == sub0;
+            break;
+          case sub_region1:
+            is_quiet = t == sub1;
+            break;
+          default:
+            break;
+        }
+      }
+      quiet_words[w] = is_quiet;
+    }
+  }
+
+  // --- what they do
+  // --------------------------------------------------------------------------------------------------------------
+
+  void run(W& world, std::uint8_t t) {
+    switch (t) {
+      case publisher_main:
+      case publisher_control:
+        run_publisher(world, t);
+        break;
+      case sub0:
+      case sub1:
+        run_subscription(world, t - sub0);
+        break;
+      case releaser0:
+        run_releaser(world, 0);
+        break;
+      default:
+        run_daemon(world);
+        break;
+    }
+  }
+
+  const char* finished(const W& world) {
+    const State& state = world.state;
+    const std::uint64_t head = abi::sequence_of(peek(world, publisher_region, pe));
+    const bool alive = state.publisher_dead == 0;
+    if (world.threads[daemon_main].pc == down) return "the daemon stays down";
+    if (!alive && state.publisher_dead != 3) return "a dead publisher was not recovered";
+    for (std::uint32_t s = 0; s < 2; ++s) {
+      if (!plan_.sub[s].present || state.sub_dead[s] != 0) continue;
+      const std::uint64_t pc = world.threads[sub0 + s].pc;
+      if (pc == left || pc == hung) continue;
+      if (pc != blocked) return "a subscription is stuck";
+      const SubscriptionPrivate& own = sub_private(world, s);
+      if (!alive || plan_.publisher_leaves)
+        return "a subscription of a publisher that is gone did not finish";
+      if (own.link.cursor() <= head) return "a subscription sleeps beside a message";
+    }
+    if (alive) {
+      const PublisherPrivate& own = publisher_private(world);
+      if (world.threads[publisher_main].pc == wait_for_room && !plan_.may_run_out_of_slots)
+        return "the publisher is stuck";
+      if (peek(world, publisher_region, pe + offsetof(abi::PublisherEndpoint, intent_op)) !=
+          abi::intent_idle) {
+        return "the intent stays open after the operation";
+      }
+      std::uint64_t justified = 0;
+      for (std::uint64_t q = first + 1; q <= own.core.head_sequence(); ++q) {
+        bool keep = plan_.transient_local && !plan_.publisher_leaves &&
+                    q + plan_.depth > own.core.head_sequence();
+        for (std::uint32_t s = 0; s < 2; ++s) {
+          if (plan_.sub[s].hangs && state.sub_dead[s] == 0)
+            keep = keep || q + plan_.sub[s].depth > own.core.head_sequence();
+          for (std::uint64_t i = 0; i < state.held_count[s]; ++i)
+            keep = keep || state.held[s][i].sequence == q;
+        }
+        justified += keep;
+        if (keep && (state.freed >> (q - first) & 1) != 0)
+          return "history or a held message is gone";
+      }
+      std::uint64_t live = 0;
+      for (std::uint64_t i = 0; i < plan_.slots; ++i)
+        live += peek(world, publisher_region, pe + abi::slot_offset(plan_.ring, i)) != 0;
+      if (live != own.core.allocated_count())
+        return "slots in memory and the publisher's own account differ";
+      if (own.core.allocated_count() != justified)
+        return "leak: a message nobody can ask for stays allocated";
+    } else {
+      for (std::uint64_t i = 0; i < plan_.slots; ++i) {
+        const std::uint64_t id =
+            peek(world, publisher_region, pe + abi::slot_offset(plan_.ring, i));
+        if ((id & ~abi::retired_mark) > head)
+          return "recovery left a slot of a message that was never committed";
+      }
+      for (std::uint64_t i = 0; i < plan_.ring; ++i) {
+        if (abi::sequence_of(peek(world, publisher_region, pe + abi::order_offset(i))) > head) {
+          return "recovery left a ring entry of a message that was never committed";
+        }
+      }
+    }
+    return nullptr;
+  }
+
+  static const char* thread_name(std::uint8_t t) {
+    static const char* names[] = {"publisher", "control", "sub0", "sub1", "releaser", "daemon"};
+    return names[t];
+  }
+  static const char* describe(std::uint8_t, std::uint16_t argument) {
+    return argument == 1000 ? "timer" : "dies";
+  }
+  static const char* operation_name(const W& world, std::uint8_t t) {
+    static const char* names[] = {"idle",        "publish", "wait for room", "timer", "finished",
+                                  "leave topic", "join",    "await join",    "link",  "take",
+                                  "release",     "sleep",   "wake",          "leave", "await leave",
+                                  "drain holds", "unlink",  "left",          "hung",  "restart",
+                                  "apply",       "reply",   "down"};
+    return t == publisher_control ? "control pass" : names[world.threads[t].pc];
+  }
+
+ private:
+  // --- addresses
+  // -----------------------------------------------------------------------------------------------------------------
+
+  static constexpr std::uint64_t armed_offset() {
+    return offsetof(abi::ClientRegionHeader, executor);
+  }
+  static constexpr std::uint64_t frontier_offset() {
+    return offsetof(abi::ClientRegionHeader, window) + offsetof(abi::WindowEntry, frontier);
+  }
+
+  void build_map() const {
+    address_map = {};
+    char name[64];
+    address_map.add(board, offsetof(abi::TopicHeader, epoch), "epoch");
+    address_map.add(board, offsetof(abi::TopicHeader, publisher_high), "publisher_high");
+    address_map.add(board, offsetof(abi::TopicHeader, subscription_high), "subscription_high");
+    const std::uint64_t p = abi::publisher_entry_offset(0);
+    address_map.add(board, p + offsetof(abi::PublisherEntry, word), "pub.word");
+    address_map.add(board, p + offsetof(abi::PublisherEntry, slot_count), "pub.slot_count");
+    address_map.add(board, p + offsetof(abi::PublisherEntry, final_head), "pub.final_head");
+    for (std::uint64_t s = 0; s < 2; ++s) {
+      const std::uint64_t at = abi::subscription_entry_offset(1, s);
+      const char* fields[] = {"word", "qos", "client", "extent", "quota", "executor"};
+      for (std::uint64_t f = 0; f < 6; ++f) {
+        std::snprintf(name, sizeof name, "sub%llu.%s", static_cast<unsigned long long>(s),
+                      fields[f]);
+        address_map.add(board, at + f * 8, name);
+      }
+    }
+    address_map.add(publisher_region, frontier_offset(), "frontier");
+    address_map.add(publisher_region, pe, "head");
+    const char* intent[] = {"intent.op", "intent.sequence", "intent.slot", "intent.address"};
+    for (std::uint64_t f = 0; f < 4; ++f) {
+      address_map.add(publisher_region, pe + offsetof(abi::PublisherEndpoint, intent_op) + f * 8,
+                      intent[f]);
+    }
+    for (std::uint64_t i = 0; i < plan_.ring; ++i) {
+      std::snprintf(name, sizeof name, "order[%llu]", static_cast<unsigned long long>(i));
+      address_map.add(publisher_region, pe + abi::order_offset(i), name);
+    }
+    const char* slot[] = {"id", "address", "stamp", "size"};
+    for (std::uint64_t i = 0; i < plan_.slots; ++i) {
+      for (std::uint64_t f = 0; f < 4; ++f) {
+        std::snprintf(name, sizeof name, "slot[%llu].%s", static_cast<unsigned long long>(i),
+                      slot[f]);
+        address_map.add(publisher_region, pe + abi::slot_offset(plan_.ring, i) + f * 8, name);
+      }
+    }
+    for (std::uint32_t s = 0; s < 2; ++s) {
+      const char* line[] = {"publisher_generation", "cursor", "hold"};
+      for (std::uint64_t f = 0; f < 3; ++f) {
+        std::snprintf(name, sizeof name, "s%u.%s", s, line[f]);
+        address_map.add(sub_region0 + s, se + f * 8, name);
+      }
+      std::snprintf(name, sizeof name, "s%u.armed", s);
+      address_map.add(sub_region0 + s, armed_offset(), name);
+    }
+    if (address_map.count > word_count) Machine::give_up("word_count is too small");
+  }
+
+  static std::uint64_t peek(const W& world, std::uint32_t region, std::uint64_t offset) {
+    return world.memory[address_map.find(region, offset)];
+  }
+  static void poke(W& world, std::uint32_t region, std::uint64_t offset, std::uint64_t value) {
+    world.memory[address_map.find(region, offset)] = value;
+  }
+  static void poke_publisher(W& world, std::uint64_t field, std::uint64_t value) {
+    poke(world, board, abi::publisher_entry_offset(0) + field, value);
+  }
+  static void poke_sub(W& world, std::uint64_t s, std::uint64_t field, std::uint64_t value) {
+    poke(world, board, abi::subscription_entry_offset(1, s) + field, value);
+  }
+
+  static dataplane::TopicWords<MM> topic() { return {{board}, 0}; }
+  static dataplane::PublisherWords<MM> words() { return {{publisher_region}, pe}; }
+  abi::Qos offered() const {
+    return {plan_.depth, plan_.transient_local, true, plan_.keep_all, false};
+  }
+  abi::Qos requested(std::uint32_t s) const {
+    return {plan_.sub[s].depth, plan_.sub[s].transient_local, true, plan_.sub[s].keep_all, false};
+  }
+
+  static PublisherPrivate& publisher_private(W& world) {
+    return *std::launder(reinterpret_cast<PublisherPrivate*>(world.state.publisher));
+  }
+  static const PublisherPrivate& publisher_private(const W& world) {
+    return *std::launder(reinterpret_cast<const PublisherPrivate*>(world.state.publisher));
+  }
+  static SubscriptionPrivate& sub_private(W& world, std::uint32_t s) {
+    return *std::launder(reinterpret_cast<SubscriptionPrivate*>(world.state.sub[s]));
+  }
+  static const SubscriptionPrivate& sub_private(const W& world, std::uint32_t s) {
+    return *std::launder(reinterpret_cast<const SubscriptionPrivate*>(world.state.sub[s]));
+  }
+
+  // --- helpers
+  // -------------------------------------------------------------------------------------------------------------------
+
+  /// The publisher's mutex is held by a thread in the middle of an operation; it is handed over
+  /// with its stores.
+  static bool busy(const W& world, std::uint8_t t) {
+    return world.threads[t].log_count != 0 || world.threads[t].buffer_count != 0;
+  }
+
+  template <class Emit>
+  static void emit_prefixes(const W& world, std::uint8_t t, Emit emit) {
+    for (std::uint16_t keep = 0; keep <= world.threads[t].buffer_count; ++keep) emit(t, keep);
+  }
+
+  bool quiescent(const W& world) const {
+    for (std::uint8_t t = 0; t < thread_count; ++t) {
+      if (busy(world, t) || runnable(world, t)) return false;
+    }
+    return true;
+  }
+
+  static std::uint64_t room_digest(const W& world) {
+    Hasher hasher;
+    for (std::uint32_t s = 0; s < 2; ++s) {
+      for (std::uint64_t f = 0; f < 3; ++f) hasher.add(peek(world, sub_region0 + s, se + f * 8));
+    }
+    hasher.add(peek(world, board, offsetof(abi::TopicHeader, epoch)));
+    hasher.add(world.state.publisher,
+               sizeof world.state.publisher);  // the control thread may have learned something
+    return hasher.value();
+  }
+
+  static bool dead_and_drained(const W& world, std::uint8_t t) {
+    return world.threads[t].buffer_count == 0;
+  }
+
+  bool has_request(const W& world) const {
+    for (std::uint64_t n = 0; n < 5; ++n) {
+      if (request_number(world, n).request != none) return true;
+    }
+    return false;
+  }
+  /// The n-th request that waits at the daemon's door.
+  Journal request_number(const W& world, std::uint64_t n) const {
+    const State& state = world.state;
+    for (std::uint64_t s = 0; s < 2; ++s) {
+      if (state.request[s] != none && state.sub_dead[s] == 0 && n-- == 0) {
+        const std::uint64_t g = state.generation[s] + (state.request[s] == joining ? 1 : 0);
+        return {state.request[s], s, g};
+      }
+    }
+    if (state.publisher_request != none && state.publisher_dead == 0 && n-- == 0)
+      return {state.publisher_request, 0, generation};
+    for (std::uint64_t s = 0; s < 2; ++s) {
+      // A pidfd becomes readable once no store of the process can follow.
+      if (state.sub_dead[s] == 1 && dead_and_drained(world, static_cast<std::uint8_t>(sub0 + s)) &&
+          dead_and_drained(world, releaser0) && n-- == 0) {
+        return {death_of_subscription, s, state.generation[s]};
+      }
+    }
+    if (state.publisher_dead == 1 && dead_and_drained(world, publisher_main) &&
+        dead_and_drained(world, publisher_control) && n-- == 0) {
+      return {death_of_publisher, 0, generation};
+    }
+    return {};
+  }
+
+  struct PublisherEnvironment {
+    W& world;
+    void ring(std::uint64_t executor, std::uint64_t armed) {
+      if (!machine.live) return;
+      world.state.bell[executor] = 1;
+      if (armed == 0) return;  // newly mapped: rung whatever it does
+      if ((armed & 1) == 0) machine.fail("somebody awake was rung");
+      if (world.state.rung[executor] == armed) machine.fail("one sleep was rung twice");
+      world.state.rung[executor] = armed;
+    }
+    void freed(std::uint64_t, std::uint64_t address) {
+      if (!machine.live) return;
+      State& state = world.state;
+      const std::uint64_t number = (address - heap) / 16;
+      if ((state.freed >> number & 1) != 0) machine.fail("a message was freed twice");
+      state.freed |= std::uint64_t{1} << number;
+      for (std::uint32_t s = 0; s < 2; ++s) {
+        for (std::uint64_t i = 0; i < state.held_count[s]; ++i) {
+          if (state.sub_dead[s] == 0 && state.held[s][i].sequence == first + number)
+            machine.fail("a held message was freed");
+        }
+      }
+    }
+  };
+
+  void run_publisher(W& world, std::uint8_t t) {
+    // Private state is committed when the operation is complete; until then every run starts from
+    // the same copy.
+    alignas(8) unsigned char scratch[sizeof(PublisherPrivate)];
+    std::memcpy(scratch, world.state.publisher, sizeof scratch);
+    auto& own = *std::launder(reinterpret_cast<PublisherPrivate*>(scratch));
+    PublisherEnvironment environment{world};
+    Thread& thread = world.threads[t];
+    State& state = world.state;
+    if (t == publisher_control) {
+      for (std::uint64_t s = 0; s < 2; ++s) {
+        const std::uint64_t mapped = machine.remember(state.announce[s]);
+        const std::uint64_t unmapped = machine.remember(state.forget[s]);
+        if (machine.live) state.announce[s] = 0;
+        if (machine.live) state.forget[s] = 0;
+        if (mapped != 0 && unmapped != mapped)
+          own.core.attach(s, mapped, {sub_region0 + s}, se, armed_offset(), s, environment);
+        if (unmapped != 0) own.core.detach(s, unmapped);
+        if (unmapped != 0 && machine.live && state.announced[s] == unmapped)
+          state.announced[s] = 0;  // UNLINKED
+      }
+      if (machine.live) state.kick = 0;
+      own.core.pass(environment);
+      std::memcpy(state.publisher, scratch, sizeof scratch);
+      return;
+    }
+    if (thread.pc == leave_topic) {
+      machine.fence();  // the request is a system call
+      state.publisher_request = publisher_leaving;
+      thread.pc = finished_publishing;
+      return;
+    }
+    if (thread.pc == timer) {
+      own.core.pass(environment);
+      thread.pc = own.published == plan_.messages ? finished_publishing : publish;
+      std::memcpy(state.publisher, scratch, sizeof scratch);
+      return;
+    }
+    // What others have done until here; a retry makes sense once there is more.
+    const std::uint64_t room = machine.remember(room_digest(world));
+    const std::uint64_t number = own.published + 1;
+    const std::uint64_t frontier =
+        plan_.grow_before != 0 && number >= plan_.grow_before ? 2 * page : page;
+    if (number == plan_.grow_before) dataplane::store_frontier<MM>({publisher_region}, 0, frontier);
+    if (machine.live) state.need_open[number] = frontier;
+    const auto outcome = own.core.publish({heap + number * 16, 16, number}, environment);
+    if (outcome == dataplane::PublishOutcome::published) {
+      ++own.published;
+      state.timer_runs = 0;
+      thread.pc = own.published < plan_.messages ? publish
+                  : plan_.publisher_leaves       ? leave_topic
+                                                 : finished_publishing;
+      std::memcpy(state.publisher, scratch, sizeof scratch);
+    } else {
+      thread.pc = wait_for_room;
+      std::memcpy(state.publisher, scratch, sizeof scratch);
+      state.room_snapshot = room;
+    }
+  }
+
+  struct ModelWindows {
+    std::uint64_t& opened;
+    void open() {
+      opened = std::max(opened, dataplane::load_frontier<MM>({publisher_region}, 0, 16 * page));
+    }
+    bool contains(std::uint64_t address, std::uint64_t size) const {
+      return address >= heap && address + size <= heap + opened;
+    }
+  };
+
+  void run_subscription(W& world, std::uint32_t s) {
+    alignas(8) unsigned char scratch[sizeof(SubscriptionPrivate)];
+    std::memcpy(scratch, world.state.sub[s], sizeof scratch);
+    auto& own = *std::launder(reinterpret_cast<SubscriptionPrivate*>(scratch));
+    Thread& thread = world.threads[sub0 + s];
+    State& state = world.state;
+    const SubscriptionPlan& plan = plan_.sub[s];
+    switch (thread.pc) {
+      case join:
+        state.join_head[s] = abi::sequence_of(peek(world, publisher_region, pe));
+        state.request[s] = joining;
+        state.joined[s] = 0;
+        thread.pc = await_join;
+        break;
+      case await_join:
+        thread.pc = state.joined[s] == 1
+                        ? link_up
+                        : left;  // no publisher was announced: late joiners do not link to orphans
+        state.joined[s] = 0;
+        break;
+      case link_up: {
+        const bool from_start = !plan.late;
+        if (!own.link.link(from_start)) {
+          machine.fail("the announced publisher is not on the board");
+          break;
+        }
+        check_start(state, s, own.link.cursor(), from_start);
+        own.last = own.link.cursor() - 1;
+        thread.pc = plan.hangs ? hung : take;
+        break;
+      }
+      case take: {
+        if (machine.remember(state.held_count[s]) == plan.quota) {
+          thread.pc = release_one;
+          break;
+        }
+        if (plan.leaves && machine.choose(2) == 1) {
+          thread.pc = leave;
+          break;
+        }
+        if (!plan.other_thread_releases && machine.remember(state.held_count[s]) != 0 &&
+            machine.choose(2) == 1) {
+          thread.pc = release_one;
+          break;
+        }
+        run_take(world, s, own, thread);
+        break;
+      }
+      case release_one:
+        if (!plan.other_thread_releases) release_oldest(world, s, own);
+        thread.pc = take;
+        break;
+      case sleep:
+        own.sleep.arm();
+        own.link.observe_publisher();
+        if (own.link.drained()) {
+          own.sleep.disarm();
+          thread.pc = drain_holds;
+        } else if (M_holds(Step::S3_news, own.link.has_news())) {
+          own.sleep.disarm();
+          thread.pc = take;
+        } else {
+          thread.pc = blocked;
+        }
+        break;
+      case blocked:
+        if (machine.live) state.bell[s] = 0;
+        own.sleep.disarm();
+        thread.pc = take;
+        break;
+      case leave:
+        state.request[s] = leaving;
+        state.joined[s] = 0;
+        thread.pc = await_leave;
+        break;
+      case await_leave:
+        state.joined[s] = 0;
+        thread.pc = drain_holds;
+        break;
+      case drain_holds:
+        if (machine.remember(state.held_count[s]) == 0) {
+          thread.pc = unlink_line;
+        } else {
+          release_oldest(world, s, own);
+        }
+        break;
+      case unlink_line:
+        own.link.unlink();
+        thread.pc = left;
+        if (own.link.drained()) {
+          state.request[s] = unlinked;
+        } else {
+          state.request[s] = drained;
+          if (plan.rejoins && state.generation[s] == 1) thread.pc = join;
+        }
+        break;
+      default:
+        break;
+    }
+    std::memcpy(state.sub[s], scratch, sizeof scratch);
+  }
+
+  static bool M_holds(Step step, bool condition) { return MM::holds(step, condition); }
+
+  void run_take(W& world, std::uint32_t s, SubscriptionPrivate& own, Thread& thread) {
+    State& state = world.state;
+    const SubscriptionPlan& plan = plan_.sub[s];
+    const std::uint64_t from = own.link.cursor();
+    const std::uint64_t head_before =
+        machine.remember(abi::sequence_of(peek(world, publisher_region, pe)));
+    ModelWindows windows{own.opened};
+    const auto taken = own.link.take(windows);
+    const std::uint64_t head = abi::sequence_of(peek(world, publisher_region, pe));
+    const std::uint64_t to = taken ? taken->sequence : own.link.cursor();
+    if (own.link.malformed() != 0) machine.fail("an honest publisher looks malformed");
+    for (std::uint64_t q = from; q < to; ++q) {
+      if (head < q + plan.depth) machine.fail("a message was lost with fewer than D newer ones");
+      if (plan.keep_all && plan_.keep_all) machine.fail("keep-all lost a message");
+    }
+    if (!taken) {
+      thread.pc = machine.remember(state.held_count[s]) != 0 && !plan.sleep_holding &&
+                          !plan.other_thread_releases
+                      ? release_one
+                      : sleep;
+      return;
+    }
+    if (taken->sequence <= own.last) machine.fail("a message came twice or out of order");
+    if (taken->sequence + abi::window_of(requested(s)) <= head_before)
+      machine.fail("a message outside the own depth was delivered");
+    own.last = taken->sequence;
+    const std::uint64_t number = taken->sequence - first;
+    if (taken->address != heap + number * 16 || taken->size != 16 || taken->stamp_ns != number)
+      machine.fail("the entry of another message");
+    if (number < 16 && own.opened < state.need_open[number])
+      machine.fail("the mapping does not cover the message");
+    if (number < 64 && (state.freed >> number & 1) != 0)
+      machine.fail("a freed message was handed out");
+    state.held[s][state.held_count[s]++] = {taken->slot, taken->sequence};
+  }
+
+  void check_start(const State& state, std::uint32_t s, std::uint64_t cursor, bool from_start) {
+    if (from_start) {
+      if (cursor != first + 1)
+        machine.fail("a subscription that was there first misses the beginning");
+      return;
+    }
+    const std::uint64_t back = plan_.transient_local && plan_.sub[s].transient_local
+                                   ? std::min(plan_.depth, plan_.sub[s].depth)
+                                   : 0;
+    const std::uint64_t earliest =
+        std::max(first + 1, state.join_head[s] + 1 - std::min(back, state.join_head[s]));
+    if (cursor < earliest) machine.fail("a late joiner starts before it may");
+  }
+
+  void release_oldest(W& world, std::uint32_t s, SubscriptionPrivate& own) {
+    State& state = world.state;
+    const std::uint64_t slot = machine.remember(state.held[s][0].slot);
+    forget_oldest(state, s);
+    own.link.release(slot);
+  }
+  static void forget_oldest(State& state, std::uint32_t s) {
+    if (!machine.live) return;
+    // Reading ends here; the ghost lets go before the bit does.
+    for (std::uint64_t i = 1; i < state.held_count[s]; ++i) state.held[s][i - 1] = state.held[s][i];
+    state.held[s][--state.held_count[s]] = {};
+  }
+
+  void run_releaser(W& world, std::uint32_t s) {
+    alignas(8) unsigned char scratch[sizeof(SubscriptionPrivate)];
+    std::memcpy(scratch, world.state.sub[s], sizeof scratch);
+    release_oldest(world, s, *std::launder(reinterpret_cast<SubscriptionPrivate*>(scratch)));
+  }
+
+  void run_daemon(W& world) {
+    Thread& thread = world.threads[daemon_main];
+    State& state = world.state;
+    switch (thread.pc) {
+      case idle: {
+        std::uint64_t waiting = 0;
+        while (request_number(world, waiting).request != none) ++waiting;
+        waiting = machine.remember(waiting);
+        const std::uint64_t chosen = waiting > 1 ? machine.choose(waiting) : 0;
+        // The journal record is committed by one store; the request is gone from the door from here
+        // on.
+        state.journal = request_number(world, chosen);
+        switch (state.journal.request) {
+          case joining:
+            state.linked_to[state.journal.index] =
+                state.publisher_dead < 2 && state.publisher_state == 0;
+            state.generation[state.journal.index] = state.journal.generation;
+            state.announced[state.journal.index] =
+                state.publisher_dead == 0 ? state.journal.generation : 0;
+            [[fallthrough]];
+          case leaving:
+          case drained:
+            state.request[state.journal.index] = none;
+            break;
+          case unlinked:
+            state.request[state.journal.index] = none;
+            state.linked_to[state.journal.index] = 0;
+            break;
+          case publisher_leaving:
+          case publisher_unlinked:
+            state.publisher_request = none;
+            break;
+          case death_of_subscription:
+            state.sub_dead[state.journal.index] = 2;
+            break;
+          default:
+            state.publisher_dead = 2;
+            break;
+        }
+        thread.pc = apply;
+        break;
+      }
+      case down:
+        // Restart: redo what the journal holds, kick everybody, ring everybody.
+        thread.pc = state.journal.request != none ? std::uint64_t{apply} : std::uint64_t{idle};
+        state.kick = state.publisher_dead == 0;
+        for (std::uint32_t s = 0; s < 2; ++s) state.bell[s] = 1;
+        break;
+      case apply: {
+        const Journal record = state.journal;
+        journal::BoardSteps<MM> steps(topic());
+        switch (record.request) {
+          case joining:
+            steps.add_subscription(
+                record.index, record.generation,
+                {requested(static_cast<std::uint32_t>(record.index)), 0, se, 1, 0});
+            break;
+          case leaving:
+            steps.set_subscription(record.index, record.generation, abi::MemberState::leaving);
+            break;
+          case drained:
+            steps.set_subscription(record.index, record.generation, abi::MemberState::free);
+            break;
+          case death_of_subscription:
+            if (record.generation != 0)
+              steps.set_subscription(record.index, record.generation, abi::MemberState::dead);
+            break;
+          case unlinked:
+            break;
+          case publisher_leaving:
+            steps.orphan_publisher(0, generation, words().head().load(std::memory_order_acquire));
+            break;
+          case publisher_unlinked:
+            steps.free_publisher(0, generation);
+            break;
+          default: {
+            std::uint64_t final_head = 0;
+            if (journal::recover_queue(words(), plan_.slots, final_head) ==
+                journal::IntentDecision::corrupt) {
+              machine.fail("an honest publisher left a corrupt intent");
+            }
+            steps.orphan_publisher(0, generation, final_head);
+            break;
+          }
+        }
+        thread.pc = reply;
+        break;
+      }
+      case reply: {
+        // A reply leaves only when the board is in memory (the socket call is a full barrier).
+        machine.fence();
+        const Journal record = state.journal;
+        const bool publisher_alive = state.publisher_dead == 0;
+        switch (record.request) {
+          case joining:
+            state.joined[record.index] = state.linked_to[record.index] != 0 ? 1 : 3;
+            if (publisher_alive) state.announce[record.index] = record.generation;
+            break;
+          case leaving:
+            state.joined[record.index] = 2;
+            state.kick = publisher_alive;
+            break;
+          case unlinked:
+            break;
+          case publisher_unlinked:
+            state.kick = publisher_alive;
+            break;
+          case publisher_leaving:
+            state.publisher_state = 1;
+            for (std::uint32_t s = 0; s < 2; ++s) state.bell[s] = 1;
+            state.kick = publisher_alive;
+            break;
+          case drained:
+          case death_of_subscription:
+            state.linked_to[record.index] = 0;
+            if (publisher_alive && record.generation != 0)
+              state.forget[record.index] = record.generation;
+            state.kick = publisher_alive;
+            break;
+          default:
+            state.publisher_dead = 3;
+            for (std::uint32_t s = 0; s < 2; ++s) {
+              if (MM::step(Step::D3_ring)) state.bell[s] = 1;
+              state.announced[s] = 0;
+            }
+            state.kick = 0;
+            break;
+        }
+        state.journal = {};
+        if (state.publisher_state == 1 && state.linked_to[0] == 0 && state.linked_to[1] == 0) {
+          state.publisher_state = 2;
+          state.publisher_request = publisher_unlinked;  // the daemon's own next task
+        }
+        thread.pc = idle;
+        break;
+      }
+      default:
+        break;
+    }
+  }
+
+  QueuePlan plan_;
+};
+
+}  // namespace agnocast::model

@@ -1,0 +1,321 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Reuse scenario (rule RU): publishers come and go on one index whose region is used again in
+// place; a subscriber links, drains, unlinks, dies and comes back; the daemon dies between any two
+// of its steps and starts again from its tables.
+//
+// What runs is the shipped AnnounceSet and AnnouncementBook. Checked: a linked subscriber never
+// sees the region of another generation; in the end every generation could be created (no index is
+// lost).
+#pragma once
+
+#include <journal/announce_set.hpp>
+#include <tests/model/explorer.hpp>
+
+#include <cstdint>
+
+namespace agnocast::model {
+
+struct ReusePlan {
+  const char* name = "";
+  std::uint64_t generations = 3;
+  std::uint64_t daemon_deaths = 2;
+  std::uint64_t subscriber_lives = 2;
+};
+
+class ReuseScenario {
+ public:
+  enum ThreadId : std::uint8_t { daemon_main, subscriber };
+  static constexpr std::uint8_t thread_count = 2;
+  static constexpr std::size_t word_count = 1;
+  enum Pc : std::uint64_t {
+    idle = 0,
+    send_announcement,
+    restart,
+    down,
+    /* subscriber */ unconnected,
+    serving,
+    say_unlinked
+  };
+
+  static constexpr std::uint64_t queue_capacity = 6;
+  struct Channel {
+    std::uint64_t count = 0;
+    std::uint64_t message[queue_capacity] = {};
+    void push(std::uint64_t value) {
+      if (count == queue_capacity) Machine::give_up("a channel is too short");
+      message[count++] = value;
+    }
+    std::uint64_t pop() {
+      const std::uint64_t first = message[0];
+      for (std::uint64_t i = 1; i < count; ++i) message[i - 1] = message[i];
+      message[--count] = 0;
+      return first;
+    }
+  };
+  enum PublisherState : std::uint64_t { free_index, active, orphan };
+  struct State {
+    // the daemon's journaled tables
+    journal::AnnounceSet<ModelMemory, 64> set;
+    std::uint64_t publisher_state = free_index;
+    std::uint64_t told[4] = {};  // per client: the generation it was told about last
+    // the world
+    std::uint64_t publisher_alive = 0;
+    std::uint64_t region_owner = 0;
+    Channel to_subscriber, to_daemon;
+    std::uint64_t connected = 0;
+    std::uint64_t life = 1;  // of the subscriber = its client index
+    std::uint64_t dead_unnoticed =
+        0;  // client index of a dead subscriber that the daemon has not reaped
+    journal::AnnouncementBook<ModelMemory> book;
+    std::uint64_t unlinked_generation = 0;  // about to be said
+    std::uint64_t addressee = 0;  // of the announcement about to be sent; dies with the daemon
+    std::uint64_t daemon_deaths = 0;
+  };
+  using W = World<ReuseScenario>;
+
+  explicit ReuseScenario(const ReusePlan& plan) : plan_(plan) {}
+
+  W start() {
+    address_map = {};
+    address_map.add(0, 0, "nothing");
+    machine.store_buffers = true;
+    W world;
+    world.threads[daemon_main].pc = idle;
+    world.threads[subscriber].pc = unconnected;
+    return world;
+  }
+
+  bool runnable(const W& world, std::uint8_t t) const {
+    const State& state = world.state;
+    if (t == daemon_main) return world.threads[t].pc != idle || task(world, 0) != nothing_to_do;
+    switch (world.threads[t].pc) {
+      case unconnected:
+        return world.threads[daemon_main].pc != down && world.threads[daemon_main].pc != restart;
+      case serving:
+        return state.connected == 0 || state.to_subscriber.count != 0 || must_unlink(state);
+      case say_unlinked:
+        return true;
+      default:
+        return false;
+    }
+  }
+
+  enum Own : std::uint16_t { publisher_dies, daemon_dies, subscriber_dies };
+  template <class Emit>
+  void moves(const W& world, Emit emit) const {
+    const State& state = world.state;
+    if (state.publisher_alive != 0) emit(daemon_main, publisher_dies);
+    if (state.daemon_deaths < plan_.daemon_deaths && world.threads[daemon_main].pc != down)
+      emit(daemon_main, daemon_dies);
+    if (state.life < plan_.subscriber_lives && state.dead_unnoticed == 0)
+      emit(subscriber, subscriber_dies);
+  }
+  bool perform(W& world, std::uint8_t, std::uint16_t what) {
+    State& state = world.state;
+    switch (what) {
+      case publisher_dies:
+        state.publisher_alive = 0;
+        return state.set.generation() <
+               plan_.generations;  // the last one may live for ever: that is an ending too
+      case daemon_dies:
+        world.threads[daemon_main].pc = down;
+        ++state.daemon_deaths;
+        disconnect(state);  // a fresh connection implies a fresh, empty channel
+        return false;
+      default:
+        state.dead_unnoticed = state.life++;
+        disconnect(state);
+        state.book = {};
+        state.unlinked_generation = 0;
+        world.threads[subscriber].pc = unconnected;
+        return false;
+    }
+  }
+  void quiet(const W&, std::uint8_t, std::uint8_t* words) const { words[0] = 1; }
+
+  void run(W& world, std::uint8_t t) {
+    if (t == daemon_main) {
+      run_daemon(world);
+    } else {
+      run_subscriber(world);
+    }
+    // A linked subscriber may look at the region at any moment.
+    const std::uint64_t linked = world.state.book.current();
+    if (linked != 0 && world.state.region_owner != linked)
+      machine.fail("a linked subscriber reads a region that was used again");
+  }
+
+  const char* finished(const W& world) {
+    const State& state = world.state;
+    if (state.set.generation() < plan_.generations)
+      return "an index is lost: no further generation could be created";
+    if (state.publisher_state == orphan) return "an orphan stays for ever";
+    if (state.publisher_alive != 0 && state.book.current() != state.set.generation())
+      return "a living publisher is not linked";
+    return nullptr;
+  }
+
+  static const char* thread_name(std::uint8_t t) {
+    return t == daemon_main ? "daemon" : "subscriber";
+  }
+  static const char* describe(std::uint8_t, std::uint16_t what) {
+    return what == publisher_dies ? "publisher dies"
+           : what == daemon_dies  ? "daemon dies"
+                                  : "subscriber dies";
+  }
+  static const char* operation_name(const W& world, std::uint8_t t) {
+    static const char* names[] = {"task",  "send announcement", "restart", "start again", "connect",
+                                  "serve", "say unlinked"};
+    return names[world.threads[t].pc];
+  }
+
+ private:
+  enum Task : std::uint64_t {
+    nothing_to_do,
+    hear,
+    orphan_publisher,
+    free_it,
+    create,
+    announce,
+    reap
+  };
+
+  static void disconnect(State& state) {
+    state.connected = 0;
+    state.to_subscriber = {};
+    state.to_daemon = {};
+  }
+  static bool must_unlink(const State& state) {
+    return state.book.current() != 0 &&
+           (state.publisher_state != active || state.set.generation() != state.book.current());
+  }
+
+  Task task(const W& world, std::uint64_t n) const {
+    const State& state = world.state;
+    auto is = [&](bool condition) { return condition && n-- == 0; };
+    if (is(state.to_daemon.count != 0)) return hear;
+    if (is(state.publisher_state == active && state.publisher_alive == 0)) return orphan_publisher;
+    if (is(state.publisher_state == orphan && state.set.reusable())) return free_it;
+    if (is(state.publisher_state == free_index && state.set.generation() < plan_.generations))
+      return create;
+    if (is(state.publisher_state == active && state.connected != 0 &&
+           state.told[state.connected] != state.set.generation()))
+      return announce;
+    if (is(state.dead_unnoticed != 0)) return reap;
+    return nothing_to_do;
+  }
+
+  void run_daemon(W& world) {
+    State& state = world.state;
+    Thread& thread = world.threads[daemon_main];
+    switch (thread.pc) {
+      case down:
+        state.addressee = 0;
+        thread.pc = idle;
+        break;
+      case send_announcement:
+        // Into the connection of the process that was told; it may be gone by now.
+        if (state.connected == state.addressee) state.to_subscriber.push(state.set.generation());
+        state.addressee = 0;
+        thread.pc = idle;
+        break;
+      case idle: {
+        std::uint64_t count = 0;
+        while (task(world, count) != nothing_to_do) ++count;
+        const std::uint64_t chosen = count > 1 ? machine.choose(count) : 0;
+        switch (task(world, chosen)) {
+          case hear:
+            state.set.let_go(state.connected, state.to_daemon.pop());
+            break;
+          case orphan_publisher:
+            state.publisher_state = orphan;
+            break;
+          case free_it:
+            state.publisher_state = free_index;
+            break;
+          case create:
+            state.set.begin(state.set.generation() + 1);
+            state.publisher_state = active;
+            state.publisher_alive = 1;
+            state.region_owner = state.set.generation();  // the same memory, in place
+            break;
+          case announce:
+            state.addressee = state.connected;
+            state.set.tell(state.connected);  // (a) journaled; sent in a step of its own
+            state.told[state.connected] = state.set.generation();
+            thread.pc = send_announcement;
+            break;
+          case reap:
+            state.set.died(state.dead_unnoticed);
+            state.dead_unnoticed = 0;
+            break;
+          case nothing_to_do:
+            break;
+        }
+        break;
+      }
+      default:
+        break;
+    }
+  }
+
+  void run_subscriber(W& world) {
+    State& state = world.state;
+    Thread& thread = world.threads[subscriber];
+    switch (thread.pc) {
+      case unconnected:
+        connect(world);
+        break;
+      case serving:
+        if (state.connected == 0) {
+          thread.pc = unconnected;
+        } else if (state.to_subscriber.count != 0 &&
+                   (!must_unlink(state) || machine.choose(2) == 0)) {
+          const std::uint64_t generation = state.to_subscriber.pop();
+          switch (state.book.on_announce(generation)) {
+            case journal::AnnouncementBook<ModelMemory>::Action::link:
+              state.book.linked(generation);
+              break;
+            case journal::AnnouncementBook<ModelMemory>::Action::say_unlinked:
+              state.unlinked_generation = generation;
+              thread.pc = say_unlinked;
+              break;
+            case journal::AnnouncementBook<ModelMemory>::Action::nothing:
+              break;
+          }
+        } else {
+          state.unlinked_generation = state.book.current();
+          state.book.unlinked(
+              state.unlinked_generation);  // (b) the link is gone; said in a step of its own
+          thread.pc = say_unlinked;
+        }
+        break;
+      case say_unlinked:
+        if (state.connected == 0) {
+          thread.pc = unconnected;
+          break;
+        }
+        state.to_daemon.push(state.unlinked_generation);
+        state.unlinked_generation = 0;
+        thread.pc = serving;
+        break;
+      default:
+        break;
+    }
+  }
+
+  void connect(W& world) {
+    State& state = world.state;
+    state.connected = state.life;
+    // (c) the daemon sends every member its announcement again; a newcomer is told by the task
+    // `announce`.
+    if (state.set.contains(state.life) && machine.step(Step::R8_again))
+      state.to_subscriber.push(state.set.generation());
+    world.threads[subscriber].pc = serving;
+  }
+
+  ReusePlan plan_;
+};
+
+}  // namespace agnocast::model
