@@ -43,14 +43,18 @@ class Builder {
  public:
   explicit Builder(const TableReader& reader) : reader_(reader) {}
 
+  MessageTable message_of(const void* table) {
+    if (table == nullptr) refuse("the type support of the message has no introspection table");
+    const MessageTable message = reader_.message(table);
+    if (message.message_bytes == 0) refuse(table_is_wrong);
+    if (message.message_bytes > std::numeric_limits<std::uint32_t>::max()) refuse(table_is_wrong);
+    return message;
+  }
+
   // Calls `see(field, element_bytes)` for each member of `table`.
   template <class See>
   void for_each_field(const void* table, See&& see) {
-    if (table == nullptr) refuse("the type support of the message has no introspection table");
-    const MessageTable message = reader_.message(table);
-    if (message.message_bytes == 0 || message.message_bytes > std::numeric_limits<std::uint32_t>::max()) {
-      refuse(table_is_wrong);
-    }
+    const MessageTable message = message_of(table);
     for (std::size_t i = 0; i < message.field_count; ++i) {
       const FieldTable field = reader_.field(table, i);
       see(field, element_bytes_of(field));
@@ -64,7 +68,7 @@ class Builder {
       if (seen == table) return;
     }
     probed_.push_back(table);
-    const Sample sample(reader_, table);
+    const Sample sample(reader_, table, message_of(table).message_bytes);
     for_each_field(table, [&](const FieldTable& field, std::size_t element_bytes) {
       if (field.is_polymorphic) refuse(not_a_vector);
       std::byte* member = sample.memory() + field.offset;
@@ -83,7 +87,7 @@ class Builder {
   // Bounds depth and number of members for everything that comes after it.
   void add_to_hash(LayoutHash& hash, const void* table, std::size_t depth = 0) {
     if (depth > plan_depth_max) refuse("the message type nests too deep");
-    const MessageTable message = reader_.message(table);
+    const MessageTable message = message_of(table);
     hash.add(name_of(table)).add(message.message_bytes).add(message.field_count);
     for_each_field(table, [&](const FieldTable& field, std::size_t element_bytes) {
       count_member();
@@ -101,7 +105,7 @@ class Builder {
   }
 
   std::string name_of(const void* table) {
-    const MessageTable message = reader_.message(table);
+    const MessageTable message = message_of(table);
     std::string name = message.message_namespace;
     for (std::size_t at = name.find("::"); at != std::string::npos; at = name.find("::")) name.replace(at, 2, "/");
     return name + "/" + message.message_name;
@@ -111,8 +115,8 @@ class Builder {
   // A default message of one type.
   class Sample {
    public:
-    Sample(const TableReader& reader, const void* table)
-        : reader_(reader), table_(table), message_bytes_(reader.message(table).message_bytes),
+    Sample(const TableReader& reader, const void* table, std::size_t message_bytes)
+        : reader_(reader), table_(table), message_bytes_(message_bytes),
           // VectorWords are read even where a smaller object stands at the very end; zeroes there are not vectors.
           memory_(message_bytes_ + sizeof(VectorWords)) {
       reader_.construct(table_, memory());
@@ -141,8 +145,7 @@ class Builder {
       if (field.element_bytes == 0) refuse("a member has an element type that this version does not know");
       return field.element_bytes;
     }
-    if (field.nested == nullptr) refuse(table_is_wrong);
-    return reader_.message(field.nested).message_bytes;
+    return message_of(field.nested).message_bytes;
   }
 
   static std::size_t member_bytes(const FieldTable& field, std::size_t element_bytes) {
@@ -255,7 +258,7 @@ Result<MessageType> make_described_type(const TableReader& reader, const void* t
     builder.add_to_hash(hash, table);
     plan->name = builder.name_of(table);
     plan->layout_hash = hash.value();
-    plan->bytes = static_cast<std::uint32_t>(reader.message(table).message_bytes);
+    plan->bytes = static_cast<std::uint32_t>(builder.message_of(table).message_bytes);
     plan->alignment = alignment;
     plan->kind = MessageType::Kind::described;
     plan->bits_are_seen = bits_reader_holds<std::vector<bool>>();
