@@ -106,9 +106,17 @@ class Builder {
 
   std::string name_of(const void* table) {
     const MessageTable message = message_of(table);
-    std::string name = message.message_namespace;
-    for (std::size_t at = name.find("::"); at != std::string::npos; at = name.find("::")) name.replace(at, 2, "/");
-    return name + "/" + message.message_name;
+    std::string name;
+    for (const char* letter = message.message_namespace; *letter != '\0'; ++letter) {
+      if (letter[0] == ':' && letter[1] == ':') {
+        name += '/';
+        ++letter;
+      } else {
+        name += *letter;
+      }
+    }
+    name += '/';
+    return name += message.message_name;
   }
 
  private:
