@@ -290,10 +290,18 @@ class Tables {
   }
   template <std::size_t Stride>
   static void resize(void* member, std::size_t) {
+    resize_to<Stride>(member);
+  }
+
+ public:
+  template <std::size_t Stride>
+  static void resize_to(void* member) {
     auto* words = static_cast<const std::byte**>(member);
     words[0] = storage;
     words[1] = words[2] = storage + 2 * Stride;
   }
+
+ private:
   static inline const Tables* current = nullptr;
   static inline std::byte storage[64];
 };
@@ -401,6 +409,25 @@ TEST(TypeRefusal, TablesThatContradictThemselvesAreRefused) {
   refused("contradicts itself", [](Tables& t) { t.fields[3].resize = nullptr; });
   refused("not a std::vector", [](Tables& t) { t.fields[3].get = nullptr; });
   refused("not a std::vector", [](Tables& t) { t.fields[4].element_bytes = 8; });
+  // Something that has its elements where a vector has them, and is none: {elements, count, …} or without capacity.
+  refused("not a std::vector", [](Tables& t) {
+    t.fields[3].resize = [](void* member, std::size_t) {
+      Tables::resize_to<16>(member);
+      static_cast<std::size_t*>(member)[1] = 2;
+    };
+  });
+  refused("not a std::vector", [](Tables& t) {
+    t.fields[3].resize = [](void* member, std::size_t) {
+      Tables::resize_to<16>(member);
+      static_cast<void**>(member)[2] = nullptr;
+    };
+  });
+  refused("not a std::vector", [](Tables& t) { t.fields[3].size = [](const void*) { return std::size_t{3}; }; });
+  refused("not a std::vector", [](Tables& t) {
+    t.fields[3].get = [](const void* member, std::size_t i) {
+      return static_cast<const void*>(*static_cast<const std::byte* const*>(member) + 8 * i);
+    };
+  });
   refused("does not know", [](Tables& t) { t.fields[5].element_bytes = 0; });
   refused("contradicts itself", [](Tables& t) {
     t.fields[2].get = [](const void* member, std::size_t i) {
