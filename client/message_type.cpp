@@ -236,6 +236,12 @@ class Builder {
   std::size_t member_count_ = 0;
 };
 
+// One answer for the life of the process. May throw bad_alloc; is then asked again.
+bool bits_are_seen() {
+  static const bool holds = bits_reader_holds<std::vector<bool>>();
+  return holds;
+}
+
 // A bad_alloc or an exception of the message's default constructor is a Failure, not an exception.
 template <class Build>
 Result<MessageType> guarded(Build&& build) noexcept {
@@ -269,7 +275,7 @@ Result<MessageType> make_described_type(const TableReader& reader, const void* t
     plan->bytes = static_cast<std::uint32_t>(builder.message_of(table).message_bytes);
     plan->alignment = alignment;
     plan->kind = MessageType::Kind::described;
-    plan->bits_are_seen = bits_reader_holds<std::vector<bool>>();
+    plan->bits_are_seen = bits_are_seen();
     plan->root = builder.plan(*plan, table);
     return MessageType(std::move(plan));
   });
@@ -287,7 +293,7 @@ Result<MessageType> make_plain_type(const PlainType& type, std::uint64_t build) 
     plan->bytes = type.bytes;
     plan->alignment = type.alignment;
     plan->visit = type.visit;
-    plan->bits_are_seen = bits_reader_holds<std::vector<bool>>();
+    plan->bits_are_seen = bits_are_seen();
     if (type.is_flat) {
       plan->kind = MessageType::Kind::flat;
     } else {

@@ -117,9 +117,9 @@ class PointerVisitor {
 /// How the library steers the heap hook. All three concern the calling thread or are safe from any.
 struct SharedHeap {
   void* context = nullptr;
-  /// From now on allocations of this thread come from the shared heap. Scopes nest.
-  void (*enter)(void* context) noexcept = nullptr;
-  /// Ends the innermost scope. How many allocations of this thread inside it had to come from libc, for want of room.
+  /// From now on allocations of this thread come from the shared heap, until as many leave() as enter().
+  /// Both return the thread's running count of allocations that had to come from libc instead, for want of room.
+  std::uint64_t (*enter)(void* context) noexcept = nullptr;
   std::uint64_t (*leave)(void* context) noexcept = nullptr;
   /// The windows as they are now; a scope may have opened another one.
   WindowSet (*windows)(void* context) noexcept = nullptr;
@@ -128,7 +128,8 @@ struct SharedHeap {
 /// The shared heap is on in this thread while this object lives.
 class SharedScope {
  public:
-  explicit SharedScope(const SharedHeap& heap) noexcept : heap_(&heap) { heap_->enter(heap_->context); }
+  /// `heap` must outlive this object.
+  explicit SharedScope(const SharedHeap& heap) noexcept : heap_(&heap), spilled_before_(heap.enter(heap.context)) {}
   ~SharedScope() { close(); }
   SharedScope(const SharedScope&) = delete;
   SharedScope& operator=(const SharedScope&) = delete;
@@ -137,11 +138,12 @@ class SharedScope {
   std::uint64_t close() noexcept {
     if (heap_ == nullptr) return 0;
     const SharedHeap& heap = *std::exchange(heap_, nullptr);
-    return heap.leave(heap.context);
+    return heap.leave(heap.context) - spilled_before_;
   }
 
  private:
   const SharedHeap* heap_;
+  std::uint64_t spilled_before_;
 };
 
 /// Makes `message` resident, by adoption if it must: a copy is built in the shared heap, the original destroyed and

@@ -105,7 +105,8 @@ WindowSet windows() {
 SharedHeap shared_heap() {
   SharedHeap steering;
   steering.enter = [](void*) noexcept {
-    if (heap.depth++ == 0) heap.spilled = 0;
+    ++heap.depth;
+    return heap.spilled;
   };
   steering.leave = [](void*) noexcept {
     --heap.depth;

@@ -542,6 +542,17 @@ TEST(Adoption, CopiesAnOpaqueMessageEvenIfItIsInTheSharedHeap) {
   EXPECT_EQ(origin_of(message->numbers.data()), Origin::shared);
   EXPECT_EQ(message->numbers, std::vector<int>(20, 6));
 
+  // A loan that is open around it may have spilled before; that says nothing about the copy.
+  limit_shared_heap(0);
+  const SharedHeap heap = shared_heap();
+  SharedScope loan(heap);
+  const std::unique_ptr<int> spilled(new int);
+  EXPECT_EQ(origin_of(spilled.get()), Origin::libc);
+  unlimit_shared_heap();
+  EXPECT_TRUE(make_resident(message, type_of<Opaque>(), shared_heap()).has_value());
+  EXPECT_EQ(loan.close(), 1U);
+  EXPECT_EQ(loan.close(), 0U) << "only once";
+
   limit_shared_heap(64);  // the object fits, its vector does not
   const Result<std::uint64_t> refused = make_resident(message, type_of<Opaque>(), shared_heap());
   unlimit_shared_heap();

@@ -17,6 +17,7 @@
 #include <agnocast_test_msgs/msg/forest.hpp>
 #include <sensor_msgs/msg/image.hpp>
 #include <sensor_msgs/msg/point_cloud2.hpp>
+#include <sensor_msgs/srv/set_camera_info.hpp>
 
 #include <cstdio>
 #include <cstdlib>
@@ -189,6 +190,9 @@ TEST(TypeIdentity, NamesAreThoseOfRos) {
   EXPECT_EQ(cloud->message_bytes(), sizeof(sensor_msgs::msg::PointCloud2));
   EXPECT_EQ(cloud->message_alignment(), alignof(sensor_msgs::msg::PointCloud2));
   EXPECT_EQ(cloud->kind(), MessageType::Kind::described);
+  using Request = sensor_msgs::srv::SetCameraInfo::Request;
+  EXPECT_EQ(message_type_of<Request>()->name(), "sensor_msgs/srv/SetCameraInfo_Request");
+  EXPECT_EQ(message_type_of<Request>()->name(), rosidl_generator_traits::name<Request>());
   EXPECT_EQ(message_type_of<identity_test::Pose>()->name(), "identity_test::Pose");
   EXPECT_EQ(message_type_of<identity_test::Pose>()->kind(), MessageType::Kind::flat);
   EXPECT_EQ(message_type_of<identity_test::Named>()->name(), "identity_test/Named");
