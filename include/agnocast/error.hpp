@@ -25,7 +25,11 @@ namespace agnocast {
     "publish later, or use a deeper history")                                              \
   X(heap_exhausted, "the shared heap of this process has no room for the message",         \
     "release messages, or raise the heap quota")                                           \
-  X(invalid_argument, "an argument is outside its domain", "see what is named beside it")
+  X(invalid_argument, "an argument is outside its domain", "see what is named beside it")  \
+  X(type_refused, "this type cannot be shared between processes",                          \
+    "see docs/messages.md for what can")                                                   \
+  X(user_code_threw, "a constructor of the message threw an exception",                    \
+    "let it throw nothing but bad_alloc")
 
 /// Codes of everything that a user of the library can be told. Zero is success (std::error_code
 /// convention).

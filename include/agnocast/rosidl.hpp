@@ -1,0 +1,126 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Makes every message that rosidl generated (topics, and the two halves of services) a message of agnocast. Include it where
+// such types are published or subscribed; link the message package as for rclcpp, nothing more.
+//
+// Members of rosidl's tables are taken by name only: Humble, Jazzy and Lyrical each added some.
+#pragma once
+
+#include <agnocast/message_traits.hpp>
+#include <agnocast/message_type.hpp>
+
+#include <rosidl_runtime_cpp/traits.hpp>
+#include <rosidl_typesupport_introspection_cpp/field_types.hpp>
+#include <rosidl_typesupport_introspection_cpp/message_introspection.hpp>
+#include <rosidl_typesupport_introspection_cpp/message_type_support_decl.hpp>
+
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <type_traits>
+#include <vector>
+
+namespace agnocast {
+namespace detail {
+
+using RosMember = rosidl_typesupport_introspection_cpp::MessageMember;
+using RosMembers = rosidl_typesupport_introspection_cpp::MessageMembers;
+
+// ROS 2 Lyrical marks members of type rosidl::Buffer.
+template <class Member, class = void>
+struct BufferMark {
+  static bool of(const Member&) noexcept { return false; }
+};
+template <class Member>
+struct BufferMark<Member, std::void_t<decltype(std::declval<const Member&>().is_rosidl_buffer_)>> {
+  static bool of(const Member& member) noexcept { return member.is_rosidl_buffer_; }
+};
+
+// sizeof one element; 0 for a number this header does not know, which the library refuses.
+inline std::uint32_t ros_element_bytes(std::uint8_t type_id) noexcept {
+  namespace ros = rosidl_typesupport_introspection_cpp;
+  switch (type_id) {
+    case ros::ROS_TYPE_BOOLEAN: return sizeof(bool);
+    case ros::ROS_TYPE_CHAR:
+    case ros::ROS_TYPE_OCTET:
+    case ros::ROS_TYPE_UINT8:
+    case ros::ROS_TYPE_INT8: return 1;
+    case ros::ROS_TYPE_WCHAR:
+    case ros::ROS_TYPE_UINT16:
+    case ros::ROS_TYPE_INT16: return 2;
+    case ros::ROS_TYPE_FLOAT:
+    case ros::ROS_TYPE_UINT32:
+    case ros::ROS_TYPE_INT32: return 4;
+    case ros::ROS_TYPE_DOUBLE:
+    case ros::ROS_TYPE_UINT64:
+    case ros::ROS_TYPE_INT64: return 8;
+    case ros::ROS_TYPE_LONG_DOUBLE: return sizeof(long double);
+    case ros::ROS_TYPE_STRING: return sizeof(std::string);
+    case ros::ROS_TYPE_WSTRING: return sizeof(std::u16string);
+    default: return 0;
+  }
+}
+
+inline ElementKind ros_element_kind(std::uint8_t type_id) noexcept {
+  namespace ros = rosidl_typesupport_introspection_cpp;
+  switch (type_id) {
+    case ros::ROS_TYPE_BOOLEAN: return ElementKind::boolean;
+    case ros::ROS_TYPE_STRING: return ElementKind::string;
+    case ros::ROS_TYPE_WSTRING: return ElementKind::u16string;
+    case ros::ROS_TYPE_MESSAGE: return ElementKind::message;
+    default: return ElementKind::primitive;
+  }
+}
+
+inline MessageTable read_ros_message(const void* table) {
+  const RosMembers& members = *static_cast<const RosMembers*>(table);
+  return {members.message_namespace_, members.message_name_, members.size_of_, members.member_count_};
+}
+
+inline FieldTable read_ros_field(const void* table, std::size_t index) {
+  const RosMember& member = static_cast<const RosMembers*>(table)->members_[index];
+  ArrayKind array = ArrayKind::none;
+  if (member.is_array_ && member.is_upper_bound_) {
+    array = ArrayKind::bounded;
+  } else if (member.is_array_) {
+    array = member.array_size_ != 0 ? ArrayKind::fixed : ArrayKind::unbounded;
+  }
+  return {member.name_,
+          ros_element_kind(member.type_id_),
+          array,
+          member.type_id_,
+          BufferMark<RosMember>::of(member),
+          ros_element_bytes(member.type_id_),
+          member.offset_,
+          member.array_size_,
+          member.string_upper_bound_,
+          member.members_ != nullptr ? member.members_->data : nullptr,
+          member.size_function,
+          member.get_const_function,
+          member.resize_function};
+}
+
+inline void construct_ros_message(const void* table, void* memory) {
+  static_cast<const RosMembers*>(table)->init_function(memory, rosidl_runtime_cpp::MessageInitialization::ALL);
+}
+inline void destroy_ros_message(const void* table, void* memory) {
+  static_cast<const RosMembers*>(table)->fini_function(memory);
+}
+
+}  // namespace detail
+
+template <class T>
+struct MessageTraits<T, std::enable_if_t<rosidl_generator_traits::is_message<T>::value>> {
+  static detail::TableReader reader() noexcept {
+    return {&detail::read_ros_message, &detail::read_ros_field, &detail::construct_ros_message,
+            &detail::destroy_ros_message};
+  }
+  /// The introspection table, from the type support that is linked with the message package; null if there is none.
+  static const void* table() noexcept {
+    const rosidl_message_type_support_t* support =
+        rosidl_typesupport_introspection_cpp::get_message_type_support_handle<T>();
+    return support != nullptr ? support->data : nullptr;
+  }
+};
+
+}  // namespace agnocast

@@ -1,0 +1,40 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Stand-in for the heap hook: operator new of the test program, with an arena that plays the shared heap.
+//
+// Every allocation carries its origin in front of it, so an oracle can ask origin_of(pointer) without comparing addresses,
+// which is what the code under test does. Single-threaded. Link tagging_heap.cpp to get the operators.
+#pragma once
+
+#include <agnocast/residency.hpp>
+
+#include <cstddef>
+#include <cstdint>
+
+namespace agnocast::test {
+
+enum class Origin : std::uint64_t { libc = 0x6c69626331u, shared = 0x736861726564u };
+
+/// Where the allocation that starts at `first` came from; aborts if nothing that is allocated now starts there.
+Origin origin_of(const void* first);
+
+/// The arena as the library sees it.
+SharedHeap shared_heap();
+/// The arena as one window, up to what was ever allocated.
+WindowSet windows();
+
+struct HeapCounters {
+  std::uint64_t allocations = 0;         ///< of either kind, since start
+  std::uint64_t shared_allocations = 0;  ///< since start
+  std::int64_t live = 0;                 ///< of either kind
+};
+HeapCounters heap_counters();
+
+/// The n-th shared allocation from now on (1 = the next) comes from libc instead; 0 switches this off.
+/// It is not counted as spilled: the program behaves as if the scope had been closed for one allocation.
+void divert_shared_allocation(std::uint64_t n);
+/// From now on the arena has room for `bytes` more; what does not fit comes from libc and counts as spilled.
+void limit_shared_heap(std::size_t bytes);
+void unlimit_shared_heap();
+
+}  // namespace agnocast::test

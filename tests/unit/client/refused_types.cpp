@@ -1,0 +1,132 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: what cannot be a message is refused by the compiler, in plain words. Method: CMakeLists.txt compiles this file once
+// for every CASE and looks for the sentence; without CASE it must compile. Keep in step with the list there.
+
+#include <agnocast/message_type.hpp>
+#if !defined(CASE_rosidl_without_header)
+#include <agnocast/rosidl.hpp>
+#endif
+
+#include <std_msgs/msg/string.hpp>
+
+#include <array>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace refused {
+
+struct Flat {
+  int a;
+};
+struct Virtual {
+  virtual ~Virtual() = default;
+};
+struct ThrowingDestructor {
+  std::string text;
+  ~ThrowingDestructor() noexcept(false) {}
+};
+struct MoveOnly {
+  std::unique_ptr<int> number;
+};
+struct Unknown {
+  std::vector<int> numbers;
+};
+struct PointerMember {
+  int count;
+  const int* first;
+};
+template <class T>
+struct Box {
+  T value;
+};
+struct Nameless {
+  std::vector<int> numbers;
+};
+struct NotNoexcept {
+  std::vector<int> numbers;
+};
+struct WrongSignature {
+  std::vector<int> numbers;
+};
+struct Good {
+  std::vector<int> numbers;
+};
+
+}  // namespace refused
+
+namespace agnocast {
+template <>
+struct MessageTraits<refused::Nameless> {
+  static constexpr std::uint64_t version = 1;
+};
+template <>
+struct MessageTraits<refused::NotNoexcept> {
+  static constexpr const char* name = "refused/NotNoexcept";
+  static void for_each_pointer(const refused::NotNoexcept&, PointerVisitor&) {}
+};
+template <>
+struct MessageTraits<refused::WrongSignature> {
+  static constexpr const char* name = "refused/WrongSignature";
+  static void for_each_pointer(const refused::WrongSignature&) noexcept {}
+};
+template <>
+struct MessageTraits<refused::Good> {
+  static constexpr const char* name = "refused/Good";
+  static void for_each_pointer(const refused::Good&, PointerVisitor&) noexcept {}
+};
+template <>
+struct MessageTraits<refused::Box<long>> {
+  static constexpr const char* name = "refused/BoxOfLong";
+};
+}  // namespace agnocast
+
+template <class T>
+bool describe() {
+  return agnocast::message_type_of<T>().has_value();
+}
+
+bool all() {
+#if defined(CASE_pointer)
+  return describe<refused::Flat*>();
+#elif defined(CASE_reference)
+  return describe<refused::Flat&>();
+#elif defined(CASE_const)
+  return describe<const refused::Flat>();
+#elif defined(CASE_number)
+  return describe<int>();
+#elif defined(CASE_virtual)
+  return describe<refused::Virtual>();
+#elif defined(CASE_throwing_destructor)
+  return describe<refused::ThrowingDestructor>();
+#elif defined(CASE_move_only)
+  return describe<refused::MoveOnly>();
+#elif defined(CASE_vector)
+  return describe<std::vector<int>>();
+#elif defined(CASE_unknown)
+  return describe<refused::Unknown>();
+#elif defined(CASE_view)
+  return describe<std::string_view>();
+#elif defined(CASE_reference_wrapper)
+  return describe<std::reference_wrapper<int>>();
+#elif defined(CASE_pointer_member)
+  return describe<refused::PointerMember>();
+#elif defined(CASE_template)
+  return describe<refused::Box<int>>();
+#elif defined(CASE_nameless)
+  return describe<refused::Nameless>();
+#elif defined(CASE_not_noexcept)
+  return describe<refused::NotNoexcept>();
+#elif defined(CASE_wrong_signature)
+  return describe<refused::WrongSignature>();
+#elif defined(CASE_rosidl_without_header) || defined(CASE_debug_containers)
+  return describe<std_msgs::msg::String>();
+#else
+  return describe<refused::Flat>() && describe<refused::Good>() && describe<refused::Box<long>>() &&
+         describe<std_msgs::msg::String>();
+#endif
+}
