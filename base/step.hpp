@@ -77,6 +77,7 @@ namespace agnocast {
   X(D2_epoch, "board: epoch after it")                             \
   X(D3_slot, "roll back: slot")                                    \
   X(D3_order, "roll back: order ring entry")                       \
+  X(D3_intent, "recovered: intent idle")                           \
   X(D3_final_head, "board: final head")                            \
   X(D3_word, "board: publisher orphaned")                          \
   X(D3_epoch, "board: epoch after it")                             \

@@ -69,6 +69,9 @@ IntentDecision recover_queue(const dataplane::PublisherWords<M>& words, std::uin
       AGNOCAST_STEP(D3_order) words.order(copy.sequence).store(0, std::memory_order_release);
     }
   }
+  if (decision == IntentDecision::roll_back || decision == IntentDecision::roll_forward) {
+    AGNOCAST_STEP(D3_intent) words.intent_op().store(abi::intent_idle, std::memory_order_release);
+  }
   return decision;
 }
 

@@ -390,6 +390,12 @@ class QueueScenario {
     for (std::uint32_t s = 0; s < 2; ++s) {
       if (!plan_.sub[s].present || state.sub_dead[s] != 0) continue;
       const std::uint64_t pc = world.threads[sub0 + s].pc;
+      if (pc == left && plan_.sub[s].present) {
+        for (std::uint64_t field = 0; field < 3; ++field) {
+          if (peek(world, sub_region0 + s, se + field * 8) != 0)
+            return "a link that is gone left its line set";
+        }
+      }
       if (pc == left || pc == hung) continue;
       if (pc != blocked) return "a subscription is stuck";
       const SubscriptionPrivate& own = sub_private(world, s);
@@ -427,6 +433,10 @@ class QueueScenario {
       if (own.core.allocated_count() != justified)
         return "leak: a message nobody can ask for stays allocated";
     } else {
+      if (peek(world, publisher_region, pe + offsetof(abi::PublisherEndpoint, intent_op)) !=
+          abi::intent_idle) {
+        return "recovery left the intent open";
+      }
       for (std::uint64_t i = 0; i < plan_.slots; ++i) {
         const std::uint64_t id =
             peek(world, publisher_region, pe + abi::slot_offset(plan_.ring, i));

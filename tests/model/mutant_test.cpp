@@ -1,0 +1,135 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: the explorer would notice if a statement of the protocol were missing or a decision wrong;
+// so its green runs mean something. Method: leave out each named statement and fence in turn, force
+// each named decision to true and to false in turn, and demand a violation in one of the small
+// plans. A mutant that survives must be listed below with the reason why it changes nothing.
+
+#include <tests/model/plans.hpp>
+#include <tests/model/reuse_scenario.hpp>
+
+#include <gtest/gtest.h>
+
+#include <cstdio>
+#include <ostream>
+#include <string>
+#include <vector>
+
+namespace agnocast::model {
+
+void PrintTo(const Mutation& mutation, std::ostream* out) { *out << name_of(mutation.step); }
+
+namespace {
+
+struct Equivalent {
+  Mutation mutation;
+  const char* reason;
+};
+
+// Survivors, each with the reason. A mutant listed here that is noticed after all fails the test as
+// well: then the list is out of date.
+const Equivalent equivalent[] = {
+    {{Step::P7_changed, Mutation::Kind::force_true}, "reads the same words again"},
+    {{Step::P7_seen, Mutation::Kind::leave_out},
+     "since is too low: keeps more until the member links, loses nothing"},
+    {{Step::P9_linked, Mutation::Kind::force_true},
+     "a line that is not linked is zero: it counts as having read nothing"},
+    {{Step::P10_past, Mutation::Kind::force_false},
+     "no direct free: marked now, freed by a later pass"},
+    {{Step::T2_order, Mutation::Kind::force_true}, "T3 and T5 compare the slot's own sequence"},
+    {{Step::T3_live, Mutation::Kind::force_true}, "saves a pin only; T5 decides"},
+    {{Step::T6_inside, Mutation::Kind::force_true},
+     "every publisher here is honest; hostile ones: unit_dataplane"},
+    {{Step::J6_check, Mutation::Kind::force_true}, "rule RU guarantees it already"},
+    {{Step::S5_disarm, Mutation::Kind::leave_out},
+     "somebody awake is rung once per generation: costs a system call"},
+};
+
+const char* reason_to_survive(const Mutation& mutation) {
+  for (const Equivalent& entry : equivalent) {
+    if (entry.mutation.step == mutation.step && entry.mutation.kind == mutation.kind)
+      return entry.reason;
+  }
+  return nullptr;
+}
+
+const char* kind_name(Mutation::Kind kind) {
+  switch (kind) {
+    case Mutation::Kind::leave_out:
+      return "left out";
+    case Mutation::Kind::force_true:
+      return "always true";
+    case Mutation::Kind::force_false:
+      return "always false";
+    case Mutation::Kind::none:
+      break;
+  }
+  return "unchanged";
+}
+
+// Which steps are statements and which are decisions is learned from running the code, so none can
+// be forgotten here.
+std::vector<Mutation> learn_mutants() {
+  machine.mutation = {};
+  machine.statements = {};
+  machine.decisions = {};
+  for (const QueuePlan& plan : mutant_plans) {
+    QueueScenario scenario(plan);
+    Explorer<QueueScenario> explorer(scenario, 3'000'000);
+    explorer.explore(scenario.start());
+  }
+  std::vector<Mutation> mutants;
+  for (std::size_t i = 0; i < machine.statements.size(); ++i) {
+    const Step step = static_cast<Step>(i);
+    if (machine.statements[i]) mutants.push_back({step, Mutation::Kind::leave_out});
+    if (machine.decisions[i]) {
+      mutants.push_back({step, Mutation::Kind::force_true});
+      mutants.push_back({step, Mutation::Kind::force_false});
+    }
+  }
+  return mutants;
+}
+
+TEST(ModelMutants, EveryStatementFenceAndDecisionOfTheProtocolIsNeeded) {
+  const std::vector<Mutation> mutants = learn_mutants();
+  ReuseScenario reuse({.name = "rule RU"});  // its mutants are in reuse_model_test.cpp
+  Explorer<ReuseScenario>(reuse, 1'000'000).explore(reuse.start());
+  for (std::size_t i = 0; i < machine.statements.size(); ++i) {
+    EXPECT_TRUE(machine.statements[i] || machine.decisions[i])
+        << name_of(static_cast<Step>(i)) << " is never reached";
+  }
+  unsigned killed = 0;
+  unsigned survived = 0;
+  for (const Mutation& mutation : mutants) {
+    std::string noticed;
+    const char* plan_name = "";
+    for (const QueuePlan& plan : mutant_plans) {
+      machine.mutation = mutation;
+      QueueScenario scenario(plan);
+      Explorer<QueueScenario> explorer(scenario, 6'000'000);
+      noticed = explorer.explore(scenario.start()).violation;
+      plan_name = plan.name;
+      if (!noticed.empty()) break;
+    }
+    machine.mutation = {};
+    const char* reason = reason_to_survive(mutation);
+    if (!noticed.empty()) {
+      ++killed;
+      std::printf("noticed   %-16s %-12s %-55s [%s]\n", name_of(mutation.step),
+                  kind_name(mutation.kind), noticed.c_str(), plan_name);
+      EXPECT_EQ(reason, nullptr) << name_of(mutation.step)
+                                 << " is listed as equivalent but was noticed: " << noticed;
+    } else {
+      ++survived;
+      std::printf("survives  %-16s %-12s %s\n", name_of(mutation.step), kind_name(mutation.kind),
+                  reason != nullptr ? reason : "UNEXPLAINED");
+      EXPECT_NE(reason, nullptr) << name_of(mutation.step) << " " << kind_name(mutation.kind)
+                                 << " changes nothing that is checked";
+    }
+    std::fflush(stdout);
+  }
+  std::printf("%zu mutants: %u noticed, %u equivalent\n", mutants.size(), killed, survived);
+}
+
+}  // namespace
+}  // namespace agnocast::model
