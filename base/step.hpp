@@ -82,6 +82,10 @@ namespace agnocast {
   X(D3_word, "board: publisher orphaned")                          \
   X(D3_epoch, "board: epoch after it")                             \
   X(D3_ring, "ring every subscription of the topic")               \
+  /* the daemon's redo log */                                                         \
+  X(W1_record, "redo log: the record")                                                \
+  X(W2_committed, "redo log: committed")                                              \
+  X(W3_applied, "redo log: applied")                                                  \
   /* rule RU: who was told about a generation */                   \
   X(R1_tell, "journal: told, before the announcement is sent")     \
   X(R2_let_go, "journal: has let go")                              \

@@ -95,6 +95,7 @@ TEST(ModelMutants, EveryStatementFenceAndDecisionOfTheProtocolIsNeeded) {
   ReuseScenario reuse({.name = "rule RU"});  // its mutants are in reuse_model_test.cpp
   Explorer<ReuseScenario>(reuse, 1'000'000).explore(reuse.start());
   for (std::size_t i = 0; i < machine.statements.size(); ++i) {
+    if (name_of(static_cast<Step>(i))[0] == 'W') continue;  // the redo log: sweep_redo_log kills at each
     EXPECT_TRUE(machine.statements[i] || machine.decisions[i])
         << name_of(static_cast<Step>(i)) << " is never reached";
   }

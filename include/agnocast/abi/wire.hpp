@@ -1,0 +1,234 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Wire: what client and daemon say to each other. AF_UNIX, SOCK_SEQPACKET: one packet, one message,
+// in order per connection.
+//
+// Every packet starts with a Header; its body is one fixed struct, chosen by the opcode, and the
+// number of descriptors that come with it is fixed by the opcode as well (or, for announcements,
+// said in the body). A request carries an id that its reply repeats; a client that lost the
+// connection asks again under the same id and is answered once. Numbers are in native byte order:
+// both sides run on one host.
+//
+// docs/control-plane.md says what each message means and in which order they come.
+//
+//   client → daemon       body               answer              descriptors of the answer
+//   hello                 Hello              welcome             board (read), client region
+//   (write) open_window           WindowRequest      window_opened       window (write), window
+//   (read) open_executor         ExecutorRequest    executor_opened     eventfd, datagram socket
+//   create_publisher      CreateEndpoint     endpoint_created
+//   create_subscription   CreateEndpoint     endpoint_created
+//   leave                 Reference          done                the endpoint takes or publishes no
+//   more drained               Reference          done                (subscription) nothing held,
+//   line zeroed unlinked              Unlinked           –                   rule RU: nothing of it
+//   is mapped or linked any more any request may be answered by `refused`
+//
+//   daemon → client, unasked
+//   announce              Announcement       client region (read), windows (read), doorbells: as
+//   the body says window_announced      WindowAnnounced    window (read) forget Reference –    a
+//   subscription is over: detach it, then say unlinked orphaned              Orphaned           –
+//   a publisher is gone: drain it, then say unlinked kick                  Reference          –
+//   make a pass over this publisher's queue notice                Notice             – incompatible
+//   QoS, type mismatch, …
+#pragma once
+
+#include <agnocast/abi/limits.hpp>
+
+#include <cstddef>
+#include <cstdint>
+#include <type_traits>
+
+namespace agnocast::abi::wire {
+
+inline constexpr std::uint32_t version = 1;
+// ROS limits a fully qualified name to 255 bytes in practice (rmw_topic_endpoint_info); type names
+// are as long.
+inline constexpr std::uint32_t name_bytes = 256;
+// The largest body is two names and a dozen numbers; what is longer is not ours.
+inline constexpr std::uint32_t packet_bytes_max = 1024;
+// Client region, eight windows, two doorbells. The kernel allows 253 (SCM_MAX_FD).
+inline constexpr std::uint32_t descriptor_count_max = 1 + window_count_max + 2;
+
+enum class Opcode : std::uint32_t {
+  // client → daemon
+  hello = 1,
+  open_window = 2,
+  open_executor = 3,
+  create_publisher = 4,
+  create_subscription = 5,
+  leave = 6,
+  drained = 7,
+  unlinked = 8,
+  // daemon → client: answers
+  welcome = 101,
+  window_opened = 102,
+  executor_opened = 103,
+  endpoint_created = 104,
+  done = 105,
+  refused = 106,
+  // daemon → client: unasked
+  announce = 201,
+  window_announced = 202,
+  forget = 203,
+  orphaned = 204,
+  kick = 205,
+  notice = 206,
+};
+
+/// What a Reference or Unlinked speaks of. A region is everything that belongs to one process:
+/// client region and windows.
+enum class Kind : std::uint32_t { publisher = 1, subscription = 2, region = 3 };
+
+//    0 opcode u32 · 4 bytes u32 (whole packet) · 8 request u64 (0: not an answer)
+struct Header {
+  Opcode opcode;
+  std::uint32_t bytes;
+  std::uint64_t request;
+};
+static_assert(sizeof(Header) == 16 && std::is_trivially_copyable_v<Header>);
+
+/// NUL-terminated inside its bytes, or the packet is malformed.
+struct Name {
+  char text[name_bytes];
+};
+
+struct Hello {
+  Header header;
+  std::uint64_t fingerprint;
+  std::uint64_t domain;  // ROS_DOMAIN_ID
+  Name process_name;     // for people
+};
+struct Welcome {
+  Header header;
+  std::uint64_t fingerprint;
+  std::uint64_t incarnation;
+  std::uint64_t client;
+  std::uint64_t client_generation;
+  std::uint64_t arena_base;  // the planned arena, to be reserved PROT_NONE now
+  std::uint64_t arena_bytes;
+  std::uint64_t client_region_bytes;
+};
+struct Reference {
+  Header header;
+  Kind kind;
+  std::uint32_t topic;
+  std::uint64_t index;
+  std::uint64_t generation;
+};
+/// `seen`: how many packets of this connection the client has read. What the daemon announced later
+/// is not unlinked by this.
+struct Unlinked {
+  Header header;
+  Kind kind;
+  std::uint32_t topic;
+  std::uint64_t index;  // of the endpoint; of the client for a region
+  std::uint64_t generation;
+  std::uint64_t seen;
+};
+/// The process's next heap window; `window` is its number, so that a repeated request is
+/// recognised.
+struct WindowRequest {
+  Header header;
+  std::uint64_t window;
+};
+struct WindowOpened {
+  Header header;
+  std::uint64_t window;
+  std::uint64_t base;
+  std::uint64_t bytes;
+};
+struct WindowAnnounced {
+  Header header;
+  std::uint64_t client;
+  std::uint64_t client_generation;
+  std::uint64_t window;
+  std::uint64_t base;
+  std::uint64_t bytes;
+};
+struct ExecutorRequest {
+  Header header;
+  std::uint64_t executor;
+};
+struct CreateEndpoint {
+  Header header;
+  std::uint64_t qos;  // abi::Qos, packed
+  std::uint64_t layout_hash;
+  std::uint64_t executor;  // of a subscription
+  std::uint64_t quota;     // messages a subscription holds at most
+  Name topic;              // fully qualified, starts with a slash
+  Name type;
+  Name node;
+};
+struct EndpointCreated {
+  Header header;
+  std::uint32_t topic;
+  std::uint32_t reserved;
+  std::uint64_t index;
+  std::uint64_t generation;
+  std::uint64_t extent;
+  std::uint64_t slot_count;
+  std::uint64_t first_sequence;
+};
+/// A publisher for a subscriber's process, or a subscription for a publisher's process.
+/// Descriptors, in this order: the client region (always; a process that has it already closes it),
+/// window_count windows (publisher), doorbell_count doorbells (subscription).
+struct Announcement {
+  Header header;
+  Kind kind;
+  std::uint32_t topic;
+  std::uint64_t own_index;  // the endpoint of the addressed process that this is for
+  std::uint64_t own_generation;
+  std::uint64_t index;  // the announced one
+  std::uint64_t generation;
+  std::uint64_t client;  // its process
+  std::uint64_t client_generation;
+  std::uint64_t extent;
+  std::uint64_t qos;
+  std::uint64_t first_sequence;  // publisher
+  std::uint64_t executor;        // subscription: which of its process
+  std::uint32_t
+      from_start;  // publisher: it joined after the subscription, so nothing of it may be missed
+  std::uint32_t window_count;    // publisher
+  std::uint32_t doorbell_count;  // subscription: 1 datagram socket, 2 eventfd (same user), then
+                                 // datagram socket
+  std::uint32_t reserved;
+  struct Window {
+    std::uint64_t base;
+    std::uint64_t bytes;
+  } window[window_count_max];
+};
+struct Orphaned {
+  Header header;
+  std::uint32_t topic;
+  std::uint32_t reserved;
+  std::uint64_t index;
+  std::uint64_t generation;
+  std::uint64_t final_head;
+};
+struct Refused {
+  Header header;
+  std::uint32_t code;  // Errc
+  std::uint32_t os_errno;
+  Name text;  // what was refused, for people
+};
+struct Notice {
+  Header header;
+  std::uint32_t code;  // Errc
+  Kind kind;
+  std::uint32_t topic;
+  std::uint32_t reserved;
+  std::uint64_t index;
+  std::uint64_t generation;
+  Name text;
+};
+struct Done {
+  Header header;
+};
+
+static_assert(sizeof(CreateEndpoint) <= packet_bytes_max &&
+              sizeof(Announcement) <= packet_bytes_max && sizeof(Hello) <= packet_bytes_max &&
+              sizeof(Notice) <= packet_bytes_max);
+static_assert(std::is_trivially_copyable_v<Announcement> &&
+              std::is_standard_layout_v<Announcement>);
+static_assert(std::has_unique_object_representations_v<Announcement>, "no hidden padding travels");
+
+}  // namespace agnocast::abi::wire

@@ -1,0 +1,226 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: a publisher may be killed at any crash point of publish, retire, free, growth, attach and
+// detach; what it committed arrives, what it had not does not, and its queue is consistent after
+// recovery. Method: a child process runs a script and is killed with SIGKILL at its n-th crash
+// point, for n = 1, 2, 3 … until it survives. The parent is daemon and subscriber: it recovers,
+// verifies, drains, and compares with what the publisher had acknowledged.
+
+#include <tests/recovery/stage.hpp>
+
+#include <cstdio>
+#include <ostream>
+#include <string>
+
+namespace agnocast::sweep {
+namespace {
+
+// Commands. Publisher (child): p publish · g grow, then publish · x pass · a attach · d detach.
+// Subscriber and daemon (parent): j subscribe and link · t take · r release · z sleep · w wake · l
+// leave · u unlink, subscription over.
+struct Script {
+  const char* name;
+  Setup setup;
+  const char* commands;
+};
+
+void PrintTo(const Script& script, std::ostream* out) { *out << script.name; }
+
+constexpr abi::Qos keep_last(std::uint32_t depth, bool transient_local = false) {
+  return {depth, transient_local, true, false, false};
+}
+
+const Script scripts[] = {
+    {"volatile, everything read and released", {keep_last(1), keep_last(5)}, "japtrptrptrx"},
+    {"volatile, held while more is published", {keep_last(1), keep_last(5)}, "japptptprrptrrx"},
+    {"overrun of a shallow reader", {keep_last(1), keep_last(1)}, "japppptrpppxtrx"},
+    {"overrun while held", {keep_last(2, true), keep_last(2, true)}, "japptpppprpptrx"},
+    {"history for late joiners", {keep_last(3, true), keep_last(2, true)}, "pppppjapttrrpptrtrx"},
+    {"growth", {keep_last(2), keep_last(4)}, "japtgtrrgptrtrx"},
+    {"sleeper is rung once", {keep_last(1), keep_last(3)}, "jazppwtrzpwtrtrx"},
+    {"joins, leaves and joins again", {keep_last(1), keep_last(3)}, "ppjatptrludppjaptrx"},
+    {"leaves while holding", {keep_last(1), keep_last(3)}, "jappttlpprrudppx"},
+    {"keep-all",
+     {{2, false, true, true, false}, {2, false, true, true, false}},
+     "jappptrptrptrtrtrx"},
+    {"lazy passes", {keep_last(1), keep_last(4), 2}, "japppptrtrpptrppptrtrx"},
+    {"nobody there", {keep_last(2, true), keep_last(1)}, "pppppx"},
+    {"member seen but not mapped yet", {keep_last(1), keep_last(2)}, "ppjpppaptrx"},
+};
+
+class PublisherSweep : public testing::TestWithParam<Script> {};
+
+struct Totals {
+  unsigned points = 0, untouched = 0, rolled_back = 0, rolled_forward = 0;
+};
+
+/// One run with a death at crash point n (0 = none). True when the child survived the script.
+bool run(const Script& script, std::uint64_t n, Totals& totals) {
+  Stage stage(script.setup);
+  Child child(n, [&](int socket, std::uint64_t crash_at) {
+    stage.restrict_child(Stage::Role::publisher);
+    PublisherSide publisher(stage);
+    std::uint64_t generation = 0;
+    crash_points::arm(crash_at);
+    serve(socket, [&](char what) -> char {
+      switch (what) {
+        case 'p':
+        case 'g':
+          return publisher.publish(what == 'g') == dataplane::PublishOutcome::published ? '+' : '-';
+        case 'x':
+          publisher.pass();
+          return '+';
+        case 'a':
+          publisher.attach(++generation);
+          return '+';
+        case 'd':
+          publisher.detach(generation);
+          return '+';
+        default:
+          return '?';
+      }
+    });
+  });
+
+  auto subscriber = std::optional<SubscriberSide>(std::in_place, stage);
+  std::uint64_t generation = 0, committed = 0, last = 0;
+  bool linked = false, leaving = false, in_flight = false, alive = true;
+  const auto take = [&] {
+    std::uint64_t number = 0;
+    const std::uint64_t before = subscriber->cursor();
+    const std::uint64_t lost = subscriber->lost();
+    switch (subscriber->take(&number)) {
+      case SubscriberSide::Found::damaged:
+        ADD_FAILURE() << "a damaged message";
+        return false;
+      case SubscriberSide::Found::nothing:
+        return false;
+      case SubscriberSide::Found::intact:
+        break;
+    }
+    EXPECT_GT(number, last) << "a message came twice or out of order";
+    last = number;
+    const std::uint64_t head =
+        abi::sequence_of(stage.words().head().load(std::memory_order_acquire));
+    for (std::uint64_t q = before; q < before + (subscriber->lost() - lost); ++q) {
+      EXPECT_GE(head, q + script.setup.requested.depth)
+          << "a message was lost with fewer than D newer ones";
+    }
+    return true;
+  };
+
+  for (const char* at = script.commands; *at != '\0' && alive; ++at) {
+    switch (*at) {
+      case 'p':
+      case 'g':
+      case 'x':
+      case 'a':
+      case 'd': {
+        const auto answer = child.command(*at);
+        alive = answer.has_value();
+        in_flight = !alive && (*at == 'p' || *at == 'g');
+        if (alive && (*at == 'p' || *at == 'g') && *answer == '+') ++committed;
+        break;
+      }
+      case 'j':
+        subscriber.emplace(stage);
+        stage.board_steps().add_subscription(
+            0, ++generation, {script.setup.requested, 1, subscription_extent, 8, 0});
+        EXPECT_TRUE(subscriber->link(false));
+        last = subscriber->cursor() - 1 - Stage::first_sequence();
+        linked = true;
+        leaving = false;
+        break;
+      case 't':
+        take();
+        break;
+      case 'r':
+        EXPECT_TRUE(subscriber->release()) << "a held message changed";
+        break;
+      case 'z':
+        subscriber->arm();
+        break;
+      case 'w':
+        subscriber->disarm();
+        break;
+      case 'l':
+        stage.board_steps().set_subscription(0, generation, abi::MemberState::leaving);
+        leaving = true;
+        break;
+      case 'u':
+        subscriber->unlink();
+        linked = false;
+        stage.board_steps().set_subscription(0, generation, abi::MemberState::free);
+        break;
+      default:
+        ADD_FAILURE() << "unknown command " << *at;
+        return true;
+    }
+    if (alive) {
+      EXPECT_EQ(stage.verify(), journal::Invariant::none)
+          << sentence_of(stage.verify()) << " after " << *at;
+    }
+  }
+
+  if (!alive) {
+    ++totals.points;
+    EXPECT_TRUE(child.was_killed()) << "the publisher did not die of its crash point";
+    std::uint64_t final_head = 0;
+    switch (journal::recover_queue(stage.words(), slot_count, final_head)) {
+      case journal::IntentDecision::nothing:
+        ++totals.untouched;
+        break;
+      case journal::IntentDecision::roll_back:
+        ++totals.rolled_back;
+        break;
+      case journal::IntentDecision::roll_forward:
+        ++totals.rolled_forward;
+        break;
+      case journal::IntentDecision::corrupt:
+        ADD_FAILURE() << "an honest publisher left a corrupt intent";
+        break;
+    }
+    stage.board_steps().orphan_publisher(0, Stage::publisher_generation, final_head);
+    const std::uint64_t final_number = abi::sequence_of(final_head) - Stage::first_sequence();
+    EXPECT_GE(final_number, committed) << "an acknowledged message is gone";
+    EXPECT_LE(final_number, committed + (in_flight ? 1 : 0))
+        << "more was committed than was published";
+    // Recovery of recovery: nothing is left to do.
+    std::uint64_t again = 0;
+    EXPECT_EQ(journal::recover_queue(stage.words(), slot_count, again),
+              journal::IntentDecision::nothing);
+    EXPECT_EQ(again, final_head);
+  }
+  EXPECT_EQ(stage.verify(), journal::Invariant::none) << sentence_of(stage.verify());
+  if (linked && !leaving) {
+    subscriber->disarm();
+    subscriber->observe_publisher();
+    while (take()) {
+    }
+    if (!alive) {
+      EXPECT_TRUE(subscriber->drained()) << "what was committed was not delivered";
+    }
+  }
+  while (linked && subscriber->held_count() != 0)
+    EXPECT_TRUE(subscriber->release()) << "a held message of a dead publisher changed";
+  if (linked) subscriber->unlink();
+  EXPECT_EQ(stage.verify(), journal::Invariant::none) << sentence_of(stage.verify());
+  return alive;
+}
+
+TEST_P(PublisherSweep, SurvivesDeathAtEveryCrashPoint) {
+  Totals totals;
+  for (std::uint64_t n = 1;; ++n) {
+    SCOPED_TRACE("death at crash point " + std::to_string(n));
+    if (run(GetParam(), n, totals) || testing::Test::HasFailure()) break;
+  }
+  std::printf("%-40s %4u deaths: %3u nothing to do, %3u rolled back, %3u rolled forward\n",
+              GetParam().name, totals.points, totals.untouched, totals.rolled_back,
+              totals.rolled_forward);
+  EXPECT_GT(totals.points, 20u) << "hardly any crash point was reached";
+}
+
+INSTANTIATE_TEST_SUITE_P(Scripts, PublisherSweep, testing::ValuesIn(scripts));
+
+}  // namespace
+}  // namespace agnocast::sweep

@@ -1,0 +1,252 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: whatever a peer writes, the data plane stays inside its own arrays, ends its loops, hands
+// out nothing outside the announced window, and an honest pair beside the liar loses nothing. Also:
+// the table of recovery decisions, row by row. Method: seeded random garbage in the publisher's
+// queue while an honest subscription takes; seeded garbage in a subscription's lines while an
+// honest publisher publishes to it and to an honest one.
+
+#include <client/dataplane/publisher_core.hpp>
+#include <client/dataplane/subscription_core.hpp>
+#include <journal/board_steps.hpp>
+#include <journal/recovery.hpp>
+
+#include <gtest/gtest.h>
+
+#include <cstdint>
+#include <cstdio>
+#include <memory>
+#include <random>
+#include <set>
+#include <string>
+#include <vector>
+
+namespace agnocast::dataplane {
+namespace {
+
+using M = SharedMemory;
+
+constexpr std::uint64_t extent = abi::page_bytes;
+constexpr std::uint64_t region_bytes = 1 << 18;
+constexpr std::uint64_t generation = 9;
+
+struct alignas(abi::cache_line_bytes) Line {
+  std::byte bytes[abi::cache_line_bytes];
+};
+class Region {
+ public:
+  explicit Region(std::uint64_t bytes = region_bytes) : lines_(bytes / sizeof(Line)) {}
+  std::byte* base() { return lines_.front().bytes; }
+
+ private:
+  std::vector<Line> lines_;
+};
+
+/// A window of 1 MiB that exists only as numbers.
+struct NumberWindow {
+  std::uint64_t base = 0x100000;
+  std::uint64_t bytes = 1 << 20;
+  void open() const {}
+  bool contains(std::uint64_t address, std::uint64_t size) const {
+    return address >= base && size <= bytes && address - base <= bytes - size;
+  }
+};
+
+struct Pair {
+  Region board{abi::topic_bytes}, publisher, subscriber[2];
+  abi::Qos offered{4, false, true, false, false};
+  abi::Qos requested{8, false, true, false, false};
+
+  static std::uint64_t first() { return abi::first_sequence_of(generation); }
+  TopicWords<M> topic() { return {board.base(), 0}; }
+  PublisherWords<M> words() { return {publisher.base(), extent}; }
+  LinkWords<M> line(std::uint64_t s) { return {subscriber[s].base(), extent, 0}; }
+  LinkCore<M> link(std::uint64_t s) {
+    return LinkCore<M>({topic(), words(), line(s), 0, generation, first(), offered, requested});
+  }
+  Pair() {
+    words().head().store(abi::pack_entry(first(), 0));
+    journal::BoardSteps<M>(topic()).add_publisher(0, generation, {offered, 0, extent, 64, first()});
+  }
+};
+
+std::uint64_t nasty(std::mt19937_64& random) {
+  switch (random() % 8) {
+    case 0:
+      return 0;
+    case 1:
+      return ~std::uint64_t{0};
+    case 2:
+      return abi::retired_mark | random();
+    case 3:
+      return abi::pack_entry(Pair::first() + random() % 5000, random() % 0x10000);
+    case 4:
+      return Pair::first() + random() % 5000;
+    case 5:
+      return std::uint64_t{1} << random() % 64;
+    default:
+      return random();
+  }
+}
+
+TEST(Dataplane, TakesOnlyFromTheAnnouncedWindowWhateverThePublisherWrites) {
+  std::uint64_t taken = 0, malformed = 0;
+  for (std::uint64_t seed = 1; seed <= 200; ++seed) {
+    SCOPED_TRACE("seed " + std::to_string(seed));
+    std::mt19937_64 random(seed);
+    Pair pair;
+    journal::BoardSteps<M>(pair.topic()).add_subscription(0, 1, {pair.requested, 1, extent, 8, 0});
+    LinkCore<M> link = pair.link(0);
+    ASSERT_TRUE(link.link(true));
+    NumberWindow window;
+    for (int round = 0; round < 50; ++round) {
+      for (int i = 0; i < 40; ++i) {
+        const std::uint64_t sequence = link.cursor() + random() % 4;
+        switch (random() % 6) {
+          case 0:
+            pair.words().head().store(
+                random() % 2 == 0 ? nasty(random) : abi::pack_entry(sequence, random() % 100));
+            break;
+          case 1:
+            pair.words().order(sequence).store(
+                random() % 2 == 0 ? nasty(random) : abi::pack_entry(sequence, random() % 100));
+            break;
+          case 2:
+            pair.words()
+                .slot_id(random() % 100)
+                .store(random() % 2 == 0 ? nasty(random) : sequence);
+            break;
+          case 3:
+            pair.words()
+                .slot_address(random() % 100)
+                .store(random() % 2 == 0 ? nasty(random) : 0xfff00 + random() % 0x100400);
+            break;
+          case 4:
+            pair.words()
+                .slot_size(random() % 100)
+                .store(random() % 2 == 0 ? nasty(random) : random() % 0x2000);
+            break;
+          default:
+            pair.words().slot_stamp(random() % 100).store(nasty(random));
+            break;
+        }
+      }
+      if (random() % 2 == 0) {  // an entry that is right but for where it points
+        const std::uint64_t sequence = link.cursor();
+        const std::uint64_t slot = random() % 64;
+        pair.words().slot_address(slot).store(random() % 2 == 0 ? nasty(random)
+                                                                : 0xfff00 + random() % 0x100400);
+        pair.words().slot_size(slot).store(random() % 2 == 0 ? nasty(random) : random() % 0x2000);
+        pair.words().slot_id(slot).store(sequence);
+        pair.words().order(sequence).store(abi::pack_entry(sequence, slot));
+        pair.words().head().store(abi::pack_entry(sequence, slot));
+      }
+      if (const auto found = link.take(window)) {
+        ++taken;
+        ASSERT_TRUE(window.contains(found->address, found->size));
+        ASSERT_LT(found->slot, abi::slot_count_max);
+        link.release(found->slot);
+      }
+      (void)link.has_news();
+    }
+    malformed += link.malformed();
+  }
+  std::printf("a lying publisher: %llu taken, %llu refused as malformed\n",
+              static_cast<unsigned long long>(taken), static_cast<unsigned long long>(malformed));
+  EXPECT_GT(taken, 100u) << "the garbage was never good enough to be taken";
+  EXPECT_GT(malformed, 10u);
+}
+
+struct Freed {
+  std::set<std::uint64_t> live;
+  void ring(std::uint64_t, std::uint64_t) {}
+  void freed(std::uint64_t, std::uint64_t address) {
+    EXPECT_EQ(live.erase(address), 1u) << "freed what was not allocated";
+  }
+};
+
+TEST(Dataplane, AnHonestSubscriptionLosesNothingBesideALyingOne) {
+  for (std::uint64_t seed = 1; seed <= 100; ++seed) {
+    SCOPED_TRACE("seed " + std::to_string(seed));
+    std::mt19937_64 random(seed);
+    Pair pair;
+    auto publisher = std::make_unique<PublisherCore<M>>(PublisherCore<M>::Identity{
+        pair.topic(), pair.words(), 0, generation, Pair::first(), pair.offered, 64, 0});
+    Freed environment;
+    for (std::uint64_t s = 0; s < 2; ++s) {
+      journal::BoardSteps<M>(pair.topic())
+          .add_subscription(s, s + 1, {pair.requested, s, extent, 8, 0});
+      publisher->attach(s, s + 1, pair.subscriber[s].base(), extent,
+                        offsetof(abi::ClientRegionHeader, executor), s, environment);
+    }
+    LinkCore<M> honest = pair.link(0);
+    ASSERT_TRUE(honest.link(true));
+    NumberWindow window;
+    std::uint64_t next = 1;
+    for (std::uint64_t number = 1; number <= 300; ++number) {
+      for (int i = 0; i < 4; ++i) {
+        switch (random() % 4) {
+          case 0:
+            pair.line(1).publisher_generation().store(random() % 2 == 0 ? generation
+                                                                        : nasty(random));
+            break;
+          case 1:
+            pair.line(1).cursor().store(nasty(random));
+            break;
+          // A liar may pin what its quota allows; the daemon revokes what goes beyond. Here: at
+          // most half of the slots.
+          case 2:
+            pair.line(1).hold(0).store(nasty(random) & 0xffffffff);
+            break;
+          default:
+            M::word(pair.subscriber[1].base(), offsetof(abi::ClientRegionHeader, executor))
+                .store(nasty(random));
+            break;
+        }
+      }
+      const std::uint64_t address = window.base + number * 16;
+      environment.live.insert(address);
+      ASSERT_EQ(publisher->publish({address, 16, number}, environment), PublishOutcome::published);
+      if (random() % 3 == 0) {
+        while (const auto found = honest.take(window)) {
+          ASSERT_EQ(found->address, window.base + next * 16)
+              << "the honest subscription got another message";
+          ASSERT_TRUE(environment.live.count(found->address)) << "a freed message was handed out";
+          ++next;
+          honest.release(found->slot);
+        }
+      } else if (number - next >= 7) {
+        while (const auto found = honest.take(window)) {
+          next = (found->address - window.base) / 16 + 1;
+          honest.release(found->slot);
+        }
+      }
+    }
+    EXPECT_EQ(honest.lost(), 0u);
+    EXPECT_EQ(honest.malformed(), 0u);
+  }
+}
+
+TEST(Recovery, EveryCombinationOfIntentAndHeadHasExactlyOneDecision) {
+  using journal::decide;
+  using journal::IntentDecision;
+  constexpr std::uint64_t slots = 4;
+  for (std::uint64_t op = 0; op <= 3; ++op) {
+    for (std::uint64_t sequence = 98; sequence <= 103; ++sequence) {
+      for (std::uint64_t slot = 0; slot <= slots; ++slot) {
+        const IntentDecision decision =
+            decide({op, sequence, slot, abi::pack_entry(100, 1)}, slots);
+        IntentDecision expected = IntentDecision::corrupt;
+        if (op == abi::intent_idle) expected = IntentDecision::nothing;
+        if (op == abi::intent_publish && sequence == 100) expected = IntentDecision::roll_forward;
+        if (op == abi::intent_publish && sequence == 101 && slot < slots)
+          expected = IntentDecision::roll_back;
+        EXPECT_EQ(decision, expected)
+            << "op " << op << " sequence " << sequence << " slot " << slot;
+      }
+    }
+  }
+}
+
+}  // namespace
+}  // namespace agnocast::dataplane
