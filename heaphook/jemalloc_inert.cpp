@@ -18,11 +18,10 @@ extern "C" {
 // background_thread    starts nothing
 // oversize_threshold:0 no extra arena for large blocks: it would not be the shared one
 // dss:disabled         no sbrk: the program break is libc's
-// cache_oblivious      without it large blocks start on a page and need no extra page: a 1 MiB message takes 1 MiB
 // abort*:false         never ends the process for its own reasons
 const char* agnocast_je_malloc_conf =
     "narenas:1,dirty_decay_ms:-1,muzzy_decay_ms:-1,background_thread:false,oversize_threshold:0,dss:disabled,"
-    "cache_oblivious:false,abort:false,abort_conf:false";
+    "abort:false,abort_conf:false";
 
 char* agnocast_je_secure_getenv(const char*) { return nullptr; }
 

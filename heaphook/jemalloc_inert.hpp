@@ -45,6 +45,9 @@ std::size_t agnocast_je_malloc_usable_size(const void* block);
 int agnocast_je_mallctl(const char* name, void* old_value, std::size_t* old_size, void* new_value, std::size_t new_size);
 
 extern const char* agnocast_je_malloc_conf;
+// Off before the first call: large blocks then start on a page and need no extra one, so a 1 MiB message takes 1 MiB of the
+// window. 5.3.0 documents the option and has the variable, but does not know it in its configuration string.
+extern bool agnocast_je_internal_opt_cache_oblivious;
 extern void (*agnocast_je_malloc_message)(void* context, const char* text);
 
 // Functions of libc that jemalloc would call and that we answer instead (jemalloc_inert.cpp).

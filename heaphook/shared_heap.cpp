@@ -143,8 +143,28 @@ bool lock_limit_allows(std::size_t size) {
   return true;
 }
 
+// What the allocator counts as allocated includes what thread caches keep. Threads that only free are not bound and show up
+// with arena 0, whose own blocks are never in a cache.
+std::uint64_t live_bytes() {
+  std::size_t small = 0;
+  std::size_t large = 0;
+  std::size_t cached = 0;
+  std::size_t cached_unbound = 0;
+  const bool known = set("epoch", std::uint64_t{1}) && get(ArenaName("stats.arenas.", ".small.allocated").text, small) &&
+                     get(ArenaName("stats.arenas.", ".large.allocated").text, large) &&
+                     get(ArenaName("stats.arenas.", ".tcache_bytes").text, cached) &&
+                     get("stats.arenas.0.tcache_bytes", cached_unbound);
+  if (!known) {
+    note_internal_error();
+    return 0;
+  }
+  const std::size_t allocated = small + large;
+  return cached + cached_unbound < allocated ? allocated - cached - cached_unbound : 0;
+}
+
 bool start_allocator() {
   agnocast_je_malloc_message = no_message;
+  agnocast_je_internal_opt_cache_oblivious = false;
   agnocast_je_arena_config config = {.extent_hooks = &extent_hooks, .metadata_use_hooks = false};
   std::size_t size = sizeof shared_arena;
   if (agnocast_je_mallctl("experimental.arenas_create_ext", &shared_arena, &size, &config, sizeof config) != 0) return false;
@@ -260,13 +280,7 @@ void usage(struct agnocast_heaphook_usage& usage) {
                              (last_is_filling || usage.refused_bytes_max > 0);
   if (windows::is_owner()) {
     const LibcOnly inside;
-    std::uint64_t epoch = 1;
-    std::size_t small = 0;
-    std::size_t large = 0;
-    if (set("epoch", epoch) && get(ArenaName("stats.arenas.", ".small.allocated").text, small) &&
-        get(ArenaName("stats.arenas.", ".large.allocated").text, large)) {
-      usage.live_bytes = small + large;
-    }
+    usage.live_bytes = live_bytes();
   }
 }
 

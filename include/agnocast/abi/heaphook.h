@@ -83,7 +83,7 @@ struct agnocast_heaphook_usage {
   uint64_t length_bytes;             /**< Sum over the windows. */
   uint64_t used_bytes;               /**< High-water mark: what the allocator ever took. */
   uint64_t frontier_bytes;           /**< What is mapped; used_bytes <= frontier_bytes <= length_bytes. */
-  uint64_t live_bytes;               /**< In blocks that are allocated now, size classes included; thread caches lag. */
+  uint64_t live_bytes;               /**< In blocks that are allocated now, rounded up to size classes. */
   uint64_t refused_bytes_max;        /**< Largest request that found no room since the last add_window. */
   uint64_t refused_count;            /**< Requests in shared scope that fell back to libc. */
   uint64_t mapping_refused_count;    /**< Growths, or views of a forked child, that the system refused: lock limit, address
