@@ -17,10 +17,13 @@ extern "C" {
 // *_decay_ms:-1        pages return when purge() says so, never on a timer or inside free
 // background_thread    starts nothing
 // oversize_threshold:0 no extra arena for large blocks: it would not be the shared one
+// lg_extent_max_.._fit 64 = any idle extent may be split for a small need; the default of 6 assumes that a timer purges large
+//                      ones, and without that a new thread would take new memory beside them
 // dss:disabled         no sbrk: the program break is libc's
 // abort*:false         never ends the process for its own reasons
 const char* agnocast_je_malloc_conf =
     "narenas:1,dirty_decay_ms:-1,muzzy_decay_ms:-1,background_thread:false,oversize_threshold:0,dss:disabled,"
+    "lg_extent_max_active_fit:64,"
     "abort:false,abort_conf:false";
 
 char* agnocast_je_secure_getenv(const char*) { return nullptr; }

@@ -39,7 +39,7 @@ struct agnocast_je_arena_config {
 void* agnocast_je_malloc(std::size_t size);
 void* agnocast_je_calloc(std::size_t count, std::size_t size);
 void* agnocast_je_memalign(std::size_t alignment, std::size_t size);
-void* agnocast_je_realloc(void* block, std::size_t size);
+std::size_t agnocast_je_xallocx(void* block, std::size_t size, std::size_t extra, int flags);
 void agnocast_je_free(void* block);
 std::size_t agnocast_je_malloc_usable_size(const void* block);
 int agnocast_je_mallctl(const char* name, void* old_value, std::size_t* old_size, void* new_value, std::size_t new_size);
@@ -48,6 +48,12 @@ extern const char* agnocast_je_malloc_conf;
 // Off before the first call: large blocks then start on a page and need no extra one, so a 1 MiB message takes 1 MiB of the
 // window. 5.3.0 documents the option and has the variable, but does not know it in its configuration string.
 extern bool agnocast_je_internal_opt_cache_oblivious;
+
+// Two internals of 5.3.0, for one purpose (shared_heap.cpp, never_without_threads): the table of arenas, and the count of
+// threads that are bound to one.
+extern void* agnocast_je_internal_arenas[];
+void agnocast_je_internal_arena_nthreads_inc(void* arena, bool internal);
+
 extern void (*agnocast_je_malloc_message)(void* context, const char* text);
 
 // Functions of libc that jemalloc would call and that we answer instead (jemalloc_inert.cpp).

@@ -103,14 +103,18 @@ struct ArenaName {
 };
 
 // Tells the allocator that this thread takes from the shared arena; a thread that only frees needs no binding.
-bool bind_thread() {
-  if (thread_state.bound) [[likely]] return true;
-  if (!set("thread.arena", shared_arena)) {
-    note_internal_error();
-    return false;
-  }
+void bind_thread() {
+  if (thread_state.bound) [[likely]] return;
+  if (!set("thread.arena", shared_arena)) note_internal_error();
   thread_state.bound = true;
-  return true;
+}
+
+// A thread that is ending loses its binding when the allocator cleans up after it; destructors of thread data that run later
+// would get private memory of arena 0. That is given back, and libc serves them.
+void* if_in_window(void* block) {
+  if (block == nullptr || windows::owns(block)) [[likely]] return block;
+  agnocast_je_free(block);
+  return nullptr;
 }
 
 void* or_refused(void* block, std::size_t size) {
@@ -162,6 +166,17 @@ std::uint64_t live_bytes() {
   return cached + cached_unbound < allocated ? allocated - cached - cached_unbound : 0;
 }
 
+// When the last bound thread of an arena ends, jemalloc gives all its idle pages back, in that thread. Ours must keep them warm
+// until purge(), so the arena gets one bound thread more than there are.
+bool never_without_threads() {
+  void* const arena = __atomic_load_n(&agnocast_je_internal_arenas[shared_arena], __ATOMIC_ACQUIRE);
+  if (arena == nullptr) return false;
+  agnocast_je_internal_arena_nthreads_inc(arena, false);
+  unsigned thread_count = 0;
+  return set("epoch", std::uint64_t{1}) && get(ArenaName("stats.arenas.", ".nthreads").text, thread_count) &&
+         thread_count == 1;
+}
+
 bool start_allocator() {
   agnocast_je_malloc_message = no_message;
   agnocast_je_internal_opt_cache_oblivious = false;
@@ -169,7 +184,7 @@ bool start_allocator() {
   std::size_t size = sizeof shared_arena;
   if (agnocast_je_mallctl("experimental.arenas_create_ext", &shared_arena, &size, &config, sizeof config) != 0) return false;
   // Without a limit the arena grows by ever larger extents; the frontier has its own steps (windows.cpp).
-  return set(ArenaName("arena.", ".retain_grow_limit").text, std::size_t{2} << 20);
+  return set(ArenaName("arena.", ".retain_grow_limit").text, std::size_t{2} << 20) && never_without_threads();
 }
 
 }  // namespace
@@ -179,25 +194,39 @@ void note_internal_error() { internal_error_count.fetch_add(1, std::memory_order
 void* allocate(std::size_t size) {
   const KeepErrno keep;
   const LibcOnly inside;
-  return or_refused(bind_thread() ? agnocast_je_malloc(size) : nullptr, size);
+  bind_thread();
+  return or_refused(if_in_window(agnocast_je_malloc(size)), size);
 }
 
 void* allocate_zeroed(std::size_t size) {
   const KeepErrno keep;
   const LibcOnly inside;
-  return or_refused(bind_thread() ? agnocast_je_calloc(1, size) : nullptr, size);
+  bind_thread();
+  return or_refused(if_in_window(agnocast_je_calloc(1, size)), size);
 }
 
 void* allocate_aligned(std::size_t alignment, std::size_t size) {
   const KeepErrno keep;
   const LibcOnly inside;
-  return or_refused(bind_thread() ? agnocast_je_memalign(alignment, size) : nullptr, size);
+  bind_thread();
+  return or_refused(if_in_window(agnocast_je_memalign(alignment, size)), size);
 }
 
 void* reallocate(void* block, std::size_t size) {
-  const KeepErrno keep;
-  const LibcOnly inside;
-  return or_refused(bind_thread() ? agnocast_je_realloc(block, size) : nullptr, size);
+  std::size_t room = 0;
+  {
+    const KeepErrno keep;
+    const LibcOnly inside;
+    room = agnocast_je_xallocx(block, size, 0, 0);  // in place, or not at all
+  }
+  // A block that shrinks stays where it is while that wastes little.
+  const bool fits = room >= size;
+  if (fits && (room <= 4096 || room / 2 <= size)) return block;
+  void* const moved = allocate(size);
+  if (moved == nullptr) return fits ? block : nullptr;
+  memcpy(moved, block, room < size ? room : size);
+  release(block);
+  return moved;
 }
 
 void release(void* block) {
