@@ -9,6 +9,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <filesystem>
 #include <fstream>
 
 #include <dlfcn.h>
@@ -170,6 +171,18 @@ agnocast_heaphook_options options_for(std::uint32_t scope) {
 void attach(const WindowFile& file, std::uint32_t scope) {
   const agnocast_heaphook_options options = options_for(scope);
   ASSERT_EQ(hook().attach(&file.window, &options), AGNOCAST_HEAPHOOK_OK) << std::strerror(errno);
+}
+
+Directory::Directory() {
+  std::string name = (std::filesystem::temp_directory_path() / "agnocast_hook_test_XXXXXX").string();
+  if (mkdtemp(name.data()) == nullptr) std::abort();
+  chmod(name.c_str(), 0755);
+  path = name;
+}
+
+Directory::~Directory() {
+  std::error_code ignored;
+  std::filesystem::remove_all(path, ignored);
 }
 
 bool is_shared(const void* address) { return hook().owns(address) == 1; }

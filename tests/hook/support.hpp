@@ -100,6 +100,16 @@ bool is_shared(const void* address);
 agnocast_heaphook_usage usage();
 std::size_t self_status_kib(const char* field);  // a line of /proc/self/status
 
+// A new directory that everybody may enter, removed with its content at the end.
+class Directory {
+ public:
+  Directory();
+  ~Directory();
+  Directory(const Directory&) = delete;
+  Directory& operator=(const Directory&) = delete;
+  std::string path;
+};
+
 // The compiler may otherwise remove a malloc whose block nobody looks at.
 template <typename T>
 T* opaque(T* pointer) {
