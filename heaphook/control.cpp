@@ -46,7 +46,10 @@ void resume() {
 }
 
 int active() { return route::wants_shared() ? 1 : 0; }
-int owns(const void* address) { return windows::owns_mapped(address) ? 1 : 0; }
+int owns(const void* address) {
+  const windows::Window* const window = windows::window_of(address);
+  return window != nullptr && windows::is_mapped(*window, address) ? 1 : 0;
+}
 
 std::uint64_t frontier(std::uint32_t window) {
   if (window >= windows::count.load(std::memory_order_acquire)) return 0;

@@ -60,7 +60,7 @@ void outer_parent() {
   --thread_state.blocked;
   while (void* const block = thread_state.deferred) {
     thread_state.deferred = *static_cast<void**>(block);
-    shared_heap::release(block);
+    shared_heap::release(block, *windows::window_of(block));
   }
 }
 

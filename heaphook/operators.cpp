@@ -161,8 +161,8 @@ inline void* form_of_aligned_new(void* (*Next::*member)(std::size_t, Align, Rest
 template <typename... Rest>
 inline void form_of_delete(void (*Next::*member)(void*, Rest...), void* block, Rest... rest) {
   if (block == nullptr) return;
-  if (windows::owns(block)) {
-    shared_heap::release(block);
+  if (const windows::Window* const window = windows::window_of(block)) {
+    shared_heap::release(block, *window);
     return;
   }
   const auto function = next().*member;

@@ -4,8 +4,6 @@
 
 #include "route.hpp"
 
-#include "shared_heap.hpp"
-
 #include <errno.h>
 #include <string.h>
 #include <unistd.h>
@@ -36,17 +34,8 @@ bool is_power_of_two(std::size_t value) { return value != 0 && (value & (value -
 
 }  // namespace
 
-void* try_shared(std::size_t size) { return wants_shared() ? shared_heap::allocate(size) : nullptr; }
-
 void* try_shared_aligned(std::size_t alignment, std::size_t size) {
   return is_power_of_two(alignment) && wants_shared() ? shared_heap::allocate_aligned(alignment, size) : nullptr;
-}
-
-void* allocate(std::size_t size) {
-  if (wants_shared()) {
-    if (void* const block = shared_heap::allocate(size)) return block;
-  }
-  return libc_heap::next().malloc(size);
 }
 
 void* allocate_zeroed(std::size_t count, std::size_t size) {
@@ -59,7 +48,7 @@ void* allocate_zeroed(std::size_t count, std::size_t size) {
 
 void* reallocate(void* block, std::size_t size) {
   if (block == nullptr) return allocate(size);
-  if (windows::owns(block)) {
+  if (windows::window_of(block) != nullptr) {
     if (size == 0) {  // as glibc: realloc(p, 0) is free
       release(block);
       return nullptr;
@@ -116,18 +105,9 @@ void* allocate_whole_pages(std::size_t size) {
   return libc_heap::next().pvalloc(size);
 }
 
-void release(void* block) {
-  if (block == nullptr) return;
-  if (windows::owns(block)) [[unlikely]] {
-    shared_heap::release(block);
-  } else if (!libc_heap::from_bootstrap(block)) [[likely]] {
-    libc_heap::next().free(block);
-  }
-}
-
 std::size_t usable_size(void* block) {
   if (block == nullptr) return 0;
-  return windows::owns(block) ? shared_heap::usable_size(block) : private_usable_size(block);
+  return windows::window_of(block) != nullptr ? shared_heap::usable_size(block) : private_usable_size(block);
 }
 
 }  // namespace agnocast::heaphook::route

@@ -12,6 +12,7 @@
 #pragma once
 
 #include "libc_heap.hpp"
+#include "shared_heap.hpp"
 #include "thread_state.hpp"
 #include "windows.hpp"
 
@@ -30,10 +31,13 @@ inline bool wants_shared() {
 }
 
 // The shared part of an allocation, for operator new as well: null means "ask the next definition".
-void* try_shared(std::size_t size);
+inline void* try_shared(std::size_t size) { return wants_shared() ? shared_heap::allocate(size) : nullptr; }
 void* try_shared_aligned(std::size_t alignment, std::size_t size);
 
-void* allocate(std::size_t size);
+inline void* allocate(std::size_t size) {
+  if (void* const block = try_shared(size)) return block;
+  return libc_heap::next().malloc(size);
+}
 void* allocate_zeroed(std::size_t count, std::size_t size);
 void* reallocate(void* block, std::size_t size);
 void* reallocate_array(void* block, std::size_t count, std::size_t size);
@@ -42,7 +46,13 @@ int allocate_posix(void** result, std::size_t alignment, std::size_t size);
 void* allocate_aligned(std::size_t alignment, std::size_t size, void* (*next)(std::size_t, std::size_t));
 void* allocate_pages(std::size_t size);
 void* allocate_whole_pages(std::size_t size);
-void release(void* block);
+inline void release(void* block) {
+  if (const windows::Window* const window = windows::window_of(block)) [[unlikely]] {
+    shared_heap::release(block, *window);
+  } else if (!libc_heap::from_bootstrap(block)) [[likely]] {
+    libc_heap::next().free(block);
+  }
+}
 std::size_t usable_size(void* block);
 
 }  // namespace agnocast::heaphook::route

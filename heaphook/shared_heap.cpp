@@ -57,7 +57,7 @@ bool extent_purge(agnocast_je_extent_hooks*, void* address, std::size_t, std::si
 // different windows must stay apart: they belong to different files.
 bool extent_split(agnocast_je_extent_hooks*, void*, std::size_t, std::size_t, std::size_t, bool, unsigned) { return false; }
 bool extent_merge(agnocast_je_extent_hooks*, void* a, std::size_t, void* b, std::size_t, bool, unsigned) {
-  return windows::index_of(a) != windows::index_of(b);
+  return windows::window_of(a) != windows::window_of(b);
 }
 
 constinit agnocast_je_extent_hooks extent_hooks = {
@@ -112,7 +112,7 @@ void bind_thread() {
 // A thread that is ending loses its binding when the allocator cleans up after it; destructors of thread data that run later
 // would get private memory of arena 0. That is given back, and libc serves them.
 void* if_in_window(void* block) {
-  if (block == nullptr || windows::owns(block)) [[likely]] return block;
+  if (block == nullptr || windows::window_of(block) != nullptr) [[likely]] return block;
   agnocast_je_free(block);
   return nullptr;
 }
@@ -130,12 +130,13 @@ void* or_refused(void* block, std::size_t size) {
 // The allocator sets errno where libc will be asked next and may succeed.
 class KeepErrno {
  public:
-  KeepErrno() : value_(errno) {}
-  ~KeepErrno() { errno = value_; }
+  KeepErrno() : place_(&errno), value_(*place_) {}
+  ~KeepErrno() { *place_ = value_; }
   KeepErrno(const KeepErrno&) = delete;
   KeepErrno& operator=(const KeepErrno&) = delete;
 
  private:
+  int* place_;
   int value_;
 };
 
@@ -225,19 +226,23 @@ void* reallocate(void* block, std::size_t size) {
   void* const moved = allocate(size);
   if (moved == nullptr) return fits ? block : nullptr;
   memcpy(moved, block, room < size ? room : size);
-  release(block);
+  {
+    const KeepErrno keep;
+    const LibcOnly inside;
+    agnocast_je_free(block);
+  }
   return moved;
 }
 
-void release(void* block) {
+void release(void* block, const windows::Window& window) {
   if (!windows::is_owner()) return;
-  if (thread_state.forking) {  // the allocator is locked: fork.cpp comes back for it
-    *static_cast<void**>(block) = thread_state.deferred;
-    thread_state.deferred = block;
+  if (!windows::is_mapped(window, block)) [[unlikely]] {  // beyond the frontier nothing was ever handed out
+    note_internal_error();
     return;
   }
-  if (!windows::owns_mapped(block)) {  // beyond the frontier nothing was ever handed out
-    note_internal_error();
+  if (thread_state.forking) [[unlikely]] {  // the allocator is locked: fork.cpp comes back for it
+    *static_cast<void**>(block) = thread_state.deferred;
+    thread_state.deferred = block;
     return;
   }
   const KeepErrno keep;

@@ -15,6 +15,8 @@
 // ThreadState::blocked > 0, so whatever the allocator calls (pthread_setspecific may call calloc) is served by libc.
 #pragma once
 
+#include "windows.hpp"
+
 #include <agnocast/abi/heaphook.h>
 
 #include <cstddef>
@@ -29,8 +31,8 @@ void* allocate_zeroed(std::size_t size);
 void* allocate_aligned(std::size_t alignment, std::size_t size);
 // Keeps the old block and answers null when the windows have no room.
 void* reallocate(void* block, std::size_t size);
-// Any thread, any process. In a forked child nothing happens: the block is the parent's.
-void release(void* block);
+// Any thread, any process. In a forked child nothing happens: the block is the parent's. The window is the block's.
+void release(void* block, const windows::Window& window);
 // Any thread, any process.
 std::size_t usable_size(const void* block);
 

@@ -132,23 +132,6 @@ constinit std::atomic<const std::atomic<std::uint32_t>*> owner_word{&nobody};
 void lock_growth() { pthread_mutex_lock(&growth_mutex); }
 void unlock_growth() { pthread_mutex_unlock(&growth_mutex); }
 
-bool owns_mapped(const void* address) {
-  const std::uint32_t window_count = count.load(std::memory_order_acquire);
-  for (std::uint32_t i = 0; i < window_count; ++i) {
-    const std::size_t offset = reinterpret_cast<std::uintptr_t>(address) - table[i].base;
-    if (offset < table[i].frontier.load(std::memory_order_acquire)) return true;
-  }
-  return false;
-}
-
-std::uint32_t index_of(const void* address) {
-  const std::uint32_t window_count = count.load(std::memory_order_acquire);
-  for (std::uint32_t i = 0; i < window_count; ++i) {
-    if (reinterpret_cast<std::uintptr_t>(address) - table[i].base < table[i].length) return i;
-  }
-  return AGNOCAST_HEAPHOOK_WINDOWS_MAX;
-}
-
 bool become_owner() {
   const auto page = static_cast<std::size_t>(sysconf(_SC_PAGESIZE));
   void* const word = mmap(nullptr, page, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);

@@ -35,7 +35,7 @@ struct alignas(64) Window {
 };
 
 extern constinit Window table[AGNOCAST_HEAPHOOK_WINDOWS_MAX];
-// [sync:window] stored with release after the window's fields; owns() loads it with acquire.
+// [sync:window] stored with release after the window's fields; window_of() loads it with acquire.
 extern constinit std::atomic<std::uint32_t> count;
 
 // 1 in the process that attached, 0 before and in every child of it, whatever kind of fork made the child: after attach it
@@ -45,20 +45,18 @@ inline bool is_owner() {
   return owner_word.load(std::memory_order_acquire)->load(std::memory_order_relaxed) != 0;
 }
 
-// Whether an address belongs to a window, mapped or not. The loop is empty while inert.
-inline bool owns(const void* address) {
+// The window of an address, mapped or not; null for all other memory. The loop is empty while inert.
+inline const Window* window_of(const void* address) {
   const std::uint32_t window_count = count.load(std::memory_order_acquire);
   for (std::uint32_t i = 0; i < window_count; ++i) {
-    if (reinterpret_cast<std::uintptr_t>(address) - table[i].base < table[i].length) return true;
+    if (reinterpret_cast<std::uintptr_t>(address) - table[i].base < table[i].length) return &table[i];
   }
-  return false;
+  return nullptr;
 }
 
-// As owns, but only what is mapped.
-bool owns_mapped(const void* address);
-
-// Number of the window of an address, AGNOCAST_HEAPHOOK_WINDOWS_MAX when there is none.
-std::uint32_t index_of(const void* address);
+inline bool is_mapped(const Window& window, const void* address) {
+  return reinterpret_cast<std::uintptr_t>(address) - window.base < window.frontier.load(std::memory_order_acquire);
+}
 
 // Makes this process the owner. Errno is set when the kernel refuses.
 bool become_owner();
