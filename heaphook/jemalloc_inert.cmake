@@ -1,6 +1,7 @@
 # Makes jemalloc_inert.o: Debian's libjemalloc_pic.a as one object file that does nothing by itself.
 #
-#   cmake -DARCHIVE=libjemalloc_pic.a -DOUTPUT=jemalloc_inert.o -DCOMPILER=… -DAR=… -DNM=… -DOBJCOPY=… -P jemalloc_inert.cmake
+#   cmake -DARCHIVE=libjemalloc_pic.a -DOUTPUT=jemalloc_inert.o -DCOMPILER=… -DAR=… -DNM=… -DOBJCOPY=…
+#     -P jemalloc_inert.cmake
 #
 # As a library of its own jemalloc would take over malloc of the whole process, start in a constructor and read the user's
 # MALLOC_CONF. Here

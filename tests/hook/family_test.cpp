@@ -236,6 +236,10 @@ HOOKED_TEST(HookFamily, AFailedReallocKeepsTheBlock) {
   }
 }
 
+constexpr std::size_t largest = PTRDIFF_MAX;
+const std::size_t odd_sizes[] = {0, largest, largest + 1, SIZE_MAX - page, SIZE_MAX - 15, SIZE_MAX};
+const std::size_t odd_alignments[] = {0, 1, 2, 4, 8, 24, 48, largest, largest + 1};
+
 // Answers of our functions beside libc's for arguments that are errors or borders; in scope and out of it.
 HOOKED_TEST(HookFamily, OddArgumentsAnswerAsLibc) {
   WindowFile file(64 * MiB);
@@ -264,7 +268,7 @@ HOOKED_TEST(HookFamily, OddArgumentsAnswerAsLibc) {
   for (bool in_scope : {false, true}) {
     SCOPED_TRACE(in_scope ? "in scope" : "out of scope");
     if (in_scope) hook().enter();
-    for (std::size_t size : {std::size_t{0}, std::size_t{PTRDIFF_MAX}, std::size_t{PTRDIFF_MAX} + 1, SIZE_MAX - page, SIZE_MAX - 15, SIZE_MAX}) {
+    for (std::size_t size : odd_sizes) {
       SCOPED_TRACE(size);
       compare("malloc", [&] { return malloc(size); }, [&] { return libc_malloc(size); });
       compare("calloc", [&] { return calloc(1, size); }, [&] { return libc_calloc(1, size); });
@@ -275,7 +279,7 @@ HOOKED_TEST(HookFamily, OddArgumentsAnswerAsLibc) {
     }
     compare("calloc overflow", [] { return calloc(SIZE_MAX / 2, 3); }, [&] { return libc_calloc(SIZE_MAX / 2, 3); });
     compare("calloc 0 * 8", [] { return calloc(0, 8); }, [&] { return libc_calloc(0, 8); });
-    for (std::size_t alignment : {std::size_t{0}, std::size_t{1}, std::size_t{2}, std::size_t{4}, std::size_t{8}, std::size_t{24}, std::size_t{48}, std::size_t{PTRDIFF_MAX}, (SIZE_MAX >> 1) + 1}) {
+    for (std::size_t alignment : odd_alignments) {
       SCOPED_TRACE(alignment);
       void* mine = &mine;
       void* libcs = &libcs;
@@ -291,7 +295,8 @@ HOOKED_TEST(HookFamily, OddArgumentsAnswerAsLibc) {
       } else {
         EXPECT_EQ(mine, &mine) << "untouched on failure";
       }
-      compare("aligned_alloc", [&] { return aligned_alloc(alignment, 100); }, [&] { return libc_aligned_alloc(alignment, 100); });
+      compare("aligned_alloc", [&] { return aligned_alloc(alignment, 100); },
+              [&] { return libc_aligned_alloc(alignment, 100); });
       compare("memalign", [&] { return memalign(alignment, 100); }, [&] { return libc_memalign(alignment, 100); });
     }
     EXPECT_EQ(malloc_usable_size(nullptr), libc_usable(nullptr));

@@ -127,7 +127,8 @@ TEST(HookInert, ConfigurationOfAnotherJemallocIsNotOurs) {
   RunOptions options;
   options.preload = !hook_test::hook_is_linked();
   options.environment = {"MALLOC_CONF=nonsense:1,confirm_conf:true,narenas:17,stats_print:true"};
-  const Outcome outcome = run({self, "--in-own-process", "--gtest_filter=HookInert.AttachedBody", "--gtest_brief=1"}, options);
+  const Outcome outcome =
+      run({self, "--in-own-process", "--gtest_filter=HookInert.AttachedBody", "--gtest_brief=1"}, options);
   EXPECT_EQ(outcome.exit_status, 0) << outcome.output;
   EXPECT_EQ(outcome.error, "") << "jemalloc would complain here";
 }
@@ -138,6 +139,20 @@ HOOKED_TEST(HookInert, AttachedBody) {
   hook_test::attach(file);
   hook_test::Scope scope;
   EXPECT_TRUE(hook_test::is_shared(hook_test::opaque(malloc(100))));
+}
+
+TEST(HookInert, TwoCopiesOfTheHookFormAChain) {
+  Directory directory;
+  const std::string other = directory.path + "/libagnocast_heaphook_other.so";
+  std::filesystem::copy_file(hook_path(), other);
+  char self[4096] = {};
+  ASSERT_GT(readlink("/proc/self/exe", self, sizeof self - 1), 0);
+  RunOptions options;
+  options.environment = {"LD_PRELOAD=" + hook_path() + ":" + other};
+  const Outcome outcome =
+      run({self, "--in-own-process", "--gtest_filter=HookInert.AttachedBody", "--gtest_brief=1"}, options);
+  EXPECT_EQ(outcome.exit_status, 0) << outcome.output << outcome.error;
+  EXPECT_NE(outcome.output.find("[  PASSED  ] 1 test"), std::string::npos) << outcome.output;
 }
 
 // Body of the setuid copy; nothing runs it otherwise.

@@ -11,6 +11,8 @@
 
 #include <unistd.h>
 
+#define EXPORTED __attribute__((visibility("default")))
+
 namespace {
 alignas(64) char arena[64 << 20];
 std::size_t used = 0;
@@ -29,19 +31,19 @@ void* take(std::size_t alignment, std::size_t size) {
 }  // namespace
 
 extern "C" {
-__attribute__((visibility("default"))) void* malloc(std::size_t size) { return take(16, size); }
-__attribute__((visibility("default"))) void* calloc(std::size_t count, std::size_t size) { return take(16, count * size); }
-__attribute__((visibility("default"))) void* aligned_alloc(std::size_t alignment, std::size_t size) { return take(alignment, size); }
-__attribute__((visibility("default"))) int posix_memalign(void** result, std::size_t alignment, std::size_t size) {
+EXPORTED void* malloc(std::size_t size) { return take(16, size); }
+EXPORTED void* calloc(std::size_t count, std::size_t size) { return take(16, count * size); }
+EXPORTED void* aligned_alloc(std::size_t alignment, std::size_t size) { return take(alignment, size); }
+EXPORTED int posix_memalign(void** result, std::size_t alignment, std::size_t size) {
   *result = take(alignment, size);
   return *result == nullptr ? 12 : 0;
 }
-__attribute__((visibility("default"))) void free(void* block) {
+EXPORTED void free(void* block) {
   if (block == nullptr) return;
   ++calls;
   if (static_cast<char*>(block) < arena || static_cast<char*>(block) >= arena + sizeof arena) foreign = true;
 }
-__attribute__((visibility("default"))) void* realloc(void* old, std::size_t size) {
+EXPORTED void* realloc(void* old, std::size_t size) {
   void* const block = take(16, size);
   if (old != nullptr && block != nullptr) {
     std::size_t old_size = 0;
@@ -62,6 +64,7 @@ int main() {
   const bool libcs = copy >= arena && copy < arena + sizeof arena;
   free(copy);
   texts.clear();
-  std::printf("new lands in the program's heap: %d, strdup: %d, foreign frees: %d, used: %d\n", mine, libcs, foreign, calls > 3000);
+  std::printf("new lands in the program's heap: %d, strdup: %d, foreign frees: %d, used: %d\n", mine, libcs, foreign,
+              calls > 3000);
   return mine && libcs && !foreign ? 0 : 1;
 }

@@ -72,6 +72,7 @@ seq 1000 > f && git add f && git commit -qm one && seq 2000 > f && git commit -q
     {"find_big", "", "head -c 5000000 /dev/zero | od -v | md5sum"},
     {"killed", "", "sh -c 'kill -9 $$'; echo $?; sh -c 'kill -TERM $$'; echo $?"},
     {"fork_without_exec", "", "$PROGRAMS/hook_test_forks"},
+    {"c_program_loading_cpp", "", "$PROGRAMS/hook_test_c_host $PROGRAMS/libhook_test_module.so"},
     {"own_malloc", "", "$PROGRAMS/hook_test_own_malloc"},
     {"deep_recursion_of_shells", "", "sh -c 'sh -c \"sh -c \\\"sh -c true; echo deep\\\"\"'"},
 };

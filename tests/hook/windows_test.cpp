@@ -202,8 +202,10 @@ HOOKED_TEST(HookWindows, EightWindowsAndNoMore) {
   // Neighbouring windows are different files: a block must never span two of them.
   Scope scope;
   int shared = 0;
-  for (int i = 0; i < 40; ++i) {
+  void* blocks[40];
+  for (void*& place : blocks) {
     auto* const block = static_cast<char*>(malloc(MiB + 4096));
+    place = block;
     std::memset(block, 1, MiB + 4096);
     if (!is_shared(block)) continue;
     ++shared;
@@ -212,6 +214,10 @@ HOOKED_TEST(HookWindows, EightWindowsAndNoMore) {
   }
   EXPECT_GE(shared, 16);
   EXPECT_EQ(hook_test::usage().next_window_wanted, 0u) << "there is no ninth to ask for";
+  for (void* block : blocks) free(block);
+  void* const wide = opaque(malloc(6 * MiB));
+  EXPECT_FALSE(is_shared(wide)) << "idle memory of two windows does not add up to one block";
+  free(wide);
 }
 
 HOOKED_TEST(HookWindows, AttachRefusesWhatItCannotUse) {

@@ -53,7 +53,7 @@ enum agnocast_heaphook_scope {
  *  the process locks its memory; the piecewise way counts what is used. */
 #define AGNOCAST_HEAPHOOK_WINDOW_RESERVED 1u
 
-/** One window. Both descriptors stay the caller's: the hook duplicates them (close-on-exec) and the caller may close its own. */
+/** One window. Both descriptors stay the caller's, which may close them: the hook duplicates them (close-on-exec). */
 struct agnocast_heaphook_window {
   void* base;         /**< Fixed address, multiple of 2 MiB. */
   size_t length;      /**< Bytes, multiple of 2 MiB, at least 2 MiB; the memfd has at least this size and reads as zero. */
@@ -98,8 +98,8 @@ struct agnocast_heaphook_table {
   uint32_t abi_version;  /**< AGNOCAST_HEAPHOOK_ABI_VERSION of the hook. */
   uint32_t size_bytes;   /**< sizeof(struct agnocast_heaphook_table) of the hook. */
 
-  /** Ends inertness: maps the first piece of the first window, calls grown for it, starts the allocator (about 1 ms, some
-   *  10 MiB of private addresses of which little is touched) and registers fork handlers. Once per process; a refusal with
+  /** Ends inertness: maps the first piece of the first window, calls grown for it, starts the allocator (about 0.4 ms,
+   *  some 16 MiB of private addresses of which little is touched) and registers fork handlers. Once per process; a refusal with
    *  INVALID, OCCUPIED, LOCK_LIMIT or OS leaves no mapping or descriptor and may be tried again. One caller at a time. */
   int (*attach)(const struct agnocast_heaphook_window* window, const struct agnocast_heaphook_options* options);
 
