@@ -23,7 +23,7 @@ enum class State : std::uint32_t { inert, attaching, attached, broken };
 constinit std::atomic<State> state{State::inert};
 
 constinit unsigned shared_arena = 0;  // written once, before the first scope can open
-constinit std::atomic<bool> purging{false};
+constinit std::atomic<std::uint32_t> purging{0};  // calls of purge() in progress
 constinit std::atomic<std::uint64_t> refused_count{0};
 constinit std::atomic<std::uint64_t> internal_error_count{0};
 
@@ -46,7 +46,7 @@ void* extent_alloc(agnocast_je_extent_hooks*, void* new_address, std::size_t siz
 bool extent_dalloc(agnocast_je_extent_hooks*, void*, std::size_t, bool, unsigned) { return true; }
 
 bool extent_purge(agnocast_je_extent_hooks*, void* address, std::size_t, std::size_t offset, std::size_t length, unsigned) {
-  if (!purging.load(std::memory_order_relaxed)) {
+  if (purging.load(std::memory_order_relaxed) == 0) {
     note_internal_error();
     return true;
   }
@@ -116,6 +116,10 @@ void* if_in_window(void* block) {
   agnocast_je_free(block);
   return nullptr;
 }
+
+// libc aligns every block to 16 bytes and compilers rely on it; the allocator's class of 8 bytes would not.
+constexpr std::size_t size_min = 16;
+constexpr std::size_t at_least_min(std::size_t size) { return size < size_min ? size_min : size; }
 
 void* or_refused(void* block, std::size_t size) {
   if (block != nullptr) [[likely]] return block;
@@ -196,21 +200,21 @@ void* allocate(std::size_t size) {
   const KeepErrno keep;
   const LibcOnly inside;
   bind_thread();
-  return or_refused(if_in_window(agnocast_je_malloc(size)), size);
+  return or_refused(if_in_window(agnocast_je_malloc(at_least_min(size))), size);
 }
 
 void* allocate_zeroed(std::size_t size) {
   const KeepErrno keep;
   const LibcOnly inside;
   bind_thread();
-  return or_refused(if_in_window(agnocast_je_calloc(1, size)), size);
+  return or_refused(if_in_window(agnocast_je_calloc(1, at_least_min(size))), size);
 }
 
 void* allocate_aligned(std::size_t alignment, std::size_t size) {
   const KeepErrno keep;
   const LibcOnly inside;
   bind_thread();
-  return or_refused(if_in_window(agnocast_je_memalign(alignment, size)), size);
+  return or_refused(if_in_window(agnocast_je_memalign(alignment, at_least_min(size))), size);
 }
 
 void* reallocate(void* block, std::size_t size) {
@@ -218,7 +222,7 @@ void* reallocate(void* block, std::size_t size) {
   {
     const KeepErrno keep;
     const LibcOnly inside;
-    room = agnocast_je_xallocx(block, size, 0, 0);  // in place, or not at all
+    room = agnocast_je_xallocx(block, at_least_min(size), 0, 0);  // in place, or not at all
   }
   // A block that shrinks stays where it is while that wastes little.
   const bool fits = room >= size;
@@ -323,10 +327,10 @@ std::uint64_t purge() {
   const KeepErrno keep;
   const LibcOnly inside;
   const std::uint64_t before = windows::counters.punched_bytes.load(std::memory_order_relaxed);
-  purging.store(true, std::memory_order_relaxed);
+  purging.fetch_add(1, std::memory_order_relaxed);
   agnocast_je_mallctl("thread.tcache.flush", nullptr, nullptr, nullptr, 0);
   if (agnocast_je_mallctl(ArenaName("arena.", ".purge").text, nullptr, nullptr, nullptr, 0) != 0) note_internal_error();
-  purging.store(false, std::memory_order_relaxed);
+  purging.fetch_sub(1, std::memory_order_relaxed);
   return windows::counters.punched_bytes.load(std::memory_order_relaxed) - before;
 }
 

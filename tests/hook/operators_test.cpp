@@ -33,17 +33,17 @@ struct Form {
 };
 
 const Form forms[] = {
-    {"new / delete", [](std::size_t n) { return operator new(n); }, [](void* p, std::size_t) { operator delete(p); }, 8},
+    {"new / delete", [](std::size_t n) { return operator new(n); }, [](void* p, std::size_t) { operator delete(p); }, 16},
     {"new[] / delete[]", [](std::size_t n) { return operator new[](n); },
-     [](void* p, std::size_t) { operator delete[](p); }, 8},
+     [](void* p, std::size_t) { operator delete[](p); }, 16},
     {"new / sized delete", [](std::size_t n) { return operator new(n); },
-     [](void* p, std::size_t n) { operator delete(p, n); }, 8},
+     [](void* p, std::size_t n) { operator delete(p, n); }, 16},
     {"new[] / sized delete[]", [](std::size_t n) { return operator new[](n); },
-     [](void* p, std::size_t n) { operator delete[](p, n); }, 8},
+     [](void* p, std::size_t n) { operator delete[](p, n); }, 16},
     {"nothrow new / delete", [](std::size_t n) { return operator new(n, std::nothrow); },
-     [](void* p, std::size_t) { operator delete(p, std::nothrow); }, 8},
+     [](void* p, std::size_t) { operator delete(p, std::nothrow); }, 16},
     {"nothrow new[] / delete[]", [](std::size_t n) { return operator new[](n, std::nothrow); },
-     [](void* p, std::size_t) { operator delete[](p, std::nothrow); }, 8},
+     [](void* p, std::size_t) { operator delete[](p, std::nothrow); }, 16},
     {"aligned new / delete", [](std::size_t n) { return operator new(n, aligned); },
      [](void* p, std::size_t) { operator delete(p, aligned); }, 128},
     {"aligned new[] / delete[]", [](std::size_t n) { return operator new[](n, aligned); },
