@@ -39,6 +39,7 @@ struct agnocast_je_arena_config {
 void* agnocast_je_malloc(std::size_t size);
 void* agnocast_je_calloc(std::size_t count, std::size_t size);
 void* agnocast_je_memalign(std::size_t alignment, std::size_t size);
+void* agnocast_je_mallocx(std::size_t size, int flags);
 std::size_t agnocast_je_xallocx(void* block, std::size_t size, std::size_t extra, int flags);
 void agnocast_je_free(void* block);
 std::size_t agnocast_je_malloc_usable_size(const void* block);

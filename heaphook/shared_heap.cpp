@@ -31,15 +31,21 @@ constinit std::atomic<std::uint64_t> internal_error_count{0};
 // block, 2 MiB alignment each time. Under mlockall(MCL_FUTURE) they count against RLIMIT_MEMLOCK.
 constexpr std::size_t metadata_size_bytes = std::size_t{20} << 20;
 
-void* extent_alloc(agnocast_je_extent_hooks*, void* new_address, std::size_t size, std::size_t alignment, bool* zero,
-                   bool* commit, unsigned) {
-  if (new_address != nullptr) return nullptr;  // "exactly there": optional, and the bump pointer has moved on
-  void* const extent = windows::take_extent(size, alignment);
-  if (extent != nullptr) {
-    *zero = true;  // never used before: the memfd reads as zero
-    *commit = true;
-  }
+// What hand_over() passes on; guarded by there being one caller of attach and add_window.
+constinit std::uintptr_t handed_address = 0;
+
+// The arena gets addresses only from hand_over(), which asks for exactly what it has to give.
+void* extent_alloc(agnocast_je_extent_hooks*, void* new_address, std::size_t, std::size_t, bool* zero, bool* commit, unsigned) {
+  if (!thread_state.handing_over || new_address != nullptr || handed_address == 0) return nullptr;
+  void* const extent = reinterpret_cast<void*>(handed_address);
+  handed_address = 0;
+  *zero = true;     // the memfd reads as zero
+  *commit = false;  // nothing is open yet: the arena asks extent_commit for what it uses
   return extent;
+}
+
+bool extent_commit(agnocast_je_extent_hooks*, void* address, std::size_t, std::size_t offset, std::size_t length, unsigned) {
+  return thread_state.handing_over || !windows::open(static_cast<char*>(address) + offset, length);
 }
 
 // Refusing makes the arena keep the extent for its next need.
@@ -64,7 +70,7 @@ constinit agnocast_je_extent_hooks extent_hooks = {
     .alloc = extent_alloc,
     .dalloc = extent_dalloc,
     .destroy = nullptr,
-    .commit = nullptr,
+    .commit = extent_commit,
     .decommit = nullptr,
     .purge_lazy = nullptr,
     .purge_forced = extent_purge,
@@ -188,8 +194,30 @@ bool start_allocator() {
   agnocast_je_arena_config config = {.extent_hooks = &extent_hooks, .metadata_use_hooks = false};
   std::size_t size = sizeof shared_arena;
   if (agnocast_je_mallctl("experimental.arenas_create_ext", &shared_arena, &size, &config, sizeof config) != 0) return false;
-  // Without a limit the arena grows by ever larger extents; the frontier has its own steps (windows.cpp).
-  return set(ArenaName("arena.", ".retain_grow_limit").text, std::size_t{2} << 20) && never_without_threads();
+  return never_without_threads();
+}
+
+// Gives the arena the addresses of a window, closed. jemalloc never joins extents that it got by separate calls, so asking for
+// memory piece by piece would leave a window of pieces in which no large message fits. Instead one block of the whole size is
+// requested: the arena calls extent_alloc, gets the window, asks extent_commit to open it, is refused, keeps the addresses as
+// a closed extent and answers null. Sizes are those of its size classes, four to a doubling; most windows are one.
+bool hand_over(const windows::Window& window) {
+  constexpr int no_cache = 1 << 8;
+  const int flags = static_cast<int>((shared_arena + 1) << 20) | no_cache;
+  thread_state.handing_over = true;
+  bool taken = true;
+  std::size_t offset = 0;
+  while (taken && offset < window.length) {
+    const std::size_t left = window.length - offset;
+    const std::size_t class_distance = std::size_t{1} << (61 - __builtin_clzl(left));  // a quarter of the power of two below
+    const std::size_t size = left & ~(class_distance - 1);
+    handed_address = window.base + offset;
+    taken = agnocast_je_mallocx(size, flags) == nullptr && handed_address == 0;
+    offset += size;
+  }
+  thread_state.handing_over = false;
+  handed_address = 0;
+  return taken;
 }
 
 }  // namespace
@@ -278,7 +306,8 @@ enum agnocast_heaphook_status attach(const struct agnocast_heaphook_window& wind
     return refused;
   }
   // From here on failures are final: fork handlers cannot be taken back.
-  if (!fork_rules::register_inner() || !start_allocator() || !fork_rules::register_outer() || !windows::become_owner()) {
+  if (!fork_rules::register_inner() || !start_allocator() || !hand_over(windows::table[0]) ||
+      !fork_rules::register_outer() || !windows::become_owner()) {
     windows::remove_first();
     note_internal_error();
     state.store(State::broken, std::memory_order_release);
@@ -292,7 +321,12 @@ enum agnocast_heaphook_status add_window(const struct agnocast_heaphook_window& 
   if (state.load(std::memory_order_acquire) != State::attached) return AGNOCAST_HEAPHOOK_STATE;
   if (!windows::is_owner()) return AGNOCAST_HEAPHOOK_FORKED;
   const LibcOnly inside;
-  return windows::add(window);
+  const auto status = windows::add(window);
+  if (status == AGNOCAST_HEAPHOOK_OK && !hand_over(windows::table[windows::count.load(std::memory_order_relaxed) - 1])) {
+    note_internal_error();  // the window stays, unused
+    return AGNOCAST_HEAPHOOK_INTERNAL;
+  }
+  return status;
 }
 
 void usage(struct agnocast_heaphook_usage& usage) {

@@ -14,6 +14,7 @@ struct ThreadState {
   bool bound;              // the allocator knows that this thread takes from the shared arena
   bool resolving;          // inside the look-up of the next malloc: serve from the bootstrap buffer
   bool forking;            // between our fork handlers: the allocator's locks are held, see fork.cpp
+  bool handing_over;       // adding a window: extents are passed on and not opened, see shared_heap.cpp
   void* deferred;          // shared blocks freed while forking, linked through their first word
 };
 

@@ -66,7 +66,7 @@ bool open_to(Window& window, std::uint32_t index, std::size_t target) {
     errno = reason;
     return false;
   }
-  // Announced before take_extent hands out an address beyond the old frontier, hence before any message points there.
+  // Announced before the arena hands out an address beyond the old frontier, hence before any message points there.
   window.frontier.store(target, std::memory_order_release);
   grown_callback(grown_context, index, target);
   return true;
@@ -203,22 +203,21 @@ void remove_first() {
   unlock_growth();
 }
 
-void* take_extent(std::size_t size, std::size_t alignment) {
+bool open(void* address, std::size_t length) {
   lock_growth();
-  void* extent = nullptr;
   const std::uint32_t window_count = count.load(std::memory_order_relaxed);
-  // Every window is tried in turn: what a large extent leaves at the end of one is still good for small ones.
-  for (std::uint32_t i = 0; i < window_count && extent == nullptr; ++i) {
+  bool opened = false;
+  for (std::uint32_t i = 0; i < window_count; ++i) {
     Window& window = table[i];
-    const std::size_t used = window.used.load(std::memory_order_relaxed);
-    const std::size_t start = round_up(window.base + used, alignment) - window.base;
-    if (start > window.length || size > window.length - start) continue;
-    if (!grow(window, i, start + size)) continue;
-    window.used.store(start + size, std::memory_order_relaxed);
-    extent = address_in(window, start);
+    const std::size_t start = reinterpret_cast<std::uintptr_t>(address) - window.base;
+    if (start >= window.length || length > window.length - start) continue;
+    opened = grow(window, i, start + length);
+    if (opened && start + length > window.used.load(std::memory_order_relaxed)) {
+      window.used.store(start + length, std::memory_order_relaxed);
+    }
   }
   unlock_growth();
-  return extent;
+  return opened;
 }
 
 bool punch(void* address, std::size_t length) {

@@ -3,10 +3,11 @@
 // Windows: the shared memory itself. Which addresses are ours, what of them is mapped, and who may write it.
 //
 //      base                          used          frontier                                    base + length
-//       |  extents of the shared arena |  mapped     |  not mapped: nothing, or the caller's PROT_NONE  |
+//       |  opened for the shared arena |  mapped     |  not mapped: nothing, or the caller's PROT_NONE  |
 //       |<------ MAP_SHARED, MADV_DONTFORK --------->|
 //
-// `used` is a bump pointer that only the arena's extent hook moves; `frontier` runs ahead of it in steps. Both only grow.
+// The arena has all addresses of a window from the start and takes the lowest that fit; `used` is the end of what it ever
+// opened, `frontier` runs ahead of that in steps. Both only grow.
 // Pages beyond the frontier cost nothing: no memory under mlockall, no part of RLIMIT_MEMLOCK (unless reserved).
 //
 // Memory is opened by mapping the next piece of the memfd, not by mprotect of one large mapping: mlockall and RLIMIT_MEMLOCK
@@ -69,8 +70,8 @@ void remove_first();
 
 void set_grown(agnocast_heaphook_grown grown, void* context);
 
-// Memory for the shared arena, opened and announced before it is returned; null when no window has room.
-void* take_extent(std::size_t size, std::size_t alignment);
+// Opens part of a window for use: mapped and announced when this returns true. False when the system refuses.
+bool open(void* address, std::size_t length);
 
 // Gives the pages back; they read as zero from now on. False when the kernel refuses.
 bool punch(void* address, std::size_t length);

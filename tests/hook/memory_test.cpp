@@ -92,6 +92,24 @@ HOOKED_TEST(HookMemory, SmallBlocksAreReturnedToo) {
   EXPECT_LT(file.resident_bytes(), 2 * MiB);
 }
 
+HOOKED_TEST(HookMemory, IdleMemoryOfSmallMessagesServesLargeOnes) {
+  WindowFile file(1024 * MiB);
+  attach(file);
+  Scope scope;
+  for (std::size_t size : {100 * MiB / 1024, MiB, 3 * MiB, 8 * MiB, 50 * MiB, MiB / 2}) {
+    std::vector<char*> messages;
+    hook().pause();
+    messages.reserve(2000);
+    hook().resume();
+    for (std::size_t sum = 0; sum + size <= 100 * MiB; sum += size) {
+      messages.push_back(static_cast<char*>(malloc(size)));
+      ASSERT_TRUE(is_shared(messages.back()));
+    }
+    for (char* message : messages) free(message);
+  }
+  EXPECT_LT(hook_test::usage().used_bytes, 140 * MiB) << "never more than 100 MiB were live";
+}
+
 HOOKED_TEST(HookMemory, SteadyStateReusesWarmPages) {
   WindowFile file(1024 * MiB);
   attach(file);
