@@ -7,7 +7,7 @@
 // windows through our hooks and holds payload only. So nothing that decides where memory goes is ever visible outside the
 // process, and a reader that maps the window sees messages and nothing else.
 //
-//     malloc → thread cache → slab or extent of the shared arena → windows::open(): map up to a new frontier, tell the client
+//     malloc → thread cache → slab or extent of the shared arena → windows::open(): map further, tell the client
 //
 // Freed extents stay with the arena, resident and warm, until purge() punches them; nothing else gives pages back.
 //

@@ -221,7 +221,16 @@ bool open(void* address, std::size_t length) {
 }
 
 bool punch(void* address, std::size_t length) {
-  if (madvise(address, length, MADV_REMOVE) != 0) return false;
+  if (madvise(address, length, MADV_REMOVE) != 0) {
+    // Refused for locked memory (mlockall); a hole in the file is not.
+    const Window* const window = window_of(address);
+    if (errno != EINVAL || window == nullptr || !same_file(window->write_fd, *window)) return false;
+    const std::size_t offset = reinterpret_cast<std::uintptr_t>(address) - window->base;
+    if (fallocate(window->write_fd, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, static_cast<off_t>(offset),
+                  static_cast<off_t>(length)) != 0) {
+      return false;
+    }
+  }
   counters.punch_count.fetch_add(1, std::memory_order_relaxed);
   counters.punched_bytes.fetch_add(length, std::memory_order_relaxed);
   return true;

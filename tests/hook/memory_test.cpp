@@ -159,6 +159,28 @@ HOOKED_TEST(HookMemory, MlockallAfterAttachLocksWhatIsUsed) {
   EXPECT_LE(self_status_kib("VmLck"), 200u * 1024) << "far below the window";
 }
 
+HOOKED_TEST(HookMemory, PurgeWorksOnLockedMemory) {
+  WindowFile file(1024 * MiB);
+  attach(file);
+  if (mlockall(MCL_CURRENT | MCL_FUTURE) != 0) GTEST_SKIP() << "this process may not lock its memory";
+  char* kept = nullptr;
+  {
+    Scope scope;
+    kept = static_cast<char*>(malloc(MiB));
+    std::memset(kept, 0x33, MiB);
+    void* const idle = opaque(malloc(50 * MiB));
+    EXPECT_GE(file.resident_bytes(), 51 * MiB);
+    free(idle);
+  }
+  EXPECT_GE(hook().purge(), 50 * MiB);
+  EXPECT_LE(file.resident_bytes(), 15 * MiB) << "the kept message and what lies between use and frontier";
+  for (std::size_t i = 0; i < MiB; ++i) ASSERT_EQ(kept[i], 0x33);
+  Scope scope;
+  auto* const again = static_cast<char*>(calloc(1, 20 * MiB));
+  ASSERT_TRUE(is_shared(again));
+  for (std::size_t i = 0; i < 20 * MiB; ++i) ASSERT_EQ(again[i], 0);
+}
+
 // Limits bind only without CAP_IPC_LOCK.
 bool become_ordinary_with_lock_limit(std::size_t bytes) {
   const rlimit limit{bytes, bytes};
