@@ -816,6 +816,9 @@ class QueueScenario {
         own.link.unlink();
         thread.pc = left;
         if (own.link.drained()) {
+          if (own.link.cursor() <= abi::sequence_of(peek(world, publisher_region, pe))) {
+            machine.fail("what a publisher that is gone had committed was not delivered");
+          }
           state.request[s] = unlinked;
         } else {
           state.request[s] = drained;

@@ -1,0 +1,82 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// The table by which a client library steers the hook (include/agnocast/abi/heaphook.h, where each function is described).
+
+#include "route.hpp"
+#include "shared_heap.hpp"
+#include "thread_state.hpp"
+#include "windows.hpp"
+
+#include <agnocast/abi/heaphook.h>
+
+namespace agnocast::heaphook {
+namespace {
+
+int attach(const struct agnocast_heaphook_window* window, const struct agnocast_heaphook_options* options) {
+  if (window == nullptr || options == nullptr) return AGNOCAST_HEAPHOOK_INVALID;
+  const auto status = shared_heap::attach(*window, *options);
+  if (status == AGNOCAST_HEAPHOOK_OK && options->scope == AGNOCAST_HEAPHOOK_SCOPE_ALL) {
+    route::scope_all.store(true, std::memory_order_release);
+  }
+  return status;
+}
+
+int add_window(const struct agnocast_heaphook_window* window) {
+  return window == nullptr ? AGNOCAST_HEAPHOOK_INVALID : shared_heap::add_window(*window);
+}
+
+void enter() { ++thread_state.depth; }
+
+void leave() {
+  if (thread_state.depth == 0) {
+    shared_heap::note_internal_error();  // one leave too many would otherwise open the scope for ever
+    return;
+  }
+  --thread_state.depth;
+}
+
+void pause() { ++thread_state.blocked; }
+
+void resume() {
+  if (thread_state.blocked == 0) {
+    shared_heap::note_internal_error();
+    return;
+  }
+  --thread_state.blocked;
+}
+
+int active() { return route::wants_shared() ? 1 : 0; }
+int owns(const void* address) {
+  const windows::Window* const window = windows::window_of(address);
+  return window != nullptr && windows::is_mapped(*window, address) ? 1 : 0;
+}
+
+std::uint64_t frontier(std::uint32_t window) {
+  if (window >= windows::count.load(std::memory_order_acquire)) return 0;
+  return windows::table[window].frontier.load(std::memory_order_acquire);
+}
+
+void usage(struct agnocast_heaphook_usage* usage) { shared_heap::usage(*usage); }
+
+constexpr struct agnocast_heaphook_table table = {
+    .abi_version = AGNOCAST_HEAPHOOK_ABI_VERSION,
+    .size_bytes = sizeof(struct agnocast_heaphook_table),
+    .attach = attach,
+    .add_window = add_window,
+    .enter = enter,
+    .leave = leave,
+    .pause = pause,
+    .resume = resume,
+    .active = active,
+    .owns = owns,
+    .frontier = frontier,
+    .usage = usage,
+    .purge = shared_heap::purge,
+};
+
+}  // namespace
+}  // namespace agnocast::heaphook
+
+extern "C" __attribute__((visibility("default"))) const struct agnocast_heaphook_table* agnocast_heaphook(void) {
+  return &agnocast::heaphook::table;
+}

@@ -1,0 +1,52 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Libc heap: the *next* definition of the malloc family behind ours (libc's, or that of another preloaded allocator).
+//
+// The definitions are looked up once, by dlsym(RTLD_NEXT), in a constructor; whoever allocates before that constructor ran
+// does the look-up itself. dlsym may allocate: while a thread is inside the look-up its requests are served from a small
+// static buffer that is never given back. After the look-up a call costs one load and one indirect jump.
+#pragma once
+
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+
+namespace agnocast::heaphook::libc_heap {
+
+struct Functions {
+  void* (*malloc)(std::size_t);
+  void* (*calloc)(std::size_t, std::size_t);
+  void* (*realloc)(void*, std::size_t);
+  void (*free)(void*);
+  int (*posix_memalign)(void**, std::size_t, std::size_t);
+  void* (*aligned_alloc)(std::size_t, std::size_t);
+  void* (*memalign)(std::size_t, std::size_t);
+  void* (*valloc)(std::size_t);
+  void* (*pvalloc)(std::size_t);
+  std::size_t (*malloc_usable_size)(void*);
+};
+
+// 16 KiB: glibc's dlsym needs about 100 bytes (the text of a failed look-up); the rest is for other libcs and loaders.
+inline constexpr std::size_t bootstrap_size_bytes = 16 * 1024;
+extern char bootstrap_buffer[bootstrap_size_bytes];
+
+extern constinit Functions next_functions;
+extern constinit std::atomic<bool> next_ready;
+
+// Looks the next definitions up, or answers the bootstrap functions to a thread that is doing so.
+const Functions& resolve();
+
+inline const Functions& next() {
+  if (next_ready.load(std::memory_order_acquire)) [[likely]] return next_functions;
+  return resolve();
+}
+
+inline bool from_bootstrap(const void* address) {
+  return reinterpret_cast<std::uintptr_t>(address) - reinterpret_cast<std::uintptr_t>(bootstrap_buffer) <
+         bootstrap_size_bytes;
+}
+
+// Bytes that may be used at a bootstrap block.
+std::size_t bootstrap_usable_size(const void* block);
+
+}  // namespace agnocast::heaphook::libc_heap

@@ -1,0 +1,58 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Route: the one decision of the hook, shared heap or libc.
+//
+//   allocate          by the calling thread's scope; what the windows cannot hold comes from libc
+//   free, usable_size by address, in any thread
+//   realloc           a shared block stays shared whatever the scope (its owner is a message); a libc block moves into the
+//                     windows when the thread is in scope; where the wish cannot be met the content is copied to libc
+//
+// Errors and odd arguments are libc's business: it is asked whenever a request is not plainly servable, so return values and
+// errno are its own. Nothing here can fail in a way of its own.
+#pragma once
+
+#include "libc_heap.hpp"
+#include "shared_heap.hpp"
+#include "thread_state.hpp"
+#include "windows.hpp"
+
+#include <atomic>
+#include <cstddef>
+
+namespace agnocast::heaphook::route {
+
+extern constinit std::atomic<bool> scope_all;
+
+// Whether the calling thread's next allocation tries the windows.
+inline bool wants_shared() {
+  const ThreadState& thread = thread_state;
+  if (thread.depth == 0 && !scope_all.load(std::memory_order_relaxed)) [[likely]] return false;
+  return thread.blocked == 0 && windows::is_owner();
+}
+
+// The shared part of an allocation, for operator new as well: null means "ask the next definition".
+inline void* try_shared(std::size_t size) { return wants_shared() ? shared_heap::allocate(size) : nullptr; }
+void* try_shared_aligned(std::size_t alignment, std::size_t size);
+
+inline void* allocate(std::size_t size) {
+  if (void* const block = try_shared(size)) return block;
+  return libc_heap::next().malloc(size);
+}
+void* allocate_zeroed(std::size_t count, std::size_t size);
+void* reallocate(void* block, std::size_t size);
+void* reallocate_array(void* block, std::size_t count, std::size_t size);
+int allocate_posix(void** result, std::size_t alignment, std::size_t size);
+// `next` is the libc function of the same meaning: aligned_alloc or memalign.
+void* allocate_aligned(std::size_t alignment, std::size_t size, void* (*next)(std::size_t, std::size_t));
+void* allocate_pages(std::size_t size);
+void* allocate_whole_pages(std::size_t size);
+inline void release(void* block) {
+  if (const windows::Window* const window = windows::window_of(block)) [[unlikely]] {
+    shared_heap::release(block, *window);
+  } else if (!libc_heap::from_bootstrap(block)) [[likely]] {
+    libc_heap::next().free(block);
+  }
+}
+std::size_t usable_size(void* block);
+
+}  // namespace agnocast::heaphook::route

@@ -1,0 +1,371 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// The shared arena: jemalloc with our extent hooks. See shared_heap.hpp.
+
+#include "shared_heap.hpp"
+
+#include "fork.hpp"
+#include "jemalloc_inert.hpp"
+#include "thread_state.hpp"
+#include "windows.hpp"
+
+#include <errno.h>
+#include <string.h>
+#include <sys/auxv.h>
+#include <sys/mman.h>
+
+#include <atomic>
+
+namespace agnocast::heaphook::shared_heap {
+namespace {
+
+enum class State : std::uint32_t { inert, attaching, attached, broken };
+constinit std::atomic<State> state{State::inert};
+
+constinit unsigned shared_arena = 0;  // written once, before the first scope can open
+constinit std::atomic<std::uint32_t> purging{0};  // calls of purge() in progress
+constinit std::atomic<std::uint64_t> refused_count{0};
+constinit std::atomic<std::uint64_t> internal_error_count{0};
+
+// Private addresses that the allocator takes at its start, measured: 10 MiB at the first mallctl, 6 MiB more at the first
+// block, 2 MiB alignment each time. Under mlockall(MCL_FUTURE) they count against RLIMIT_MEMLOCK.
+constexpr std::size_t metadata_size_bytes = std::size_t{20} << 20;
+
+// What hand_over() passes on; guarded by there being one caller of attach and add_window.
+constinit std::uintptr_t handed_address = 0;
+
+// The arena gets addresses only from hand_over(), which asks for exactly what it has to give.
+void* extent_alloc(agnocast_je_extent_hooks*, void* new_address, std::size_t, std::size_t, bool* zero, bool* commit, unsigned) {
+  if (!thread_state.handing_over || new_address != nullptr || handed_address == 0) return nullptr;
+  void* const extent = reinterpret_cast<void*>(handed_address);
+  handed_address = 0;
+  *zero = true;     // the memfd reads as zero
+  *commit = false;  // nothing is open yet: the arena asks extent_commit for what it uses
+  return extent;
+}
+
+bool extent_commit(agnocast_je_extent_hooks*, void* address, std::size_t, std::size_t offset, std::size_t length, unsigned) {
+  return thread_state.handing_over || !windows::open(static_cast<char*>(address) + offset, length);
+}
+
+// Refusing makes the arena keep the extent for its next need.
+bool extent_dalloc(agnocast_je_extent_hooks*, void*, std::size_t, bool, unsigned) { return true; }
+
+bool extent_purge(agnocast_je_extent_hooks*, void* address, std::size_t, std::size_t offset, std::size_t length, unsigned) {
+  if (purging.load(std::memory_order_relaxed) == 0) {
+    note_internal_error();
+    return true;
+  }
+  return !windows::punch(static_cast<char*>(address) + offset, length);
+}
+
+// Extents are only addresses to us, so any part of a window can be split and any two neighbours joined. Neighbours in
+// different windows must stay apart: they belong to different files.
+bool extent_split(agnocast_je_extent_hooks*, void*, std::size_t, std::size_t, std::size_t, bool, unsigned) { return false; }
+bool extent_merge(agnocast_je_extent_hooks*, void* a, std::size_t, void* b, std::size_t, bool, unsigned) {
+  return windows::window_of(a) != windows::window_of(b);
+}
+
+constinit agnocast_je_extent_hooks extent_hooks = {
+    .alloc = extent_alloc,
+    .dalloc = extent_dalloc,
+    .destroy = nullptr,
+    .commit = extent_commit,
+    .decommit = nullptr,
+    .purge_lazy = nullptr,
+    .purge_forced = extent_purge,
+    .split = extent_split,
+    .merge = extent_merge,
+};
+
+void no_message(void*, const char*) { note_internal_error(); }
+
+template <typename T>
+bool get(const char* name, T& value) {
+  std::size_t size = sizeof value;
+  return agnocast_je_mallctl(name, &value, &size, nullptr, 0) == 0;
+}
+
+template <typename T>
+bool set(const char* name, T value) {
+  return agnocast_je_mallctl(name, nullptr, nullptr, &value, sizeof value) == 0;
+}
+
+// "arena.1.purge" and the like. Arena numbers are small: narenas:1 makes ours number 1.
+struct ArenaName {
+  char text[64];
+  ArenaName(const char* before, const char* after) {
+    char digits[12];
+    int count = 0;
+    unsigned rest = shared_arena;
+    do {
+      digits[count++] = static_cast<char>('0' + rest % 10);
+      rest /= 10;
+    } while (rest != 0);
+    char* out = stpcpy(text, before);
+    while (count > 0) *out++ = digits[--count];
+    strcpy(out, after);
+  }
+};
+
+// Tells the allocator that this thread takes from the shared arena; a thread that only frees needs no binding.
+void bind_thread() {
+  if (thread_state.bound) [[likely]] return;
+  if (!set("thread.arena", shared_arena)) note_internal_error();
+  thread_state.bound = true;
+}
+
+// A thread that is ending loses its binding when the allocator cleans up after it; destructors of thread data that run later
+// would get private memory of arena 0. That is given back, and libc serves them.
+void* if_in_window(void* block) {
+  if (block == nullptr || windows::window_of(block) != nullptr) [[likely]] return block;
+  agnocast_je_free(block);
+  return nullptr;
+}
+
+// libc aligns every block to 16 bytes and compilers rely on it; the allocator's class of 8 bytes would not.
+constexpr std::size_t size_min = 16;
+constexpr std::size_t at_least_min(std::size_t size) { return size < size_min ? size_min : size; }
+
+void* or_refused(void* block, std::size_t size) {
+  if (block != nullptr) [[likely]] return block;
+  refused_count.fetch_add(1, std::memory_order_relaxed);
+  auto& refused_max = windows::counters.refused_bytes_max;
+  std::uint64_t seen = refused_max.load(std::memory_order_relaxed);
+  while (size > seen && !refused_max.compare_exchange_weak(seen, size, std::memory_order_relaxed)) {
+  }
+  return nullptr;
+}
+
+// The allocator sets errno where libc will be asked next and may succeed.
+class KeepErrno {
+ public:
+  KeepErrno() : place_(&errno), value_(*place_) {}
+  ~KeepErrno() { *place_ = value_; }
+  KeepErrno(const KeepErrno&) = delete;
+  KeepErrno& operator=(const KeepErrno&) = delete;
+
+ private:
+  int* place_;
+  int value_;
+};
+
+// Whether `size` more bytes of private memory may be mapped: PROT_NONE costs nothing and counts as locked all the same.
+bool lock_limit_allows(std::size_t size) {
+  void* const probe = mmap(nullptr, size, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+  if (probe == MAP_FAILED) return errno != EAGAIN;
+  munmap(probe, size);
+  return true;
+}
+
+// What the allocator counts as allocated includes what thread caches keep. Threads that only free are not bound and show up
+// with arena 0, whose own blocks are never in a cache.
+std::uint64_t live_bytes() {
+  std::size_t small = 0;
+  std::size_t large = 0;
+  std::size_t cached = 0;
+  std::size_t cached_unbound = 0;
+  const bool known = set("epoch", std::uint64_t{1}) && get(ArenaName("stats.arenas.", ".small.allocated").text, small) &&
+                     get(ArenaName("stats.arenas.", ".large.allocated").text, large) &&
+                     get(ArenaName("stats.arenas.", ".tcache_bytes").text, cached) &&
+                     get("stats.arenas.0.tcache_bytes", cached_unbound);
+  if (!known) {
+    note_internal_error();
+    return 0;
+  }
+  const std::size_t allocated = small + large;
+  return cached + cached_unbound < allocated ? allocated - cached - cached_unbound : 0;
+}
+
+// When the last bound thread of an arena ends, jemalloc gives all its idle pages back, in that thread. Ours must keep them warm
+// until purge(), so the arena gets one bound thread more than there are.
+bool never_without_threads() {
+  void* const arena = __atomic_load_n(&agnocast_je_internal_arenas[shared_arena], __ATOMIC_ACQUIRE);
+  if (arena == nullptr) return false;
+  agnocast_je_internal_arena_nthreads_inc(arena, false);
+  unsigned thread_count = 0;
+  return set("epoch", std::uint64_t{1}) && get(ArenaName("stats.arenas.", ".nthreads").text, thread_count) &&
+         thread_count == 1;
+}
+
+bool start_allocator() {
+  agnocast_je_malloc_message = no_message;
+  agnocast_je_internal_opt_cache_oblivious = false;
+  agnocast_je_arena_config config = {.extent_hooks = &extent_hooks, .metadata_use_hooks = false};
+  std::size_t size = sizeof shared_arena;
+  if (agnocast_je_mallctl("experimental.arenas_create_ext", &shared_arena, &size, &config, sizeof config) != 0) return false;
+  return never_without_threads();
+}
+
+// Gives the arena the addresses of a window, closed. jemalloc never joins extents that it got by separate calls, so asking for
+// memory piece by piece would leave a window of pieces in which no large message fits. Instead one block of the whole size is
+// requested: the arena calls extent_alloc, gets the window, asks extent_commit to open it, is refused, keeps the addresses as
+// a closed extent and answers null. Sizes are those of its size classes, four to a doubling; most windows are one.
+bool hand_over(const windows::Window& window) {
+  constexpr int no_cache = 1 << 8;
+  const int flags = static_cast<int>((shared_arena + 1) << 20) | no_cache;
+  thread_state.handing_over = true;
+  bool taken = true;
+  std::size_t offset = 0;
+  while (taken && offset < window.length) {
+    const std::size_t left = window.length - offset;
+    const std::size_t class_distance = std::size_t{1} << (61 - __builtin_clzl(left));  // a quarter of the power of two below
+    const std::size_t size = left & ~(class_distance - 1);
+    handed_address = window.base + offset;
+    taken = agnocast_je_mallocx(size, flags) == nullptr && handed_address == 0;
+    offset += size;
+  }
+  thread_state.handing_over = false;
+  handed_address = 0;
+  return taken;
+}
+
+}  // namespace
+
+void note_internal_error() { internal_error_count.fetch_add(1, std::memory_order_relaxed); }
+
+void* allocate(std::size_t size) {
+  const KeepErrno keep;
+  const LibcOnly inside;
+  bind_thread();
+  return or_refused(if_in_window(agnocast_je_malloc(at_least_min(size))), size);
+}
+
+void* allocate_zeroed(std::size_t size) {
+  const KeepErrno keep;
+  const LibcOnly inside;
+  bind_thread();
+  return or_refused(if_in_window(agnocast_je_calloc(1, at_least_min(size))), size);
+}
+
+void* allocate_aligned(std::size_t alignment, std::size_t size) {
+  const KeepErrno keep;
+  const LibcOnly inside;
+  bind_thread();
+  return or_refused(if_in_window(agnocast_je_memalign(alignment, at_least_min(size))), size);
+}
+
+void* reallocate(void* block, std::size_t size) {
+  std::size_t room = 0;
+  {
+    const KeepErrno keep;
+    const LibcOnly inside;
+    room = agnocast_je_xallocx(block, at_least_min(size), 0, 0);  // in place, or not at all
+  }
+  // A block that shrinks stays where it is while that wastes little.
+  const bool fits = room >= size;
+  if (fits && (room <= 4096 || room / 2 <= size)) return block;
+  void* const moved = allocate(size);
+  if (moved == nullptr) return fits ? block : nullptr;
+  memcpy(moved, block, room < size ? room : size);
+  {
+    const KeepErrno keep;
+    const LibcOnly inside;
+    agnocast_je_free(block);
+  }
+  return moved;
+}
+
+void release(void* block, const windows::Window& window) {
+  if (!windows::is_owner()) return;
+  if (!windows::is_mapped(window, block)) [[unlikely]] {  // beyond the frontier nothing was ever handed out
+    note_internal_error();
+    return;
+  }
+  if (thread_state.forking) [[unlikely]] {  // the allocator is locked: fork.cpp comes back for it
+    *static_cast<void**>(block) = thread_state.deferred;
+    thread_state.deferred = block;
+    return;
+  }
+  const KeepErrno keep;
+  const LibcOnly inside;
+  agnocast_je_free(block);
+}
+
+std::size_t usable_size(const void* block) { return agnocast_je_malloc_usable_size(block); }
+
+enum agnocast_heaphook_status attach(const struct agnocast_heaphook_window& window,
+                                     const struct agnocast_heaphook_options& options) {
+  if (getauxval(AT_SECURE) != 0) return AGNOCAST_HEAPHOOK_SECURE;
+  if (options.grown == nullptr || options.scope > AGNOCAST_HEAPHOOK_SCOPE_ALL || options.reserved != 0) {
+    return AGNOCAST_HEAPHOOK_INVALID;
+  }
+  State expected = State::inert;
+  if (!state.compare_exchange_strong(expected, State::attaching, std::memory_order_acquire)) {
+    if (expected == State::attached && !windows::is_owner()) return AGNOCAST_HEAPHOOK_FORKED;
+    return AGNOCAST_HEAPHOOK_STATE;
+  }
+  const LibcOnly inside;
+  if (!lock_limit_allows(metadata_size_bytes)) {
+    state.store(State::inert, std::memory_order_release);
+    return AGNOCAST_HEAPHOOK_LOCK_LIMIT;
+  }
+  windows::set_grown(options.grown, options.context);
+  if (const auto refused = windows::add(window); refused != AGNOCAST_HEAPHOOK_OK) {
+    state.store(State::inert, std::memory_order_release);
+    return refused;
+  }
+  // From here on failures are final: fork handlers cannot be taken back.
+  if (!fork_rules::register_inner() || !start_allocator() || !hand_over(windows::table[0]) ||
+      !fork_rules::register_outer() || !windows::become_owner()) {
+    windows::remove_first();
+    note_internal_error();
+    state.store(State::broken, std::memory_order_release);
+    return AGNOCAST_HEAPHOOK_INTERNAL;
+  }
+  state.store(State::attached, std::memory_order_release);
+  return AGNOCAST_HEAPHOOK_OK;
+}
+
+enum agnocast_heaphook_status add_window(const struct agnocast_heaphook_window& window) {
+  if (state.load(std::memory_order_acquire) != State::attached) return AGNOCAST_HEAPHOOK_STATE;
+  if (!windows::is_owner()) return AGNOCAST_HEAPHOOK_FORKED;
+  const LibcOnly inside;
+  const auto status = windows::add(window);
+  if (status == AGNOCAST_HEAPHOOK_OK && !hand_over(windows::table[windows::count.load(std::memory_order_relaxed) - 1])) {
+    note_internal_error();  // the window stays, unused
+    return AGNOCAST_HEAPHOOK_INTERNAL;
+  }
+  return status;
+}
+
+void usage(struct agnocast_heaphook_usage& usage) {
+  memset(&usage, 0, sizeof usage);
+  const std::uint32_t window_count = windows::count.load(std::memory_order_acquire);
+  usage.window_count = window_count;
+  bool last_is_filling = false;
+  for (std::uint32_t i = 0; i < window_count; ++i) {
+    const windows::Window& window = windows::table[i];
+    const std::size_t used = window.used.load(std::memory_order_relaxed);
+    usage.length_bytes += window.length;
+    usage.used_bytes += used;
+    usage.frontier_bytes += window.frontier.load(std::memory_order_relaxed);
+    last_is_filling = used >= window.length / 4 * 3;
+  }
+  usage.refused_bytes_max = windows::counters.refused_bytes_max.load(std::memory_order_relaxed);
+  usage.refused_count = refused_count.load(std::memory_order_relaxed);
+  usage.mapping_refused_count = windows::counters.mapping_refused_count.load(std::memory_order_relaxed);
+  usage.punch_count = windows::counters.punch_count.load(std::memory_order_relaxed);
+  usage.punched_bytes = windows::counters.punched_bytes.load(std::memory_order_relaxed);
+  usage.internal_error_count = internal_error_count.load(std::memory_order_relaxed);
+  usage.next_window_wanted = window_count > 0 && window_count < AGNOCAST_HEAPHOOK_WINDOWS_MAX &&
+                             (last_is_filling || usage.refused_bytes_max > 0);
+  if (windows::is_owner()) {
+    const LibcOnly inside;
+    usage.live_bytes = live_bytes();
+  }
+}
+
+std::uint64_t purge() {
+  if (!windows::is_owner()) return 0;
+  const KeepErrno keep;
+  const LibcOnly inside;
+  const std::uint64_t before = windows::counters.punched_bytes.load(std::memory_order_relaxed);
+  purging.fetch_add(1, std::memory_order_relaxed);
+  agnocast_je_mallctl("thread.tcache.flush", nullptr, nullptr, nullptr, 0);
+  if (agnocast_je_mallctl(ArenaName("arena.", ".purge").text, nullptr, nullptr, nullptr, 0) != 0) note_internal_error();
+  purging.fetch_sub(1, std::memory_order_relaxed);
+  return windows::counters.punched_bytes.load(std::memory_order_relaxed) - before;
+}
+
+}  // namespace agnocast::heaphook::shared_heap

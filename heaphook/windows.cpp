@@ -1,0 +1,256 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Mapping, growth and the private view of a forked child. See windows.hpp.
+
+#include "windows.hpp"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <pthread.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+namespace agnocast::heaphook::windows {
+
+constinit Window table[AGNOCAST_HEAPHOOK_WINDOWS_MAX] = {};
+constinit std::atomic<std::uint32_t> count{0};
+constinit Counters counters = {};
+
+namespace {
+
+constinit const std::atomic<std::uint32_t> nobody{0};
+
+// 2 MiB: one huge page, so that a window can be backed by huge pages from its start.
+constexpr std::size_t window_granule = std::size_t{2} << 20;
+
+// A step is an eighth of what is open, at least 2 MiB and at most 64 MiB. Locked memory then exceeds the used memory by an
+// eighth or 2 MiB; a reader makes one mmap (12 us) a step: 8 up to 16 MiB, about 30 more up to 512 MiB, 16 per GiB later.
+constexpr std::size_t step_min = std::size_t{2} << 20;
+constexpr std::size_t step_max = std::size_t{64} << 20;
+
+constinit pthread_mutex_t growth_mutex = PTHREAD_MUTEX_INITIALIZER;
+constinit agnocast_heaphook_grown grown_callback = nullptr;  // guarded by growth_mutex
+constinit void* grown_context = nullptr;
+
+constexpr std::size_t round_up(std::size_t value, std::size_t granule) {
+  return (value + granule - 1) & ~(granule - 1);
+}
+
+bool same_file(int fd, const Window& window) {
+  struct stat status;
+  return fstat(fd, &status) == 0 && status.st_dev == window.device && status.st_ino == window.inode;
+}
+
+void* address_in(const Window& window, std::size_t offset) {
+  // An address that came as a number (the ABI's fixed base) has to become a pointer somewhere: here.
+  return reinterpret_cast<void*>(window.base + offset);
+}
+
+// Opens [frontier, target) of the window. Errno is the kernel's when false.
+bool open_to(Window& window, std::uint32_t index, std::size_t target) {
+  const std::size_t frontier = window.frontier.load(std::memory_order_relaxed);
+  if (!same_file(window.write_fd, window)) {
+    errno = EBADF;
+    return false;
+  }
+  void* const wanted = address_in(window, frontier);
+  // MAP_FIXED replaces the caller's PROT_NONE reservation; MAP_FIXED_NOREPLACE refuses to replace anybody else's memory.
+  const int placement = window.reserved ? MAP_FIXED : MAP_FIXED_NOREPLACE;
+  void* const piece = mmap(wanted, target - frontier, PROT_READ | PROT_WRITE, MAP_SHARED | placement, window.write_fd,
+                           static_cast<off_t>(frontier));
+  if (piece == MAP_FAILED) return false;
+  if (piece != wanted || madvise(piece, target - frontier, MADV_DONTFORK) != 0) {
+    const int reason = errno;
+    munmap(piece, target - frontier);
+    errno = reason;
+    return false;
+  }
+  // Announced before the arena hands out an address beyond the old frontier, hence before any message points there.
+  window.frontier.store(target, std::memory_order_release);
+  grown_callback(grown_context, index, target);
+  return true;
+}
+
+bool grow(Window& window, std::uint32_t index, std::size_t needed) {
+  const std::size_t frontier = window.frontier.load(std::memory_order_relaxed);
+  if (needed <= frontier) return true;
+  std::size_t step = frontier / 8;
+  if (step < step_min) step = step_min;
+  if (step > step_max) step = step_max;
+  std::size_t target = round_up(frontier + step > needed ? frontier + step : needed, step_min);
+  if (target > window.length) target = window.length;
+  if (open_to(window, index, target)) return true;
+  // A lock limit may have room for what is needed and not for the whole step.
+  const auto page = static_cast<std::size_t>(sysconf(_SC_PAGESIZE));
+  const std::size_t least = round_up(needed, page);
+  if (least < target && open_to(window, index, least)) return true;
+  counters.mapping_refused_count.fetch_add(1, std::memory_order_relaxed);
+  return false;
+}
+
+enum agnocast_heaphook_status status_of_errno() {
+  switch (errno) {
+    case EEXIST: return AGNOCAST_HEAPHOOK_OCCUPIED;
+    case EAGAIN: return AGNOCAST_HEAPHOOK_LOCK_LIMIT;  // the only EAGAIN of mmap(2): locked memory
+    default: return AGNOCAST_HEAPHOOK_OS;
+  }
+}
+
+enum agnocast_heaphook_status check(const struct agnocast_heaphook_window& window, struct stat& status) {
+  const auto base = reinterpret_cast<std::uintptr_t>(window.base);
+  if (base == 0 || base % window_granule != 0 || window.length == 0 || window.length % window_granule != 0 ||
+      base + window.length < base || (window.flags & ~AGNOCAST_HEAPHOOK_WINDOW_RESERVED) != 0 || window.reserved != 0) {
+    return AGNOCAST_HEAPHOOK_INVALID;
+  }
+  for (std::uint32_t i = 0; i < count.load(std::memory_order_relaxed); ++i) {
+    if (base < table[i].base + table[i].length && table[i].base < base + window.length) return AGNOCAST_HEAPHOOK_INVALID;
+  }
+  struct stat read_status;
+  if (fstat(window.write_fd, &status) != 0 || fstat(window.read_fd, &read_status) != 0) return AGNOCAST_HEAPHOOK_OS;
+  const int write_flags = fcntl(window.write_fd, F_GETFL);
+  const int read_flags = fcntl(window.read_fd, F_GETFL);
+  if (status.st_dev != read_status.st_dev || status.st_ino != read_status.st_ino || status.st_size < 0 ||
+      static_cast<std::size_t>(status.st_size) < window.length || (write_flags & O_ACCMODE) != O_RDWR ||
+      (read_flags & O_ACCMODE) != O_RDONLY) {
+    return AGNOCAST_HEAPHOOK_INVALID;
+  }
+  return AGNOCAST_HEAPHOOK_OK;
+}
+
+void close_both(const Window& window) {
+  const int reason = errno;
+  if (window.write_fd >= 0) close(window.write_fd);
+  if (window.read_fd >= 0) close(window.read_fd);
+  errno = reason;
+}
+
+}  // namespace
+
+constinit std::atomic<const std::atomic<std::uint32_t>*> owner_word{&nobody};
+
+void lock_growth() { pthread_mutex_lock(&growth_mutex); }
+void unlock_growth() { pthread_mutex_unlock(&growth_mutex); }
+
+bool become_owner() {
+  const auto page = static_cast<std::size_t>(sysconf(_SC_PAGESIZE));
+  void* const word = mmap(nullptr, page, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+  if (word == MAP_FAILED) return false;
+  if (madvise(word, page, MADV_WIPEONFORK) != 0) {
+    const int reason = errno;
+    munmap(word, page);
+    errno = reason;
+    return false;
+  }
+  auto* const owner = static_cast<std::atomic<std::uint32_t>*>(word);  // zero pages are a zero atomic
+  owner->store(1, std::memory_order_relaxed);
+  owner_word.store(owner, std::memory_order_release);
+  return true;
+}
+
+void set_grown(agnocast_heaphook_grown grown, void* context) {
+  lock_growth();
+  grown_callback = grown;
+  grown_context = context;
+  unlock_growth();
+}
+
+enum agnocast_heaphook_status add(const struct agnocast_heaphook_window& window) {
+  const std::uint32_t index = count.load(std::memory_order_relaxed);
+  if (index == AGNOCAST_HEAPHOOK_WINDOWS_MAX) return AGNOCAST_HEAPHOOK_FULL;
+  struct stat status;
+  if (const auto refused = check(window, status); refused != AGNOCAST_HEAPHOOK_OK) return refused;
+
+  Window& slot = table[index];
+  slot.write_fd = fcntl(window.write_fd, F_DUPFD_CLOEXEC, 3);
+  slot.read_fd = fcntl(window.read_fd, F_DUPFD_CLOEXEC, 3);
+  if (slot.write_fd < 0 || slot.read_fd < 0) {
+    close_both(slot);
+    return AGNOCAST_HEAPHOOK_OS;
+  }
+  slot.base = reinterpret_cast<std::uintptr_t>(window.base);
+  slot.length = window.length;
+  slot.device = status.st_dev;
+  slot.inode = status.st_ino;
+  slot.reserved = (window.flags & AGNOCAST_HEAPHOOK_WINDOW_RESERVED) != 0;
+  slot.used.store(0, std::memory_order_relaxed);
+  slot.frontier.store(0, std::memory_order_relaxed);
+
+  lock_growth();
+  const bool opened = open_to(slot, index, step_min);
+  if (opened) {
+    counters.refused_bytes_max.store(0, std::memory_order_relaxed);
+    count.store(index + 1, std::memory_order_release);
+  }
+  unlock_growth();
+  if (opened) return AGNOCAST_HEAPHOOK_OK;
+  close_both(slot);
+  return status_of_errno();
+}
+
+void remove_first() {
+  lock_growth();
+  const int reason = errno;
+  count.store(0, std::memory_order_release);
+  Window& window = table[0];
+  const std::size_t frontier = window.frontier.load(std::memory_order_relaxed);
+  munmap(address_in(window, 0), frontier);
+  if (window.reserved) {  // the addresses were reserved before us and stay so
+    mmap(address_in(window, 0), frontier, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE | MAP_FIXED_NOREPLACE, -1, 0);
+  }
+  close_both(window);
+  errno = reason;
+  unlock_growth();
+}
+
+bool open(void* address, std::size_t length) {
+  lock_growth();
+  const std::uint32_t window_count = count.load(std::memory_order_relaxed);
+  bool opened = false;
+  for (std::uint32_t i = 0; i < window_count; ++i) {
+    Window& window = table[i];
+    const std::size_t start = reinterpret_cast<std::uintptr_t>(address) - window.base;
+    if (start >= window.length || length > window.length - start) continue;
+    opened = grow(window, i, start + length);
+    if (opened && start + length > window.used.load(std::memory_order_relaxed)) {
+      window.used.store(start + length, std::memory_order_relaxed);
+    }
+  }
+  unlock_growth();
+  return opened;
+}
+
+bool punch(void* address, std::size_t length) {
+  if (madvise(address, length, MADV_REMOVE) != 0) {
+    // Refused for locked memory (mlockall); a hole in the file is not.
+    const Window* const window = window_of(address);
+    if (errno != EINVAL || window == nullptr || !same_file(window->write_fd, *window)) return false;
+    const std::size_t offset = reinterpret_cast<std::uintptr_t>(address) - window->base;
+    if (fallocate(window->write_fd, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, static_cast<off_t>(offset),
+                  static_cast<off_t>(length)) != 0) {
+      return false;
+    }
+  }
+  counters.punch_count.fetch_add(1, std::memory_order_relaxed);
+  counters.punched_bytes.fetch_add(length, std::memory_order_relaxed);
+  return true;
+}
+
+void map_private_view() {
+  const std::uint32_t window_count = count.load(std::memory_order_relaxed);
+  for (std::uint32_t i = 0; i < window_count; ++i) {
+    const Window& window = table[i];
+    const std::size_t frontier = window.frontier.load(std::memory_order_relaxed);
+    void* const wanted = address_in(window, 0);
+    void* const view = same_file(window.read_fd, window)
+                           ? mmap(wanted, frontier, PROT_READ | PROT_WRITE,
+                                  MAP_PRIVATE | MAP_NORESERVE | MAP_FIXED_NOREPLACE, window.read_fd, 0)
+                           : MAP_FAILED;
+    if (view != wanted) {
+      if (view != MAP_FAILED) munmap(view, frontier);
+      counters.mapping_refused_count.fetch_add(1, std::memory_order_relaxed);
+    }
+  }
+}
+
+}  // namespace agnocast::heaphook::windows

@@ -1,0 +1,94 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Windows: the shared memory itself. Which addresses are ours, what of them is mapped, and who may write it.
+//
+//      base                          used          frontier                                    base + length
+//       |  opened for the shared arena |  mapped     |  not mapped: nothing, or the caller's PROT_NONE  |
+//       |<------ MAP_SHARED, MADV_DONTFORK --------->|
+//
+// The arena has all addresses of a window from the start and takes the lowest that fit; `used` is the end of what it ever
+// opened, `frontier` runs ahead of that in steps. Both only grow.
+// Pages beyond the frontier cost nothing: no memory under mlockall, no part of RLIMIT_MEMLOCK (unless reserved).
+//
+// Memory is opened by mapping the next piece of the memfd, not by mprotect of one large mapping: mlockall and RLIMIT_MEMLOCK
+// count the addresses of a mapping even where it is PROT_NONE. Adjacent pieces merge to one mapping in the kernel.
+#pragma once
+
+#include <agnocast/abi/heaphook.h>
+
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+
+namespace agnocast::heaphook::windows {
+
+// base, length, descriptors and identity are set before the window counts and never change; used <= frontier <= length.
+struct alignas(64) Window {
+  std::uintptr_t base;
+  std::size_t length;
+  std::atomic<std::size_t> used;
+  std::atomic<std::size_t> frontier;
+  int write_fd;  // our duplicates, close-on-exec
+  int read_fd;
+  std::uint64_t device;  // identity of the memfd: a program may close our descriptors and reuse their numbers
+  std::uint64_t inode;
+  bool reserved;
+};
+
+extern constinit Window table[AGNOCAST_HEAPHOOK_WINDOWS_MAX];
+// [sync:window] stored with release after the window's fields; window_of() loads it with acquire.
+extern constinit std::atomic<std::uint32_t> count;
+
+// 1 in the process that attached, 0 before and in every child of it, whatever kind of fork made the child: after attach it
+// lies in a page that the kernel wipes at fork (MADV_WIPEONFORK). Points to a constant 0 while inert.
+extern constinit std::atomic<const std::atomic<std::uint32_t>*> owner_word;
+inline bool is_owner() {
+  return owner_word.load(std::memory_order_acquire)->load(std::memory_order_relaxed) != 0;
+}
+
+// The window of an address, mapped or not; null for all other memory. The loop is empty while inert.
+inline const Window* window_of(const void* address) {
+  const std::uint32_t window_count = count.load(std::memory_order_acquire);
+  for (std::uint32_t i = 0; i < window_count; ++i) {
+    if (reinterpret_cast<std::uintptr_t>(address) - table[i].base < table[i].length) return &table[i];
+  }
+  return nullptr;
+}
+
+inline bool is_mapped(const Window& window, const void* address) {
+  return reinterpret_cast<std::uintptr_t>(address) - window.base < window.frontier.load(std::memory_order_acquire);
+}
+
+// Makes this process the owner. Errno is set when the kernel refuses.
+bool become_owner();
+
+// The first window or a further one: checks it, keeps duplicates of its descriptors, opens its first piece, announces the
+// frontier. Nothing is left behind on refusal.
+enum agnocast_heaphook_status add(const struct agnocast_heaphook_window& window);
+// Undoes the add() of the only window, for an attach that fails later.
+void remove_first();
+
+void set_grown(agnocast_heaphook_grown grown, void* context);
+
+// Opens part of a window for use: mapped and announced when this returns true. False when the system refuses.
+bool open(void* address, std::size_t length);
+
+// Gives the pages back; they read as zero from now on. False when the kernel refuses.
+bool punch(void* address, std::size_t length);
+
+// Counters of agnocast_heaphook_usage that belong to the windows.
+struct Counters {
+  std::atomic<std::uint64_t> refused_bytes_max;
+  std::atomic<std::uint64_t> mapping_refused_count;
+  std::atomic<std::uint64_t> punch_count;
+  std::atomic<std::uint64_t> punched_bytes;
+};
+extern constinit Counters counters;
+
+// For fork.cpp.
+void lock_growth();
+void unlock_growth();
+// In the child: a private copy-on-write view of every window, where MADV_DONTFORK left a hole.
+void map_private_view();
+
+}  // namespace agnocast::heaphook::windows
