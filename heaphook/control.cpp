@@ -45,6 +45,8 @@ void resume() {
   --thread_state.blocked;
 }
 
+std::uint64_t spilled() { return thread_state.spilled; }
+
 int active() { return route::wants_shared() ? 1 : 0; }
 int owns(const void* address) {
   const windows::Window* const window = windows::window_of(address);
@@ -67,6 +69,7 @@ constexpr struct agnocast_heaphook_table table = {
     .leave = leave,
     .pause = pause,
     .resume = resume,
+    .spilled = spilled,
     .active = active,
     .owns = owns,
     .frontier = frontier,

@@ -130,6 +130,7 @@ constexpr std::size_t at_least_min(std::size_t size) { return size < size_min ? 
 void* or_refused(void* block, std::size_t size) {
   if (block != nullptr) [[likely]] return block;
   refused_count.fetch_add(1, std::memory_order_relaxed);
+  ++thread_state.spilled;
   auto& refused_max = windows::counters.refused_bytes_max;
   std::uint64_t seen = refused_max.load(std::memory_order_relaxed);
   while (size > seen && !refused_max.compare_exchange_weak(seen, size, std::memory_order_relaxed)) {

@@ -136,6 +136,8 @@ HOOKED_TEST(HookWindows, AnExhaustedWindowMeansLibc) {
   EXPECT_FALSE(is_shared(blocks.back()));
   const agnocast_heaphook_usage full = hook_test::usage();
   EXPECT_EQ(full.refused_count, 100 - shared);
+  EXPECT_EQ(hook().spilled(), 100 - shared) << "this thread knows what it did not get";
+  std::thread([] { EXPECT_EQ(hook().spilled(), 0u) << "of another thread"; }).join();
   EXPECT_EQ(full.refused_bytes_max, 200000u);
   EXPECT_EQ(full.next_window_wanted, 1u);
   EXPECT_LE(full.used_bytes, full.frontier_bytes);

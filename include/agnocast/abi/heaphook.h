@@ -114,6 +114,10 @@ struct agnocast_heaphook_table {
   void (*pause)(void);
   void (*resume)(void);
 
+  /** How often an allocation of the calling thread, in shared scope, found no room in the windows and went to libc instead. Only
+   *  grows. Unchanged between two calls: everything allocated in between lies in the windows. */
+  uint64_t (*spilled)(void);
+
   /** 1 when an allocation by the calling thread would try the windows first, else 0. */
   int (*active)(void);
 
