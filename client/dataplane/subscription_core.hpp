@@ -142,6 +142,37 @@ class LinkCore {
     return std::nullopt;
   }
 
+  /// Unread messages that lie in the window: what take() can still deliver.
+  std::uint64_t unread() const noexcept {
+    const std::uint64_t end = abi::sequence_of(newest()) + 1;
+    const std::uint64_t from =
+        std::max(cursor_, minus_at_least(end, abi::window_of(self_.requested), 0));
+    return end > from ? end - from : 0;
+  }
+  /// Stamp of the message that take() would try next, if there is one. Orders the links of a subscription; a hint, unvalidated.
+  std::optional<std::uint64_t> next_stamp() const noexcept {
+    const std::uint64_t head = newest();
+    const std::uint64_t newest_sequence = abi::sequence_of(head);
+    if (newest_sequence < cursor_) return std::nullopt;
+    const std::uint64_t wanted =
+        std::max(cursor_, minus_at_least(newest_sequence + 1, abi::window_of(self_.requested), 0));
+    const std::uint64_t entry = wanted == newest_sequence
+                                    ? head
+                                    : self_.publisher.order(wanted).load(std::memory_order_acquire);
+    const std::uint64_t slot = abi::slot_of(entry);
+    if (abi::sequence_of(entry) != wanted || slot >= M::slot_capacity) return 0;  // gone: look at this link first
+    return self_.publisher.slot_stamp(slot).load(std::memory_order_relaxed);
+  }
+  /// Gives up the next unread message: it counts as lost. How a subscription keeps its depth over several publishers.
+  void skip() noexcept {
+    const std::uint64_t end = abi::sequence_of(newest()) + 1;
+    const std::uint64_t from =
+        std::max(cursor_, minus_at_least(end, abi::window_of(self_.requested), 0));
+    if (from >= end) return;
+    lose(from + 1 - cursor_);
+    store_cursor();
+  }
+
   /// L1. Commit and effect are one instruction. Any thread of the process that holds the
   /// subscription's mutex or the last reference.
   void release(std::uint64_t slot) noexcept {

@@ -231,11 +231,13 @@ class SubscriberSide {
   explicit SubscriberSide(Stage& stage, bool in_publisher_process = false)
       : stage_(stage),
         in_publisher_process_(in_publisher_process),
+        reservation_(),
         link_(stage.link_identity()),
         heap_(stage.publisher_region()),
         sleep_(stage.subscriber_region(), armed_offset) {
-    if (!in_publisher_process &&
-        !heap_.add(stage.heap_base(), heap_bytes, reopen_read_only(stage.heap_fd()).value()))
+    if (in_publisher_process) return;
+    reservation_ = Mapping::reserve(stage.heap_base(), heap_bytes).value();
+    if (!heap_.add(0, stage.heap_base(), heap_bytes, reopen_read_only(stage.heap_fd()).value()))
       std::abort();
   }
 
@@ -282,6 +284,7 @@ class SubscriberSide {
 
   Stage& stage_;
   bool in_publisher_process_;
+  Mapping reservation_;
   dataplane::LinkCore<M> link_;
   PeerHeap heap_;
   dataplane::SleepCore<M> sleep_;
