@@ -1,0 +1,37 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Peer: another process as this one sees it. Its client region and heap stay mapped as long as anybody here has a reference: links,
+// attachments of publishers, held messages. When the last is gone the control thread tells the daemon (rule RU).
+#pragma once
+
+#include <base/mapping.hpp>
+#include <client/peer_heap.hpp>
+
+#include <cstddef>
+#include <cstdint>
+
+namespace agnocast {
+
+class Peer {
+ public:
+  /// `region`: its client region, mapped for reading here.
+  Peer(std::uint64_t client, std::uint64_t generation, Mapping region) noexcept
+      : client_(client), generation_(generation), region_(std::move(region)), base_(region_.base()), heap_(base_) {}
+  /// This very process: `region` belongs to the context, which is immortal.
+  Peer(std::uint64_t client, std::uint64_t generation, std::byte* region) noexcept
+      : client_(client), generation_(generation), base_(region), heap_(base_) {}
+
+  std::uint64_t client() const noexcept { return client_; }
+  std::uint64_t generation() const noexcept { return generation_; }
+  std::byte* region() const noexcept { return base_; }
+  PeerHeap& heap() noexcept { return heap_; }
+
+ private:
+  std::uint64_t client_;
+  std::uint64_t generation_;
+  Mapping region_;
+  std::byte* base_;
+  PeerHeap heap_;  // after region_: it reads frontiers from there, and goes first
+};
+
+}  // namespace agnocast
