@@ -119,6 +119,7 @@ class PublisherCore {
               Environment& environment) noexcept {
     Member& member = members_[index];
     member.executor = executor;
+    rung_[executor] = 0;  // the number may have been another sleeper's
     member.attached_generation = generation;
     member.region = region;
     member.extent = extent;
