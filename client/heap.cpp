@@ -69,7 +69,7 @@ WindowSet windows(void*) noexcept {
   WindowSet set;
   const std::uint64_t count = attached.count.load(std::memory_order_acquire);
   for (std::uint64_t i = 0; i < count; ++i) {
-    set.add(reinterpret_cast<const void*>(attached.base[i]), attached.hook->frontier(static_cast<std::uint32_t>(i)));
+    set.add(attached.base[i], attached.hook->frontier(static_cast<std::uint32_t>(i)));
   }
   return set;
 }
