@@ -139,6 +139,10 @@ bool PublisherEndpoint::has_reclaimable() const noexcept {
   const std::lock_guard lock(mutex_);
   return core_->has_reclaimable() || !doomed_.empty();
 }
+bool PublisherEndpoint::is_over() const noexcept {
+  const std::lock_guard lock(mutex_);
+  return core_->is_over() && core_->allocated_count() == 0 && doomed_.empty();
+}
 std::uint64_t PublisherEndpoint::allocated_count() const noexcept {
   const std::lock_guard lock(mutex_);
   return core_->allocated_count();

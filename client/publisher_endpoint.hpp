@@ -61,6 +61,8 @@ class PublisherEndpoint {
   void run_errands() noexcept;
   /// Something outside the history is allocated: a pass may free it.
   bool has_reclaimable() const noexcept;
+  /// The daemon has freed it and nothing is left to destroy.
+  bool is_over() const noexcept;
   std::uint64_t allocated_count() const noexcept;
   std::size_t subscription_count() const noexcept;
 

@@ -139,6 +139,8 @@ class PublisherCore {
     for_each(allocated_, [&](std::uint64_t slot) { found = found || sequence_[slot] < keep_from; });
     return found;
   }
+  /// The daemon has freed the index: nothing of it is read by anybody any more.
+  bool is_over() const noexcept { return over_ != 0; }
   std::uint64_t head_sequence() const noexcept { return head_sequence_; }
   std::uint64_t allocated_count() const noexcept {
     std::uint64_t count = 0;
