@@ -15,7 +15,7 @@
 //   client → daemon       body               answer              descriptors of the answer
 //   hello                 Hello              welcome             board (read), client region (write)
 //   open_window           WindowRequest      window_opened       window (write), window (read)
-//   open_executor         ExecutorRequest    executor_opened     eventfd, datagram socket
+//   open_executor         ExecutorRequest    executor_opened     eventfd, datagram socket (body: Done)
 //   create_publisher      CreateEndpoint     endpoint_created
 //   create_subscription   CreateEndpoint     endpoint_created
 //   leave                 Reference          done                the endpoint takes or publishes no more
