@@ -132,6 +132,7 @@ struct ClientRegionHeader {
   alignas(cache_line_bytes) std::byte reserved[128];
   ExecutorLine executor[executor_count_max];
 };
+inline constexpr std::uint64_t client_region_magic = 0x67657263742e6761;  // "ag.tcreg" in memory order
 static_assert(offsetof(ClientRegionHeader, activity) == 64 &&
               offsetof(ClientRegionHeader, window) == 128 &&
               offsetof(ClientRegionHeader, executor) == 512);
