@@ -16,6 +16,15 @@
 
 namespace agnocast::abi {
 
+//    0  magic  u64 · 8  fingerprint  u64 · 16  incarnation  u64    written once, before anybody sees it
+struct BoardHeader {
+  SharedWord magic;
+  SharedWord fingerprint;
+  SharedWord incarnation;  // of the daemon's tables; a board of another one is another system
+};
+inline constexpr std::uint64_t board_magic = 0x6472616f622e6761;  // "ag.board" in memory order
+static_assert(sizeof(BoardHeader) == 24 && sizeof(BoardHeader) <= page_bytes);
+
 //    0  epoch              u64  +1 after every membership change       [sync:join] seq_cst store at
 //    J3, acquire at P7 8  word               u64  generation | state of the topic
 //   64  publisher_high     u64  publisher indexes ever used             bound of every loop over
@@ -77,6 +86,10 @@ constexpr std::uint64_t subscription_entry_offset(std::uint64_t publishers,
 inline constexpr std::uint64_t topic_bytes =
     subscription_entry_offset(publisher_count_max, subscription_count_max);
 static_assert(topic_bytes == 65536);
+constexpr std::uint64_t topic_offset(std::uint64_t topic) noexcept {
+  return page_bytes + topic * topic_bytes;
+}
+inline constexpr std::uint64_t board_bytes = topic_offset(topic_count_max);
 static_assert(std::is_standard_layout_v<TopicHeader> && std::is_standard_layout_v<PublisherEntry>);
 
 }  // namespace agnocast::abi

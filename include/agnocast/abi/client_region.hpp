@@ -132,10 +132,17 @@ struct ClientRegionHeader {
   alignas(cache_line_bytes) std::byte reserved[128];
   ExecutorLine executor[executor_count_max];
 };
+inline constexpr std::uint64_t client_region_magic = 0x67657263742e6761;  // "ag.tcreg" in memory order
 static_assert(offsetof(ClientRegionHeader, activity) == 64 &&
               offsetof(ClientRegionHeader, window) == 128 &&
               offsetof(ClientRegionHeader, executor) == 512);
 static_assert(sizeof(ClientRegionHeader) <= page_bytes);
 static_assert(std::is_standard_layout_v<ClientRegionHeader>);
+
+// What an endpoint gets of its process's region: whole pages, enough for the largest geometry.
+constexpr std::uint64_t whole_pages(std::uint64_t bytes) noexcept { return (bytes + page_bytes - 1) / page_bytes * page_bytes; }
+inline constexpr std::uint64_t publisher_extent_bytes = whole_pages(slot_offset(ring_count, slot_count_max));
+inline constexpr std::uint64_t subscription_extent_bytes =
+    whole_pages(far_hold_offset(publisher_count_max, publisher_count_max, 0));
 
 }  // namespace agnocast::abi

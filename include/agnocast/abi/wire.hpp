@@ -11,24 +11,27 @@
 //
 // docs/control-plane.md says what each message means and in which order they come.
 //
+// clang-format off
 //   client → daemon       body               answer              descriptors of the answer
-//   hello                 Hello              welcome             board (read), client region
-//   (write) open_window           WindowRequest      window_opened       window (write), window
-//   (read) open_executor         ExecutorRequest    executor_opened     eventfd, datagram socket
+//   hello                 Hello              welcome             board (read), client region (write)
+//   open_window           WindowRequest      window_opened       window (write), window (read)
+//   open_executor         ExecutorRequest    executor_opened     eventfd, datagram socket (body: Done)
 //   create_publisher      CreateEndpoint     endpoint_created
 //   create_subscription   CreateEndpoint     endpoint_created
-//   leave                 Reference          done                the endpoint takes or publishes no
-//   more drained               Reference          done                (subscription) nothing held,
-//   line zeroed unlinked              Unlinked           –                   rule RU: nothing of it
-//   is mapped or linked any more any request may be answered by `refused`
+//   leave                 Reference          done                the endpoint takes or publishes no more
+//   drained               Reference          done                subscription: nothing held, lines zeroed;
+//                                                                publisher, after its word is free: everything freed
+//   unlinked              Unlinked           –                   rule RU: nothing of it is mapped or linked any more
+//   any request may be answered by `refused`
 //
 //   daemon → client, unasked
-//   announce              Announcement       client region (read), windows (read), doorbells: as
-//   the body says window_announced      WindowAnnounced    window (read) forget Reference –    a
-//   subscription is over: detach it, then say unlinked orphaned              Orphaned           –
-//   a publisher is gone: drain it, then say unlinked kick                  Reference          –
-//   make a pass over this publisher's queue notice                Notice             – incompatible
-//   QoS, type mismatch, …
+//   announce              Announcement       client region (read), windows (read), doorbells: as the body says
+//   window_announced      WindowAnnounced    window (read)
+//   forget                Reference          –                   a subscription is over: detach it, then say unlinked
+//   orphaned              Orphaned           –                   a publisher is gone: drain it, then say unlinked
+//   kick                  Reference          –                   make a pass over this publisher's queue
+//   notice                Notice             –                   incompatible QoS, type mismatch, …
+// clang-format on
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
