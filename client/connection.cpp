@@ -21,18 +21,23 @@ bool write_name(abi::wire::Name& name, std::string_view text) noexcept {
 
 namespace {
 
-tl::unexpected<Failure> gone() noexcept { return fail(Errc::daemon_not_running, "the connection to agnocastd has ended"); }
+tl::unexpected<Failure> gone() noexcept {
+  return fail(Errc::daemon_not_running, "the connection to agnocastd has ended");
+}
 
-/// What the daemon refused, as a Failure. Its text is for people and stays in the daemon's log; ours is static.
+/// What the daemon refused, as a Failure. Its text is for people and stays in the daemon's log;
+/// ours is static.
 Failure refusal_of(const Incoming& packet) noexcept {
   abi::wire::Refused refused{};
   if (!packet.read(refused)) return {Errc::protocol_violation, 0, "an answer of agnocastd"};
-  return {static_cast<Errc>(refused.code), static_cast<int>(refused.os_errno), "refused by agnocastd"};
+  return {static_cast<Errc>(refused.code), static_cast<int>(refused.os_errno),
+          "refused by agnocastd"};
 }
 
 }  // namespace
 
-Result<void> Connection::request_bytes(std::byte* bytes, std::size_t size, std::function<Result<void>(Incoming&)> on_answer) {
+Result<void> Connection::request_bytes(std::byte* bytes, std::size_t size,
+                                       std::function<Result<void>(Incoming&)> on_answer) {
   const auto deadline = std::chrono::steady_clock::now() + answer_timeout;
   Waiting waiting{std::move(on_answer), false, {}};
   std::uint64_t id = 0;
@@ -43,7 +48,8 @@ Result<void> Connection::request_bytes(std::byte* bytes, std::size_t size, std::
     waiting_[id] = &waiting;
   }
   std::memcpy(bytes + offsetof(Header, request), &id, sizeof id);
-  // Nobody may know `waiting` any more when this function returns; the control thread may be at it in the last moment.
+  // Nobody may know `waiting` any more when this function returns; the control thread may be at it
+  // in the last moment.
   const auto give_up = [&](tl::unexpected<Failure> why) -> Result<void> {
     std::unique_lock lock(mutex_);
     if (waiting_.erase(id) != 0) return why;
@@ -55,9 +61,11 @@ Result<void> Connection::request_bytes(std::byte* bytes, std::size_t size, std::
     if (!sent) return give_up(tl::unexpected<Failure>(sent.error()));
     if (*sent == Sent::sent) break;
     if (*sent == Sent::peer_gone) return give_up(gone());
-    const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(deadline - std::chrono::steady_clock::now());
+    const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(
+        deadline - std::chrono::steady_clock::now());
     pollfd writable{socket_.fd(), POLLOUT, 0};
-    if (left.count() <= 0 || (::poll(&writable, 1, static_cast<int>(left.count())) < 0 && errno != EINTR)) {
+    if (left.count() <= 0 ||
+        (::poll(&writable, 1, static_cast<int>(left.count())) < 0 && errno != EINTR)) {
       return give_up(fail(Errc::daemon_not_running, "agnocastd does not read its socket"));
     }
   }
@@ -73,7 +81,8 @@ void Connection::post_bytes(std::span<const std::byte> bytes) {
   if (ended_) return;
   if (unsent_.empty()) {
     const Result<Sent> sent = socket_.send(bytes);
-    if (sent && *sent != Sent::would_block) return;  // a peer that is gone: the control thread notices
+    if (sent && *sent != Sent::would_block)
+      return;  // a peer that is gone: the control thread notices
   }
   unsent_.emplace_back(bytes.begin(), bytes.end());
 }
@@ -91,10 +100,12 @@ bool Connection::flush() noexcept {
 void Connection::answer(std::uint64_t id, Incoming& packet) {
   std::unique_lock lock(mutex_);
   const auto found = waiting_.find(id);
-  if (found == waiting_.end()) return;  // given up; what came with the answer is closed with the packet
+  if (found == waiting_.end())
+    return;  // given up; what came with the answer is closed with the packet
   Waiting& waiting = *found->second;
   waiting_.erase(found);
-  // Erased but not done: the requester waits for `done`, so `waiting` stays. Its function runs without the lock, it may post.
+  // Erased but not done: the requester waits for `done`, so `waiting` stays. Its function runs
+  // without the lock, it may post.
   lock.unlock();
   Result<void> result;
   if (packet.header().opcode == Opcode::refused) {
@@ -118,7 +129,8 @@ Result<bool> Connection::receive(Incoming& packet, bool& unasked) {
     ++seen_;
     packet.packet = std::move(*received);
     packet.size = packet.packet.bytes;
-    if (packet.size < sizeof(Header) || packet.packet.truncated || packet.header().bytes != packet.size) {
+    if (packet.size < sizeof(Header) || packet.packet.truncated ||
+        packet.header().bytes != packet.size) {
       return fail(Errc::protocol_violation, "a packet of agnocastd");
     }
     if (packet.header().request == 0) {
@@ -140,7 +152,8 @@ Result<void> Connection::receive_first(Incoming& packet) {
   ++seen_;
   packet.packet = std::move(*received);
   packet.size = packet.packet.bytes;
-  if (packet.size < sizeof(Header) || packet.packet.truncated) return fail(Errc::protocol_violation, "a packet of agnocastd");
+  if (packet.size < sizeof(Header) || packet.packet.truncated)
+    return fail(Errc::protocol_violation, "a packet of agnocastd");
   if (packet.header().opcode == Opcode::refused) return tl::unexpected<Failure>(refusal_of(packet));
   return {};
 }

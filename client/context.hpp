@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Context: this process's membership: connection, client region, heap, peers, and every endpoint. Made by the first endpoint, never destroyed
-// (messages in statics stay valid), dead in a forked child.
+// Context: this process's membership: connection, client region, heap, peers, and every endpoint.
+// Made by the first endpoint, never destroyed (messages in statics stay valid), dead in a forked
+// child.
 //
-// One control thread serves it: it handles what the daemon says in order, makes the passes that publishers leave to it, unlinks what is over,
-// unmaps peers that nobody uses, and opens the next heap window. User threads reach shared memory directly and the daemon only to create and
-// destroy endpoints.
+// One control thread serves it: it handles what the daemon says in order, makes the passes that
+// publishers leave to it, unlinks what is over, unmaps peers that nobody uses, and opens the next
+// heap window. User threads reach shared memory directly and the daemon only to create and destroy
+// endpoints.
 #pragma once
 
 #include <agnocast/residency.hpp>
@@ -16,6 +18,7 @@
 #include <client/heap.hpp>
 #include <client/peer.hpp>
 #include <client/publisher_endpoint.hpp>
+#include <client/sleeper.hpp>
 #include <client/sparse_region.hpp>
 #include <client/subscription_endpoint.hpp>
 
@@ -42,52 +45,38 @@ struct EndpointRequest {
   std::uint64_t quota = 0;  // subscriptions: messages held at once, per publisher
 };
 
-/// Something of this process that sleeps: a sleep word and the two bells that end its sleep.
-class Sleeper {
- public:
-  Sleeper(std::byte* client_region, std::uint64_t index, DoorbellReceiver bells) noexcept
-      : index_(index), bells_(std::move(bells)),
-        core_(client_region, offsetof(abi::ClientRegionHeader, executor) + index * sizeof(abi::ExecutorLine)) {}
-
-  std::uint64_t index() const noexcept { return index_; }
-  const DoorbellReceiver& bells() const noexcept { return bells_; }
-  /// Order: arm, look at every subscription, block on the bells, disarm. One thread.
-  void arm() noexcept { core_.arm(); }
-  void disarm() noexcept { core_.disarm(); }
-
- private:
-  std::uint64_t index_;
-  DoorbellReceiver bells_;
-  dataplane::SleepCore<SharedMemory> core_;
-};
-
 class Context {
  public:
   /// The one of this process. Any thread.
   static Context& instance() noexcept;
 
-  /// Any of the following connects first if need be. Errors of all: daemon_not_running, layout_mismatch, arena_occupied, lock_limit,
-  /// permission_denied, quota_exceeded, limit_reached, shut_down (forked child), os_failure, and what is named.
+  /// Any of the following connects first if need be. Errors of all: daemon_not_running,
+  /// layout_mismatch, arena_occupied, lock_limit, permission_denied, quota_exceeded, limit_reached,
+  /// shut_down (forked child), os_failure, and what is named.
 
   /// Errors also: hook_missing, hook_ineffective, type_mismatch, invalid_name, depth_refused.
-  [[nodiscard]] Result<std::shared_ptr<PublisherEndpoint>> create_publisher(const EndpointRequest& request,
-                                                                            void (*destroy)(void*) noexcept);
+  [[nodiscard]] Result<std::shared_ptr<PublisherEndpoint>> create_publisher(
+      const EndpointRequest& request, void (*destroy_message)(void*) noexcept);
   /// Errors also: type_mismatch, invalid_name, depth_refused.
-  [[nodiscard]] Result<std::shared_ptr<SubscriptionEndpoint>> create_subscription(const EndpointRequest& request, const Sleeper& sleeper);
+  [[nodiscard]] Result<std::shared_ptr<SubscriptionEndpoint>> create_subscription(
+      const EndpointRequest& request, std::shared_ptr<Sleeper> sleeper);
   [[nodiscard]] Result<std::shared_ptr<Sleeper>> create_sleeper();
 
-  /// The endpoint publishes no more; messages that somebody still reads stay until they are released.
+  /// The endpoint publishes no more; messages that somebody still reads stay until they are
+  /// released.
   void destroy(const std::shared_ptr<PublisherEndpoint>& publisher) noexcept;
   /// The subscription takes no more; messages held stay valid.
   void destroy(const std::shared_ptr<SubscriptionEndpoint>& subscription) noexcept;
-  /// The last copy of a received message is gone. No system call unless a closing link ends with it. Any thread.
+  /// The last copy of a received message is gone. No system call unless a closing link ends with
+  /// it. Any thread.
   void release(const Received& received) noexcept;
 
   /// How publish adopts foreign memory. Only after a publisher was created.
   SharedHeap shared_heap() const noexcept { return heap_->shared_heap(); }
   /// False in a forked child, and before the first endpoint.
   bool is_connected() const noexcept;
-  /// What the last failed connect found, for people: e.g. the line of /proc/self/maps that is in the way.
+  /// What the last failed connect found, for people: e.g. the line of /proc/self/maps that is in
+  /// the way.
   std::string detail() const;
   void wake_control() noexcept;
 
@@ -104,7 +93,6 @@ class Context {
   Result<void> reserve_arena(std::uint64_t base, std::uint64_t bytes);
   Result<void> open_heap();
   Result<void> open_window(std::uint64_t window);
-  Result<void> prepare() noexcept;
 
   // control thread
   void serve() noexcept;
@@ -119,8 +107,10 @@ class Context {
   void collect_subscriptions();
   void collect_peers();
   std::shared_ptr<Peer> use(KnownPeer& known);
-  std::shared_ptr<Peer> peer_of(const abi::wire::Announcement& announcement, std::span<UniqueFd> fds, std::size_t& used);
-  void say_unlinked(abi::wire::Kind kind, std::uint32_t topic, std::uint64_t index, std::uint64_t generation);
+  std::shared_ptr<Peer> peer_of(const abi::wire::Announcement& announcement,
+                                std::span<UniqueFd> fds, std::size_t& used);
+  void say_unlinked(abi::wire::Kind kind, std::uint32_t topic, std::uint64_t index,
+                    std::uint64_t generation);
   void connection_ended() noexcept;
 
   mutable std::mutex connecting_;
@@ -142,7 +132,8 @@ class Context {
   std::map<EndpointKey, std::shared_ptr<SubscriptionEndpoint>> subscriptions_;
   std::uint64_t next_sleeper_ = 0;
 
-  std::map<std::pair<std::uint64_t, std::uint64_t>, KnownPeer> peers_;  // by client and generation; control thread only
+  std::map<std::pair<std::uint64_t, std::uint64_t>, KnownPeer>
+      peers_;  // by client and generation; control thread only
 };
 
 }  // namespace agnocast

@@ -14,7 +14,8 @@
 namespace agnocast {
 namespace {
 
-static_assert(WindowSet::count_max == abi::window_count_max && AGNOCAST_HEAPHOOK_WINDOWS_MAX == abi::window_count_max);
+static_assert(WindowSet::count_max == abi::window_count_max &&
+              AGNOCAST_HEAPHOOK_WINDOWS_MAX == abi::window_count_max);
 
 // One heap per process, for its whole life; the hook keeps pointers to these.
 struct Attached {
@@ -35,18 +36,27 @@ void store_grown(void* context, std::uint32_t window, std::uint64_t bytes) {
 
 Result<void> result_of(int status) noexcept {
   switch (status) {
-    case AGNOCAST_HEAPHOOK_OK: return {};
-    case AGNOCAST_HEAPHOOK_SECURE: return fail(Errc::hook_missing, "the heap hook does nothing in a setuid process");
-    case AGNOCAST_HEAPHOOK_FORKED: return fail(Errc::hook_missing, "the heap hook is off in a forked child");
-    case AGNOCAST_HEAPHOOK_OCCUPIED: return fail(Errc::arena_occupied, "opening a heap window", EEXIST);
-    case AGNOCAST_HEAPHOOK_LOCK_LIMIT: return fail(Errc::lock_limit, "opening a heap window", errno);
-    case AGNOCAST_HEAPHOOK_FULL: return fail(Errc::window_exhausted, "opening a heap window");
-    case AGNOCAST_HEAPHOOK_OS: return fail(Errc::os_failure, "opening a heap window", errno);
-    default: return fail(Errc::internal, "opening a heap window");
+    case AGNOCAST_HEAPHOOK_OK:
+      return {};
+    case AGNOCAST_HEAPHOOK_SECURE:
+      return fail(Errc::hook_missing, "the heap hook does nothing in a setuid process");
+    case AGNOCAST_HEAPHOOK_FORKED:
+      return fail(Errc::hook_missing, "the heap hook is off in a forked child");
+    case AGNOCAST_HEAPHOOK_OCCUPIED:
+      return fail(Errc::arena_occupied, "opening a heap window", EEXIST);
+    case AGNOCAST_HEAPHOOK_LOCK_LIMIT:
+      return fail(Errc::lock_limit, "opening a heap window", errno);
+    case AGNOCAST_HEAPHOOK_FULL:
+      return fail(Errc::window_exhausted, "opening a heap window");
+    case AGNOCAST_HEAPHOOK_OS:
+      return fail(Errc::os_failure, "opening a heap window", errno);
+    default:
+      return fail(Errc::internal, "opening a heap window");
   }
 }
 
-void describe_window(std::byte* client_region, std::uint64_t window, std::uint64_t base, std::uint64_t length) noexcept {
+void describe_window(std::byte* client_region, std::uint64_t window, std::uint64_t base,
+                     std::uint64_t length) noexcept {
   auto& entry = reinterpret_cast<abi::ClientRegionHeader*>(client_region)->window[window];
   entry.length.store(length, std::memory_order_relaxed);
   entry.base.store(base, std::memory_order_release);
@@ -87,15 +97,20 @@ Result<Heap> Heap::find() noexcept {
   return Heap(hook);
 }
 
-Result<void> Heap::attach(std::byte* client_region, std::uint64_t base, std::uint64_t length, int write_fd, int read_fd, Scope scope,
+Result<void> Heap::attach(std::byte* client_region, std::uint64_t base, std::uint64_t length,
+                          int write_fd, int read_fd, Scope scope,
                           void (*grown)() noexcept) noexcept {
   attached.client_region = client_region;
   attached.grown = grown;
   attached.hook = hook_;
   describe_window(client_region, 0, base, length);
-  const agnocast_heaphook_window window{reinterpret_cast<void*>(base), length, write_fd, read_fd, AGNOCAST_HEAPHOOK_WINDOW_RESERVED, 0};
+  const agnocast_heaphook_window window{
+      reinterpret_cast<void*>(base),     length, write_fd, read_fd,
+      AGNOCAST_HEAPHOOK_WINDOW_RESERVED, 0};
   const agnocast_heaphook_options options{
-      static_cast<std::uint32_t>(scope == Scope::all ? AGNOCAST_HEAPHOOK_SCOPE_ALL : AGNOCAST_HEAPHOOK_SCOPE_LOAN), 0, store_grown, &attached};
+      static_cast<std::uint32_t>(scope == Scope::all ? AGNOCAST_HEAPHOOK_SCOPE_ALL
+                                                     : AGNOCAST_HEAPHOOK_SCOPE_LOAN),
+      0, store_grown, &attached};
   if (Result<void> opened = result_of(hook_->attach(&window, &options)); !opened) return opened;
   attached.base[0] = base;
   attached.count.store(1, std::memory_order_release);
@@ -114,10 +129,11 @@ Result<void> Heap::attach(std::byte* client_region, std::uint64_t base, std::uin
   return {};
 }
 
-Result<void> Heap::add_window(std::byte* client_region, std::uint64_t window, std::uint64_t base, std::uint64_t length, int write_fd,
-                              int read_fd) noexcept {
+Result<void> Heap::add_window(std::byte* client_region, std::uint64_t window, std::uint64_t base,
+                              std::uint64_t length, int write_fd, int read_fd) noexcept {
   describe_window(client_region, window, base, length);
-  const agnocast_heaphook_window next{reinterpret_cast<void*>(base), length, write_fd, read_fd, AGNOCAST_HEAPHOOK_WINDOW_RESERVED, 0};
+  const agnocast_heaphook_window next{reinterpret_cast<void*>(base),     length, write_fd, read_fd,
+                                      AGNOCAST_HEAPHOOK_WINDOW_RESERVED, 0};
   // Known before the hook hands out its first address: a message that lies there is resident.
   attached.base[window] = base;
   attached.count.store(window + 1, std::memory_order_release);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Heap: this process's shared heap, through the heap hook. Found by name at run time: a process without the hook can subscribe, not publish.
+// Heap: this process's shared heap, through the heap hook. Found by name at run time: a process
+// without the hook can subscribe, not publish.
 #pragma once
 
 #include <agnocast/abi/heaphook.h>
@@ -19,13 +20,15 @@ class Heap {
   /// Looks for the hook. Errors: hook_missing (none in this process, or one of another version).
   [[nodiscard]] static Result<Heap> find() noexcept;
 
-  /// The first window. `client_region`: where the frontier is stored; `grown`: called after it was, without locks of ours, must not allocate.
-  /// Errors: hook_missing, hook_ineffective (malloc or new are not the hook's: somebody else replaced them), arena_occupied, lock_limit,
-  /// os_failure.
-  [[nodiscard]] Result<void> attach(std::byte* client_region, std::uint64_t base, std::uint64_t length, int write_fd, int read_fd,
-                                    Scope scope, void (*grown)() noexcept) noexcept;
+  /// The first window. `client_region`: where the frontier is stored; `grown`: called after it was,
+  /// without locks of ours, must not allocate. Errors: hook_missing, hook_ineffective (malloc or
+  /// new are not the hook's: somebody else replaced them), arena_occupied, lock_limit, os_failure.
+  [[nodiscard]] Result<void> attach(std::byte* client_region, std::uint64_t base,
+                                    std::uint64_t length, int write_fd, int read_fd, Scope scope,
+                                    void (*grown)() noexcept) noexcept;
   /// The next window.
-  [[nodiscard]] Result<void> add_window(std::byte* client_region, std::uint64_t window, std::uint64_t base, std::uint64_t length, int write_fd,
+  [[nodiscard]] Result<void> add_window(std::byte* client_region, std::uint64_t window,
+                                        std::uint64_t base, std::uint64_t length, int write_fd,
                                         int read_fd) noexcept;
   /// True when the newest window is used to three quarters, or a request did not fit.
   bool wants_window() const noexcept;

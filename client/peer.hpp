@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Peer: another process as this one sees it. Its client region and heap stay mapped as long as anybody here has a reference: links,
-// attachments of publishers, held messages. When the last is gone the control thread tells the daemon (rule RU).
+// Peer: another process as this one sees it. Its client region and heap stay mapped as long as
+// anybody here has a reference: links, attachments of publishers, held messages. When the last is
+// gone the control thread tells the daemon (rule RU).
 #pragma once
 
 #include <client/peer_heap.hpp>
@@ -17,7 +18,11 @@ class Peer {
  public:
   /// `region`: its client region, for reading; the first page is open.
   Peer(std::uint64_t client, std::uint64_t generation, SparseRegion region) noexcept
-      : client_(client), generation_(generation), region_(std::move(region)), base_(region_.base()), heap_(base_) {}
+      : client_(client),
+        generation_(generation),
+        region_(std::move(region)),
+        base_(region_.base()),
+        heap_(base_) {}
   /// This very process: `region` belongs to the context, which is immortal.
   Peer(std::uint64_t client, std::uint64_t generation, std::byte* region) noexcept
       : client_(client), generation_(generation), base_(region), heap_(base_) {}

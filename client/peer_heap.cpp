@@ -23,13 +23,13 @@ PeerHeap::~PeerHeap() {
   }
 }
 
-Result<void> PeerHeap::append(std::uint64_t window, std::uint64_t base, std::uint64_t length, UniqueFd fd,
-                              std::uint64_t opened) noexcept {
+Result<void> PeerHeap::append(std::uint64_t window, std::uint64_t base, std::uint64_t length,
+                              UniqueFd fd, std::uint64_t opened) noexcept {
   const std::lock_guard lock(growing_);
   const std::uint64_t count = count_.load(std::memory_order_relaxed);
   if (window < count) return {};
-  if (window != count || window >= windows_.size() || base % abi::page_bytes != 0 || length % abi::page_bytes != 0 ||
-      base + length < base) {
+  if (window != count || window >= windows_.size() || base % abi::page_bytes != 0 ||
+      length % abi::page_bytes != 0 || base + length < base) {
     return fail(Errc::invalid_argument, "a heap window that cannot be");
   }
   windows_[window].fd = std::move(fd);
@@ -40,11 +40,13 @@ Result<void> PeerHeap::append(std::uint64_t window, std::uint64_t base, std::uin
   return {};
 }
 
-Result<void> PeerHeap::add(std::uint64_t window, std::uint64_t base, std::uint64_t length, UniqueFd fd) noexcept {
+Result<void> PeerHeap::add(std::uint64_t window, std::uint64_t base, std::uint64_t length,
+                           UniqueFd fd) noexcept {
   return append(window, base, length, std::move(fd), 0);
 }
 
-Result<void> PeerHeap::add_own(std::uint64_t window, std::uint64_t base, std::uint64_t length) noexcept {
+Result<void> PeerHeap::add_own(std::uint64_t window, std::uint64_t base,
+                               std::uint64_t length) noexcept {
   return append(window, base, length, UniqueFd(), length);
 }
 
@@ -52,14 +54,17 @@ void PeerHeap::open() noexcept {
   for (std::uint64_t i = 0; i < window_count(); ++i) {
     Window& window = windows_[i];
     const std::uint64_t frontier =
-        dataplane::load_frontier<SharedMemory>(client_region_, i, window.length) & ~(abi::page_bytes - 1);
+        dataplane::load_frontier<SharedMemory>(client_region_, i, window.length) &
+        ~(abi::page_bytes - 1);
     if (frontier <= window.opened.load(std::memory_order_acquire)) continue;
     const std::lock_guard lock(growing_);
     const std::uint64_t opened = window.opened.load(std::memory_order_relaxed);
     if (frontier <= opened) continue;
     void* const at = at_address(window.base + opened);
-    if (::mmap(at, frontier - opened, PROT_READ, MAP_SHARED | MAP_FIXED, window.fd.get(), static_cast<off_t>(opened)) == MAP_FAILED) {
-      return;  // what lies beyond stays closed: contains() refuses it, and the message counts as malformed
+    if (::mmap(at, frontier - opened, PROT_READ, MAP_SHARED | MAP_FIXED, window.fd.get(),
+               static_cast<off_t>(opened)) == MAP_FAILED) {
+      return;  // what lies beyond stays closed: contains() refuses it, and the message counts as
+               // malformed
     }
     ::madvise(at, frontier - opened, MADV_DONTDUMP);
     window.opened.store(frontier, std::memory_order_release);
@@ -70,7 +75,19 @@ bool PeerHeap::contains(std::uint64_t address, std::uint64_t size) const noexcep
   for (std::uint64_t i = 0; i < window_count(); ++i) {
     const Window& window = windows_[i];
     const std::uint64_t opened = window.opened.load(std::memory_order_acquire);
-    if (address >= window.base && size <= opened && address - window.base <= opened - size) return true;
+    if (address >= window.base && size <= opened && address - window.base <= opened - size)
+      return true;
+  }
+  return false;
+}
+
+bool PeerHeap::is_awaited(std::uint64_t address, std::uint64_t size) const noexcept {
+  const auto& header = *reinterpret_cast<const abi::ClientRegionHeader*>(client_region_);
+  for (std::uint64_t i = window_count(); i < abi::window_count_max; ++i) {
+    const std::uint64_t base = header.window[i].base.load(std::memory_order_acquire);
+    const std::uint64_t length = header.window[i].length.load(std::memory_order_relaxed);
+    if (base != 0 && address >= base && size <= length && address - base <= length - size)
+      return true;
   }
   return false;
 }

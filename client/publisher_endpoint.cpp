@@ -13,7 +13,8 @@ namespace {
 std::uint64_t monotonic_ns() noexcept {
   timespec now{};
   ::clock_gettime(CLOCK_MONOTONIC, &now);
-  return static_cast<std::uint64_t>(now.tv_sec) * 1'000'000'000 + static_cast<std::uint64_t>(now.tv_nsec);
+  return static_cast<std::uint64_t>(now.tv_sec) * 1'000'000'000 +
+         static_cast<std::uint64_t>(now.tv_nsec);
 }
 
 constexpr std::uint64_t armed_offset(std::uint64_t executor) noexcept {
@@ -44,7 +45,8 @@ struct PublisherEndpoint::Work {
     if (destroy_count < destroy.size()) {
       destroy[destroy_count++] = message;
     } else if (endpoint.doomed_.size() == endpoint.doomed_.capacity()) {
-      endpoint.identity_.destroy(message);  // the control thread is far behind: rather here, under the mutex, than allocate
+      endpoint.identity_.destroy(message);  // the control thread is far behind: rather here, under
+                                            // the mutex, than allocate
     } else {
       endpoint.doomed_.push_back(message);  // within its capacity: no allocation
       wake_control = true;
@@ -52,7 +54,8 @@ struct PublisherEndpoint::Work {
   }
 };
 
-PublisherEndpoint::PublisherEndpoint(const Identity& identity) : identity_(identity), core_(std::make_unique<Core>(identity.core)) {
+PublisherEndpoint::PublisherEndpoint(const Identity& identity)
+    : identity_(identity), core_(std::make_unique<Core>(identity.core)) {
   doomed_.reserve(abi::slot_count_max);
 }
 
@@ -71,33 +74,38 @@ dataplane::PublishOutcome PublisherEndpoint::publish(void* message, std::uint64_
   dataplane::PublishOutcome outcome = dataplane::PublishOutcome::no_slot;
   with_queue([&](Work& work) {
     // The stamp is taken under the mutex, so that it grows with the sequence.
-    outcome = core_->publish({reinterpret_cast<std::uint64_t>(message), bytes, monotonic_ns()}, work);
+    outcome =
+        core_->publish({reinterpret_cast<std::uint64_t>(message), bytes, monotonic_ns()}, work);
   });
   return outcome;
 }
 
-std::size_t PublisherEndpoint::executor_of(const Peer& peer, std::uint64_t executor, Doorbell bell) {
+std::size_t PublisherEndpoint::executor_of(const Peer& peer, std::uint64_t executor,
+                                           Doorbell bell) {
   std::size_t free_place = executors_.size();
   for (std::size_t i = 0; i < executors_.size(); ++i) {
     Executor& known = executors_[i];
     if (known.users == 0) {
       free_place = std::min(free_place, i);
-    } else if (known.client == peer.client() && known.client_generation == peer.generation() && known.executor == executor) {
+    } else if (known.client == peer.client() && known.client_generation == peer.generation() &&
+               known.executor == executor) {
       ++known.users;
       return i;
     }
   }
   if (free_place == executors_.size()) executors_.emplace_back();
-  executors_[free_place] = {peer.client(), peer.generation(), executor, 1, std::move(bell), 0, peer.region()};
+  executors_[free_place] = {peer.client(), peer.generation(), executor, 1, std::move(bell), 0,
+                            peer.region()};
   return free_place;
 }
 
-void PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr<Peer> peer, Doorbell bell) {
+void PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr<Peer> peer,
+                               Doorbell bell) {
   with_queue([&](Work& work) {
     attached_.reserve(attached_.size() + 1);
     const std::size_t executor = executor_of(*peer, subscription.executor, std::move(bell));
-    core_->attach(subscription.index, subscription.generation, peer->region(), subscription.extent, armed_offset(subscription.executor),
-                  executor, work);
+    core_->attach(subscription.index, subscription.generation, peer->region(), subscription.extent,
+                  armed_offset(subscription.executor), executor, work);
     attached_.push_back({subscription.index, subscription.generation, executor, std::move(peer)});
     core_->pass(work);
   });
@@ -106,9 +114,10 @@ void PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr
 void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) noexcept {
   std::shared_ptr<Peer> let_go;
   with_queue([&](Work& work) {
-    const auto found = std::find_if(attached_.begin(), attached_.end(), [&](const Attached& attached) {
-      return attached.index == index && attached.generation == generation;
-    });
+    const auto found =
+        std::find_if(attached_.begin(), attached_.end(), [&](const Attached& attached) {
+          return attached.index == index && attached.generation == generation;
+        });
     if (found == attached_.end()) return;
     core_->pass(work);  // learns that it is over while its line can still be read
     core_->detach(index, generation);
@@ -118,13 +127,23 @@ void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) no
   });
 }
 
+void PublisherEndpoint::detach_all() noexcept {
+  std::vector<Attached> let_go;
+  const std::lock_guard lock(mutex_);
+  for (const Attached& attached : attached_) core_->detach(attached.index, attached.generation);
+  let_go.swap(attached_);
+  executors_.clear();
+}
+
 void PublisherEndpoint::run_errands() noexcept {
   with_queue([&](Work& work) {
     for (Executor& sleeper : executors_) {
       const std::uint64_t owed = std::exchange(sleeper.owed, 0);
       if (owed == 0 || sleeper.users == 0) continue;
       // Another generation: it was awake meanwhile and has looked for itself.
-      if (SharedMemory::word(sleeper.region, armed_offset(sleeper.executor)).load(std::memory_order_relaxed) == owed) sleeper.bell.ring();
+      if (SharedMemory::word(sleeper.region, armed_offset(sleeper.executor))
+              .load(std::memory_order_relaxed) == owed)
+        sleeper.bell.ring();
     }
     core_->pass(work);
     while (!doomed_.empty() && work.destroy_count < work.destroy.size()) {

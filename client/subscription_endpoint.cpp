@@ -7,7 +7,8 @@
 
 namespace agnocast {
 
-Result<void> SubscriptionEndpoint::add_publisher(const Publisher& publisher, std::shared_ptr<Peer> peer) {
+Result<void> SubscriptionEndpoint::add_publisher(const Publisher& publisher,
+                                                 std::shared_ptr<Peer> peer) {
   const std::lock_guard lock(mutex_);
   if (closed_) return fail(Errc::invalid_argument, "linking a subscription that is closed");
   const Link::Core::Identity identity{self_.topic,
@@ -19,16 +20,20 @@ Result<void> SubscriptionEndpoint::add_publisher(const Publisher& publisher, std
                                       publisher.qos,
                                       self_.qos};
   auto link = std::make_shared<Link>(identity, std::move(peer));
-  if (!link->core_.link(publisher.from_start)) return fail(Errc::protocol_violation, "an announced publisher is not on the board");
+  if (!link->core_.link(publisher.from_start))
+    return fail(Errc::protocol_violation, "an announced publisher is not on the board");
   links_.push_back(std::move(link));
+  sleeper_->wake();  // what was committed before the link existed could not ring for it
   return {};
 }
 
 void SubscriptionEndpoint::orphan(std::uint64_t publisher, std::uint64_t generation) noexcept {
   const std::lock_guard lock(mutex_);
   for (const auto& link : links_) {
-    if (link->publisher() == publisher && link->generation() == generation) link->core_.observe_publisher();
+    if (link->publisher() == publisher && link->generation() == generation)
+      link->core_.observe_publisher();
   }
+  sleeper_->wake();
 }
 
 void SubscriptionEndpoint::close() noexcept {
@@ -52,6 +57,14 @@ std::vector<std::shared_ptr<Link>> SubscriptionEndpoint::collect_unlinked() {
     links_.erase(std::find(links_.begin(), links_.end(), link));
   }
   return over;
+}
+
+bool SubscriptionEndpoint::is_linked_to(std::uint64_t publisher,
+                                        std::uint64_t generation) const noexcept {
+  const std::lock_guard lock(mutex_);
+  return std::any_of(links_.begin(), links_.end(), [&](const auto& link) {
+    return link->publisher() == publisher && link->generation() == generation;
+  });
 }
 
 bool SubscriptionEndpoint::is_empty() const noexcept {
@@ -95,7 +108,8 @@ std::optional<Received> SubscriptionEndpoint::take() noexcept {
   const std::lock_guard lock(mutex_);
   if (closed_) return std::nullopt;
   drop_beyond_depth();
-  // A link whose candidate was gone when looked at closely is asked again; each round loses or takes something.
+  // A link whose candidate was gone when looked at closely is asked again; each round loses or
+  // takes something.
   for (std::size_t round = 0; round <= links_.size(); ++round) {
     const std::shared_ptr<Link> link = oldest();
     if (link == nullptr) return std::nullopt;
@@ -109,7 +123,8 @@ std::optional<Received> SubscriptionEndpoint::take() noexcept {
 
 bool SubscriptionEndpoint::has_news() const noexcept {
   const std::lock_guard lock(mutex_);
-  return !closed_ && std::any_of(links_.begin(), links_.end(), [](const auto& link) { return link->core_.has_news(); });
+  return !closed_ && std::any_of(links_.begin(), links_.end(),
+                                 [](const auto& link) { return link->core_.has_news(); });
 }
 
 std::uint64_t SubscriptionEndpoint::lost() const noexcept {

@@ -130,6 +130,11 @@ class LinkCore {
       AGNOCAST_STEP(T6_frontier) windows.open();
       if (!M::holds(Step::T6_inside, windows.contains(taken.address, taken.size))) {
         release(slot);
+        // In a window that its owner has and this process has not been told of yet: it stays unread
+        // until then.
+        if constexpr (requires { windows.is_awaited(taken.address, taken.size); }) {
+          if (windows.is_awaited(taken.address, taken.size)) break;
+        }
         ++malformed_;
         lose(1);
         continue;
@@ -149,7 +154,8 @@ class LinkCore {
         std::max(cursor_, minus_at_least(end, abi::window_of(self_.requested), 0));
     return end > from ? end - from : 0;
   }
-  /// Stamp of the message that take() would try next, if there is one. Orders the links of a subscription; a hint, unvalidated.
+  /// Stamp of the message that take() would try next, if there is one. Orders the links of a
+  /// subscription; a hint, unvalidated.
   std::optional<std::uint64_t> next_stamp() const noexcept {
     const std::uint64_t head = newest();
     const std::uint64_t newest_sequence = abi::sequence_of(head);
@@ -160,10 +166,12 @@ class LinkCore {
                                     ? head
                                     : self_.publisher.order(wanted).load(std::memory_order_acquire);
     const std::uint64_t slot = abi::slot_of(entry);
-    if (abi::sequence_of(entry) != wanted || slot >= M::slot_capacity) return 0;  // gone: look at this link first
+    if (abi::sequence_of(entry) != wanted || slot >= M::slot_capacity)
+      return 0;  // gone: look at this link first
     return self_.publisher.slot_stamp(slot).load(std::memory_order_relaxed);
   }
-  /// Gives up the next unread message: it counts as lost. How a subscription keeps its depth over several publishers.
+  /// Gives up the next unread message: it counts as lost. How a subscription keeps its depth over
+  /// several publishers.
   void skip() noexcept {
     const std::uint64_t end = abi::sequence_of(newest()) + 1;
     const std::uint64_t from =
