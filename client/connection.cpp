@@ -99,6 +99,17 @@ bool Connection::flush() noexcept {
 
 void Connection::answer(std::uint64_t id, Incoming& packet) {
   std::unique_lock lock(mutex_);
+  if (const auto later = later_.find(id); later != later_.end()) {
+    const auto on_answer = std::move(later->second);
+    later_.erase(later);
+    lock.unlock();
+    if (packet.header().opcode == Opcode::refused) {
+      on_answer(tl::unexpected<Failure>(refusal_of(packet)));
+    } else {
+      on_answer(&packet);
+    }
+    return;
+  }
   const auto found = waiting_.find(id);
   if (found == waiting_.end())
     return;  // given up; what came with the answer is closed with the packet
@@ -166,6 +177,7 @@ void Connection::fail_all() noexcept {
     waiting->done = true;
   }
   waiting_.clear();
+  later_.clear();
   unsent_.clear();
   answered_.notify_all();
 }

@@ -81,6 +81,21 @@ class Connection {
     post_bytes({reinterpret_cast<const std::byte*>(&body), sizeof(T)});
   }
 
+  /// Sends `body` and returns; `on_answer` runs in the control thread when the answer comes, with
+  /// the refusal if it is one. For the control thread itself, which cannot wait for what only it
+  /// receives.
+  template <class T>
+  void request_later(abi::wire::Opcode opcode, T body,
+                     std::function<void(Result<Incoming*>)> on_answer) {
+    std::uint64_t id = 0;
+    {
+      const std::lock_guard lock(mutex_);
+      id = next_id_++;
+      later_[id] = std::move(on_answer);
+    }
+    post(opcode, body, id);
+  }
+
   // --- control thread
   // ------------------------------------------------------------------------------------------------------------
 
@@ -112,6 +127,7 @@ class Connection {
   std::mutex mutex_;
   std::condition_variable answered_;
   std::map<std::uint64_t, Waiting*> waiting_;
+  std::map<std::uint64_t, std::function<void(Result<Incoming*>)>> later_;
   std::uint64_t next_id_ = 2;  // 1 is hello's
   bool ended_ = false;
   std::deque<std::vector<std::byte>> unsent_;

@@ -192,9 +192,8 @@ void Context::wake_control() noexcept {
 // ---------------------------------------------------------------------------------------------------------
 
 Result<void> Context::open_heap() {
-  static std::mutex opening;
-  const std::lock_guard lock(opening);
-  if (heap_) return {};
+  const std::lock_guard lock(connecting_);
+  if (heap_is_open_.load(std::memory_order_relaxed)) return {};
   Result<Heap> found = Heap::find();
   if (!found) return tl::unexpected<Failure>(found.error());
   Result<void> attached;
@@ -211,21 +210,31 @@ Result<void> Context::open_heap() {
                              []() noexcept { Context::instance().wake_control(); });
       });
   if (!opened) return opened;
-  window_count_ = 1;
   heap_ = *found;
+  heap_is_open_.store(true, std::memory_order_release);
   return {};
 }
 
-Result<void> Context::open_window(std::uint64_t window) {
+// Ahead of need: malloc never waits for the daemon. While the answer is on its way, or when it is a
+// refusal, the heap does with what it has.
+void Context::ask_for_window() {
+  if (!heap_is_open_.load(std::memory_order_acquire) || window_asked_ ||
+      window_count_ == abi::window_count_max)
+    return;
+  if (!heap_->wants_window()) return;
+  window_asked_ = true;
   wire::WindowRequest request{};
-  request.window = window;
-  return connection_->request(Opcode::open_window, request, [&](Incoming& packet) -> Result<void> {
+  request.window = window_count_;
+  connection_->request_later(Opcode::open_window, request, [this](Result<Incoming*> answer) {
     wire::WindowOpened opened{};
-    if (!packet.read(opened) || packet.packet.descriptor_count != 2)
-      return fail(Errc::protocol_violation, "a heap window");
-    const auto fds = packet.packet.fds();
-    return heap_->add_window(region_.base(), window, opened.base, opened.bytes, fds[0].get(),
-                             fds[1].get());
+    // Refused (quota, arena): not asked again, or a full heap would ask for ever.
+    if (!answer || !(*answer)->read(opened) || (*answer)->packet.descriptor_count != 2) return;
+    const auto fds = (*answer)->packet.fds();
+    if (!heap_->add_window(region_.base(), opened.window, opened.base, opened.bytes, fds[0].get(),
+                           fds[1].get()))
+      return;
+    ++window_count_;
+    window_asked_ = false;
   });
 }
 
@@ -642,6 +651,7 @@ void Context::run_errands() {
   }
   collect_subscriptions();
   collect_peers();
+  ask_for_window();
 }
 
 void Context::collect_subscriptions() {

@@ -92,7 +92,6 @@ class Context {
   Result<void> say_hello(const std::string& path);
   Result<void> reserve_arena(std::uint64_t base, std::uint64_t bytes);
   Result<void> open_heap();
-  Result<void> open_window(std::uint64_t window);
 
   // control thread
   void serve() noexcept;
@@ -106,6 +105,7 @@ class Context {
   void run_errands();
   void collect_subscriptions();
   void collect_peers();
+  void ask_for_window();
   std::shared_ptr<Peer> use(KnownPeer& known);
   std::shared_ptr<Peer> peer_of(const abi::wire::Announcement& announcement,
                                 std::span<UniqueFd> fds, std::size_t& used);
@@ -121,7 +121,9 @@ class Context {
   SparseRegion region_;
   std::uint64_t client_ = 0, client_generation_ = 0;
   std::optional<Heap> heap_;
-  std::uint64_t window_count_ = 0;
+  std::atomic<bool> heap_is_open_{false};
+  std::uint64_t window_count_ = 1;  // control thread only, as the next
+  bool window_asked_ = false;
 
   UniqueFd epoll_, wake_;
   std::thread thread_;

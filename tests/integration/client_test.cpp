@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the library's untyped core works against the real daemon between real processes, whoever dies.
-// Method: agnocastd in a private directory; processes of client_tool steered line by line; SIGKILL for deaths. Nothing sleeps a fixed time: what
-// happens asynchronously is asked for until it is true, up to a bound.
+// Goal: the library's untyped core works against the real daemon between real processes, whoever
+// dies. Method: agnocastd in a private directory; processes of client_tool steered line by line;
+// SIGKILL for deaths. Nothing sleeps a fixed time: what happens asynchronously is asked for until
+// it is true, up to a bound.
 
 #include <tests/support/client_tool.hpp>
 #include <tests/support/daemon_process.hpp>
@@ -29,7 +30,8 @@ TEST(Client, AnUnsizedMessageCrossesProcesses) {
   }
   EXPECT_EQ(subscriber.ask("take"), "none");
   for (int i = 0; i < 3; ++i) EXPECT_EQ(subscriber.ask("release"), "ok");
-  EXPECT_TRUE(publisher.eventually("allocated", "0")) << "an idle publisher's memory comes back after the last release";
+  EXPECT_TRUE(publisher.eventually("allocated", "0"))
+      << "an idle publisher's memory comes back after the last release";
 }
 
 TEST(Client, ASleeperIsRungAndALateJoinerGetsTheHistory) {

@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A process that uses the library's untyped core, steered line by line on its standard input; answers each line with one line. Linked with
-// the heap hook, so it can publish. Used by the integration tests.
+// A process that uses the library's untyped core, steered line by line on its standard input;
+// answers each line with one line. Linked with the heap hook, so it can publish. Used by the
+// integration tests.
 //
 //   sub TOPIC DEPTH [tl]     pub TOPIC DEPTH [tl]       → ok | error CODE WHAT
-//   publish COUNT ELEMENTS                               → ok | error …          numbers go on from 1
-//   take                                                 → none | NUMBER | damaged       holds what it took
-//   release                                              → ok | damaged | none          the oldest held
-//   wait MS                                              → news | timeout        sleeps like an executor
-//   lost · allocated · links · unsub · unpub · quit      → a number | ok
+//   publish COUNT ELEMENTS                               → ok | error …          numbers go on from
+//   1 take                                                 → none | NUMBER | damaged       holds
+//   what it took release                                              → ok | damaged | none the
+//   oldest held wait MS                                              → news | timeout        sleeps
+//   like an executor lost · allocated · links · unsub · unpub · quit      → a number | ok
 
 #include <client/context.hpp>
 
@@ -35,12 +36,17 @@ struct Cloud {
   std::vector<std::string> names;
 };
 
-std::uint64_t element(std::uint64_t number, std::uint64_t i) { return (number + 1) * 0x9e3779b97f4a7c15 ^ i; }
+std::uint64_t element(std::uint64_t number, std::uint64_t i) {
+  return (number + 1) * 0x9e3779b97f4a7c15 ^ i;
+}
 
 void fill(Cloud& cloud, std::uint64_t number, std::uint64_t count) {
   cloud.number = number;
-  for (std::uint64_t i = 0; i < count; ++i) cloud.points.push_back(element(number, i));  // grows in steps
-  for (std::uint64_t i = 0; i < number % 7; ++i) cloud.names.push_back("a name that is too long to be stored inside " + std::to_string(number + i));
+  for (std::uint64_t i = 0; i < count; ++i)
+    cloud.points.push_back(element(number, i));  // grows in steps
+  for (std::uint64_t i = 0; i < number % 7; ++i)
+    cloud.names.push_back("a name that is too long to be stored inside " +
+                          std::to_string(number + i));
 }
 
 bool intact(const Cloud& cloud) {
@@ -49,7 +55,9 @@ bool intact(const Cloud& cloud) {
   }
   if (cloud.names.size() != cloud.number % 7) return false;
   for (std::uint64_t i = 0; i < cloud.names.size(); ++i) {
-    if (cloud.names[i] != "a name that is too long to be stored inside " + std::to_string(cloud.number + i)) return false;
+    if (cloud.names[i] !=
+        "a name that is too long to be stored inside " + std::to_string(cloud.number + i))
+      return false;
   }
   return true;
 }
@@ -84,8 +92,8 @@ class Tool {
 
  private:
   static std::string text_of(const Failure& failure) {
-    return "error " + std::to_string(static_cast<int>(failure.code)) + " " + sentence_of(failure.code) + ": " + failure.what + " " +
-           Context::instance().detail();
+    return "error " + std::to_string(static_cast<int>(failure.code)) + " " +
+           sentence_of(failure.code) + ": " + failure.what + " " + Context::instance().detail();
   }
   static EndpointRequest request(std::istringstream& line, std::string& topic) {
     EndpointRequest request;
@@ -106,7 +114,8 @@ class Tool {
       if (!sleeper) return text_of(sleeper.error());
       sleeper_ = *sleeper;
       epoll_.reset(::epoll_create1(EPOLL_CLOEXEC));
-      if (const auto added = sleeper_->bells().add_to(epoll_.get(), 1, 2); !added) return text_of(added.error());
+      if (const auto added = sleeper_->bells().add_to(epoll_.get(), 1, 2); !added)
+        return text_of(added.error());
     }
     std::string topic;
     auto created = Context::instance().create_subscription(request(line, topic), sleeper_);
@@ -117,7 +126,8 @@ class Tool {
 
   std::string advertise(std::istringstream& line) {
     std::string topic;
-    auto created = Context::instance().create_publisher(request(line, topic), [](void* message) noexcept { delete static_cast<Cloud*>(message); });
+    auto created = Context::instance().create_publisher(
+        request(line, topic), [](void* message) noexcept { delete static_cast<Cloud*>(message); });
     if (!created) return text_of(created.error());
     publisher_ = *created;
     number_ = 0;
@@ -136,7 +146,8 @@ class Tool {
         fill(*cloud, number_ + 1, elements);
       }
       const auto outcome = publisher_->publish(cloud.get(), sizeof(Cloud));
-      if (outcome != dataplane::PublishOutcome::published) return "error outcome " + std::to_string(static_cast<int>(outcome));
+      if (outcome != dataplane::PublishOutcome::published)
+        return "error outcome " + std::to_string(static_cast<int>(outcome));
       (void)cloud.release();  // NOLINT: it belongs to the queue now
       ++number_;
     }

@@ -32,11 +32,13 @@ class ClientTool {
     ::posix_spawn_file_actions_adddup2(&actions, pair[1], STDOUT_FILENO);
     std::string socket = "AGNOCAST_SOCKET=" + socket_path;
     std::vector<char*> environment{socket.data()};
-    for (char** variable = environ; *variable != nullptr; ++variable) environment.push_back(*variable);
+    for (char** variable = environ; *variable != nullptr; ++variable)
+      environment.push_back(*variable);
     environment.push_back(nullptr);
     char program[] = AGNOCAST_CLIENT_TOOL;
     char* arguments[] = {program, nullptr};
-    if (::posix_spawn(&pid_, program, &actions, nullptr, arguments, environment.data()) != 0) std::abort();
+    if (::posix_spawn(&pid_, program, &actions, nullptr, arguments, environment.data()) != 0)
+      std::abort();
     ::posix_spawn_file_actions_destroy(&actions);
     ::close(pair[1]);
     socket_.reset(pair[0]);
