@@ -86,8 +86,7 @@ std::string Context::detail() const {
   return detail_;
 }
 
-// --- connecting
-// --------------------------------------------------------------------------------------------------------------------
+// --- connecting ---
 
 Result<void> Context::connect() {
   const std::lock_guard lock(connecting_);
@@ -188,8 +187,7 @@ void Context::wake_control() noexcept {
       ::write(wake_.get(), &one, sizeof one);  // full: it is awake anyway
 }
 
-// --- creating and destroying
-// ---------------------------------------------------------------------------------------------------------
+// --- creating and destroying ---
 
 Result<void> Context::open_heap() {
   const std::lock_guard lock(connecting_);
@@ -395,21 +393,24 @@ void Context::release(const Received& received) noexcept {
   if (received.link->release(received.taken.slot)) wake_control();
 }
 
-// --- control thread
-// --------------------------------------------------------------------------------------------------------------------
+// --- control thread ---
 
 void Context::serve() noexcept {
-  int timeout = timer_first_ms;
+  int timeout = timer_last_ms;
+  bool was_reclaimable = false;
   for (;;) {
     try {
       if (!serve_once(timeout)) break;
-      bool reclaimable = false;
-      {
-        const std::lock_guard lock(endpoints_);
-        for (const auto& [key, publisher] : publishers_)
-          reclaimable = reclaimable || publisher->has_reclaimable();
+      const auto all = publishers();
+      const bool reclaimable = std::any_of(all.begin(), all.end(), [](const auto& publisher) {
+        return publisher->has_reclaimable();
+      });
+      if (!reclaimable) {
+        timeout = timer_last_ms;
+      } else {
+        timeout = was_reclaimable ? std::min(timeout * 2, timer_last_ms) : timer_first_ms;
       }
-      timeout = reclaimable ? std::min(timeout * 2, timer_last_ms) : timer_last_ms;
+      was_reclaimable = reclaimable;
     } catch (const std::bad_alloc&) {
       // Out of memory in the control thread: nothing is half done that the next round would not do
       // again.
@@ -452,9 +453,20 @@ void Context::connection_ended() noexcept {
     ::poll(&wake, 1, timer_first_ms);
     std::uint64_t ignored = 0;
     [[maybe_unused]] const ssize_t got = ::read(wake_.get(), &ignored, sizeof ignored);
-    const std::lock_guard lock(endpoints_);
-    for (const auto& [key, publisher] : publishers_) publisher->run_errands();
+    try {
+      for (const auto& publisher : publishers()) publisher->run_errands();
+    } catch (const std::bad_alloc&) {  // next time
+    }
   }
+}
+
+// Passes destroy messages, and destructors are user code: they run without our locks.
+std::vector<std::shared_ptr<PublisherEndpoint>> Context::publishers() const {
+  const std::lock_guard lock(endpoints_);
+  std::vector<std::shared_ptr<PublisherEndpoint>> all;
+  all.reserve(publishers_.size());
+  for (const auto& [key, publisher] : publishers_) all.push_back(publisher);
+  return all;
 }
 
 void Context::handle(Incoming& packet) {
@@ -595,11 +607,8 @@ void Context::on_window(Incoming& packet) {
 void Context::on_forget(Incoming& packet) {
   wire::Reference over{};
   if (!packet.read(over) || over.kind != Kind::subscription) return;
-  {
-    const std::lock_guard lock(endpoints_);
-    for (const auto& [key, publisher] : publishers_) {
-      if (key.first == over.topic) publisher->detach(over.index, over.generation);
-    }
+  for (const auto& publisher : publishers()) {
+    if (publisher->topic_index() == over.topic) publisher->detach(over.index, over.generation);
   }
   say_unlinked(Kind::subscription, over.topic, over.index, over.generation);
 }
@@ -616,9 +625,10 @@ void Context::on_orphaned(Incoming& packet) {
 void Context::on_kick(Incoming& packet) {
   wire::Reference whose{};
   if (!packet.read(whose)) return;
-  const std::lock_guard lock(endpoints_);
-  if (const auto found = publishers_.find({whose.topic, whose.index}); found != publishers_.end())
-    found->second->run_errands();
+  for (const auto& publisher : publishers()) {
+    if (publisher->topic_index() == whose.topic && publisher->identity().index == whose.index)
+      publisher->run_errands();
+  }
 }
 
 void Context::say_unlinked(Kind kind, std::uint32_t topic, std::uint64_t index,
@@ -633,21 +643,17 @@ void Context::say_unlinked(Kind kind, std::uint32_t topic, std::uint64_t index,
 }
 
 void Context::run_errands() {
-  {
-    const std::lock_guard lock(endpoints_);
-    for (auto it = publishers_.begin(); it != publishers_.end();) {
-      const std::shared_ptr<PublisherEndpoint>& publisher = it->second;
-      publisher->run_errands();
-      if (publisher->is_over()) {
-        publisher->detach_all();
-        connection_->post(Opcode::drained,
-                          reference(Kind::publisher, it->first.first, it->first.second,
-                                    publisher->identity().generation));
-        it = publishers_.erase(it);
-      } else {
-        ++it;
-      }
+  for (const auto& publisher : publishers()) {
+    publisher->run_errands();
+    if (!publisher->is_over()) continue;
+    publisher->detach_all();
+    const auto& identity = publisher->identity();
+    {
+      const std::lock_guard lock(endpoints_);
+      publishers_.erase({publisher->topic_index(), identity.index});
     }
+    connection_->post(Opcode::drained, reference(Kind::publisher, publisher->topic_index(),
+                                                 identity.index, identity.generation));
   }
   collect_subscriptions();
   collect_peers();
