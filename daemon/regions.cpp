@@ -10,6 +10,7 @@
 #include <sys/stat.h>
 
 #include <cerrno>
+#include <string>
 
 namespace agnocast::daemon {
 namespace {
@@ -110,6 +111,14 @@ Result<SharedFd> Regions::open_window(ClientIndex client, std::uint64_t bytes) {
   if (!reader) return tl::unexpected(reader.error());
   clients_[number(client)].window_readers.push_back(share(std::move(*reader)));
   return share(std::move(*writer));
+}
+
+Result<SharedFd> Regions::window_writer(ClientIndex client, std::uint64_t window) const {
+  const std::string path =
+      "/proc/self/fd/" + std::to_string(of(client).window_readers[window]->get());
+  UniqueFd writer(::open(path.c_str(), O_RDWR | O_CLOEXEC));
+  if (!writer) return fail(Errc::os_failure, "re-opening a window", errno);
+  return share(std::move(writer));
 }
 
 void Regions::close_client(ClientIndex client) noexcept {

@@ -62,6 +62,8 @@ class Regions {
   /// A heap window; keeps what readers need. Yields the writable descriptor, which is its owner's
   /// alone. Errors: os_failure.
   [[nodiscard]] Result<SharedFd> open_window(ClientIndex client, std::uint64_t bytes);
+  /// The writable descriptor once more: its owner did not get the answer. Errors: os_failure.
+  [[nodiscard]] Result<SharedFd> window_writer(ClientIndex client, std::uint64_t window) const;
   const std::vector<SharedFd>& window_readers(ClientIndex client) const noexcept {
     return of(client).window_readers;
   }

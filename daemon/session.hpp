@@ -84,6 +84,7 @@ class Session {
     queue_.clear();
   }
   bool closed() const noexcept { return !socket_; }
+  void drop_output() noexcept { queue_.clear(); }
 
   /// Appends a packet; its number. Sends nothing yet.
   std::uint64_t push(std::span<const std::byte> bytes, std::vector<SharedFd> fds);
