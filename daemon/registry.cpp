@@ -51,8 +51,9 @@ std::string topic_key(std::uint64_t domain, std::string_view name) {
   return std::to_string(domain).append(name);  // a name starts with a slash
 }
 
-Registry::Registry(const Memory& memory) noexcept
-    : log_(memory.log),
+Registry::Registry(const Memory& memory, const Capacity& capacity) noexcept
+    : capacity_(capacity),
+      log_(memory.log),
       tables_(*reinterpret_cast<Tables*>(memory.tables)),
       board_(memory.board),
       views_(abi::client_count_max) {}
@@ -332,7 +333,7 @@ std::optional<std::uint64_t> Registry::lowest_extent(ClientIndex client,
 Result<ClientIndex> Registry::add_client(const NewClient& wanted) {
   std::uint32_t index = 0;
   while (index < client_high() && tables_.client[index].state != ClientState::free) ++index;
-  if (index >= abi::client_count_max)
+  if (index >= capacity_.clients)
     return fail(Errc::limit_reached, "the daemon has no room for another process");
   AGNOCAST_CHECK(views_[index].endpoints.empty());
   put(tables_.client[index].name, wanted.name);
@@ -347,8 +348,11 @@ Usage Registry::usage_of(std::uint32_t uid) const {
     const ClientRecord& record = tables_.client[i];
     if (record.state == ClientState::free || record.uid != uid) continue;
     ++usage.clients;
-    for (const EndpointRef& ref : views_[i].endpoints)
+    for (const EndpointRef& ref : views_[i].endpoints) {
       ++(ref.kind == Kind::publisher ? usage.publishers : usage.subscriptions);
+      if (ref.kind == Kind::subscription)
+        usage.held_messages += subscription(ref.topic, ref.index).quota;
+    }
     usage.executors += static_cast<std::uint64_t>(std::popcount(record.executors));
     for (std::uint64_t w = 0; w < record.window_count; ++w)
       usage.heap_bytes += record.window[w].bytes;
@@ -401,7 +405,7 @@ Result<TopicIndex> Registry::add_topic(const NewTopic& wanted) {
   AGNOCAST_CHECK(!find_topic(wanted.domain, wanted.name));
   std::uint32_t index = 0;
   while (index < topic_high() && tables_.topic[index].state != TopicState::free) ++index;
-  if (index >= abi::topic_count_max)
+  if (index >= capacity_.topics)
     return fail(Errc::limit_reached, "the daemon has no room for another topic");
   put(tables_.topic[index].name, wanted.name);
   put(tables_.topic[index].type, wanted.type);
@@ -441,7 +445,7 @@ std::uint64_t Registry::slots_needed(TopicIndex topic, const abi::Qos& offered,
   });
   if (joining != nullptr) count(*joining);
   return std::min<std::uint64_t>(round_up(window + quotas + lazy_pass_count + slots_in_hand, 64),
-                                 abi::slot_count_max);
+                                 capacity_.slots_per_publisher);
 }
 
 Result<PublisherPlan> Registry::plan_publisher(ClientIndex client, TopicIndex topic,
@@ -450,7 +454,7 @@ Result<PublisherPlan> Registry::plan_publisher(ClientIndex client, TopicIndex to
   const std::uint32_t high = this->topic(topic).publisher_high;
   while (plan.index < high && publisher(topic, plan.index).state != EndpointState::free)
     ++plan.index;
-  if (plan.index >= abi::publisher_count_max)
+  if (plan.index >= capacity_.publishers_per_topic)
     return fail(Errc::limit_reached, "the topic has no room for another publisher");
   const auto extent = lowest_extent(client, publisher_extent_bytes);
   if (!extent) return fail(Errc::limit_reached, "the client region has no room left");
@@ -479,7 +483,7 @@ Result<SubscriptionPlan> Registry::plan_subscription(ClientIndex client, TopicIn
   const std::uint32_t high = this->topic(topic).subscription_high;
   while (plan.index < high && subscription(topic, plan.index).state != EndpointState::free)
     ++plan.index;
-  if (plan.index >= abi::subscription_count_max)
+  if (plan.index >= capacity_.subscriptions_per_topic)
     return fail(Errc::limit_reached, "the topic has no room for another subscription");
   const auto extent = lowest_extent(client, subscription_extent_bytes);
   if (!extent) return fail(Errc::limit_reached, "the client region has no room left");

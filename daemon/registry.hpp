@@ -78,6 +78,15 @@ struct SubscriptionPlan {
   std::vector<SlotRaise> raises;  // to be made ready and done first
 };
 
+/// How much of the tables may be used; at most what they have room for.
+struct Capacity {
+  std::uint32_t clients = abi::client_count_max;
+  std::uint32_t topics = abi::topic_count_max;
+  std::uint32_t publishers_per_topic = abi::publisher_count_max;
+  std::uint32_t subscriptions_per_topic = abi::subscription_count_max;
+  std::uint32_t slots_per_publisher = abi::slot_count_max;
+};
+
 /// What one user has in use. Processes that are dead count as long as others have their memory.
 struct Usage {
   std::uint64_t clients = 0;
@@ -85,6 +94,7 @@ struct Usage {
   std::uint64_t subscriptions = 0;
   std::uint64_t executors = 0;
   std::uint64_t heap_bytes = 0;
+  std::uint64_t held_messages = 0;  // what its subscriptions may hold, together
 };
 
 class Registry {
@@ -104,7 +114,7 @@ class Registry {
   // Sparse and sealed against growth, so it is made as long as it may ever be: 13,000 endpoints.
   static constexpr std::uint64_t client_region_bytes = std::uint64_t{1} << 30;
 
-  explicit Registry(const Memory& memory) noexcept;
+  explicit Registry(const Memory& memory, const Capacity& capacity = {}) noexcept;
 
   /// Fresh memory, all zero.
   void create(std::uint64_t incarnation);
@@ -230,6 +240,7 @@ class Registry {
   }
   AnnounceSet& told(const EndpointRef& ref) noexcept;
 
+  Capacity capacity_;
   journal::RedoLog log_;
   Tables& tables_;
   std::byte* board_;
