@@ -353,6 +353,16 @@ Result<std::shared_ptr<Sleeper>> Context::create_sleeper() {
   return sleeper;
 }
 
+Result<std::shared_ptr<Sleeper>> Context::idle_sleeper() {
+  const std::lock_guard lock(idle_making_);
+  if (idle_sleeper_ == nullptr) {
+    auto made = create_sleeper();
+    if (!made) return made;
+    idle_sleeper_ = std::move(*made);
+  }
+  return idle_sleeper_;
+}
+
 namespace {
 
 wire::Reference reference(Kind kind, std::uint32_t topic, std::uint64_t index,

@@ -61,6 +61,8 @@ class Context {
   [[nodiscard]] Result<std::shared_ptr<SubscriptionEndpoint>> create_subscription(
       const EndpointRequest& request, std::shared_ptr<Sleeper> sleeper);
   [[nodiscard]] Result<std::shared_ptr<Sleeper>> create_sleeper();
+  /// For subscriptions that are only asked: it never arms, so nobody rings it. One for the process.
+  [[nodiscard]] Result<std::shared_ptr<Sleeper>> idle_sleeper();
 
   /// The endpoint publishes no more; messages that somebody still reads stay until they are
   /// released.
@@ -134,6 +136,8 @@ class Context {
   std::map<EndpointKey, std::shared_ptr<PublisherEndpoint>> publishers_;
   std::map<EndpointKey, std::shared_ptr<SubscriptionEndpoint>> subscriptions_;
   std::uint64_t next_sleeper_ = 0;
+  std::mutex idle_making_;
+  std::shared_ptr<Sleeper> idle_sleeper_;
 
   std::map<std::pair<std::uint64_t, std::uint64_t>, KnownPeer>
       peers_;  // by client and generation; control thread only

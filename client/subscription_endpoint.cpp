@@ -115,7 +115,8 @@ std::optional<Received> SubscriptionEndpoint::take() noexcept {
     if (link == nullptr) return std::nullopt;
     if (const auto taken = link->core_.take(link->peer().heap())) {
       link->held_.fetch_add(1, std::memory_order_relaxed);
-      // The last message of a publisher that is gone: its release is what the control thread waits for.
+      // The last message of a publisher that is gone: its release is what the control thread waits
+      // for.
       if (link->core_.drained()) link->closing_.store(true, std::memory_order_release);
       return Received{*taken, link};
     }

@@ -37,6 +37,7 @@ class Link {
 
   std::uint64_t publisher() const noexcept { return identity_.index; }
   std::uint64_t generation() const noexcept { return identity_.generation; }
+  std::uint64_t first_sequence() const noexcept { return identity_.first_sequence; }
   Peer& peer() const noexcept { return *peer_; }
 
   /// The last copy of a taken message is gone. Any thread; one locked instruction, no system call.
