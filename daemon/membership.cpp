@@ -354,9 +354,9 @@ Result<void> Membership::drained(ClientIndex client, const wire::Reference& refe
     return fail(Errc::protocol_violation, publisher ? "the publisher's word is not free yet"
                                                     : "the subscription has not left");
   const auto answer = make_body<wire::Done>(wire::Opcode::done, reference.header.request);
-  post_.send(client, packet_of(answer), {});
   if (publisher) {
     registry_.end_publisher(ref.topic, ref.index, EndpointState::free);
+    post_.send(client, packet_of(answer), {});
     bool last = true;
     registry_.for_each_publisher(ref.topic, [&](std::uint32_t, const PublisherRecord& record) {
       last = last && record.client != client;
@@ -369,6 +369,7 @@ Result<void> Membership::drained(ClientIndex client, const wire::Reference& refe
     }
   } else {
     registry_.change_subscription(ref.topic, ref.index, EndpointState::over);
+    post_.send(client, packet_of(answer), {});
     registry_.for_each_publisher(ref.topic, [&](std::uint32_t p, const PublisherRecord& record) {
       bool other = false;
       registry_.for_each_subscription(

@@ -118,7 +118,11 @@ void remove_directory(const std::string& path) {
 }
 
 DaemonProcess::DaemonProcess(DaemonOptions options) : directory_(make_directory()) {
-  socket_path_ = directory_ + "/run/agnocastd.sock";
+  begin(options);
+}
+
+void DaemonProcess::begin(const DaemonOptions& options) {
+  socket_path_ = options.socket.empty() ? directory_ + "/run/agnocastd.sock" : options.socket;
   {
     std::ofstream config(directory_ + "/agnocastd.toml");
     config << (options.config.empty() ? default_config : options.config);
@@ -177,7 +181,10 @@ void DaemonProcess::kill() {
 }
 
 bool DaemonProcess::is_running() {
-  return pid_ > 0 && ::waitpid(pid_, nullptr, WNOHANG | WNOWAIT) == 0;
+  siginfo_t info{};
+  return pid_ > 0 &&
+         ::waitid(P_PID, static_cast<id_t>(pid_), &info, WEXITED | WNOHANG | WNOWAIT) == 0 &&
+         info.si_pid == 0;
 }
 
 std::string DaemonProcess::log() const { return content_of(directory_ + "/log"); }

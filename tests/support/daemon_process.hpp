@@ -24,10 +24,12 @@ namespace agnocast::test {
 
 struct DaemonOptions {
   /// Text of the configuration; empty: small windows, everything else by default.
-  std::string config;
+  std::string config = {};
   /// Run as this user and group (the test must be root).
-  std::optional<uid_t> uid;
-  std::vector<std::string> arguments;
+  std::optional<uid_t> uid = {};
+  std::vector<std::string> arguments = {};
+  /// Where to listen; empty: in its own directory.
+  std::string socket = {};
 };
 
 class DaemonProcess {
@@ -57,6 +59,8 @@ class DaemonProcess {
   std::size_t resident_bytes() const;
 
  private:
+  void begin(const DaemonOptions& options);
+
   std::string directory_;
   std::string socket_path_;
   pid_t pid_ = -1;
