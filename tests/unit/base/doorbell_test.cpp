@@ -12,6 +12,8 @@
 
 #include <gmock/gmock.h>
 
+#include <fcntl.h>
+#include <sched.h>
 #include <sys/epoll.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
@@ -132,6 +134,39 @@ TEST(Doorbell, FullQueueOfDatagramsCountsAsRung) {
   EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
   executor.bells.drain();
   EXPECT_THAT(executor.ready(), IsEmpty()) << "one drain empties a full queue";
+}
+
+// The open file description is shared by all holders, and one of them may change its flags.
+TEST(Doorbell, RingDoesNotSleepWhenSomebodyClearedTheNonBlockingFlag) {
+  Executor executor;
+  const Doorbell bell = executor.other_user();
+  fill_queue(bell);
+  ASSERT_EQ(::fcntl(bell.datagram_fd(), F_SETFL, 0), 0);
+  ASSERT_EQ(::fcntl(executor.bells.datagram_fd(), F_SETFL, 0), 0);
+  test::Child child([&] {
+    ::alarm(10);  // ends a child that sleeps
+    if (bell.ring() != Rung::rung) return 1;
+    executor.bells.drain();
+    return executor.ready().empty() ? 0 : 2;
+  });
+  EXPECT_EQ(child.wait(), 0);
+}
+
+// Distributions raise the length of the queue; a namespace of its own lets the test do so.
+TEST(Doorbell, OneDrainEmptiesALongQueue) {
+  test::Child child([] {
+    if (::unshare(::geteuid() == 0 ? CLONE_NEWNET : CLONE_NEWUSER | CLONE_NEWNET) != 0) return 77;
+    const UniqueFd length(::open("/proc/sys/net/unix/max_dgram_qlen", O_WRONLY | O_CLOEXEC));
+    if (!length || ::write(length.get(), "200", 3) != 3) return 77;
+    Executor executor;
+    const Doorbell bell = executor.other_user();
+    if (fill_queue(bell) < 100) return 1;
+    executor.bells.drain();
+    return executor.ready().empty() ? 0 : 2;
+  });
+  const int status = child.wait();
+  if (status == 77) GTEST_SKIP() << "may not change the length of queues here";
+  EXPECT_EQ(status, 0);
 }
 
 TEST(Doorbell, FilledEventfdIsBackedByADatagram) {
