@@ -79,7 +79,7 @@ WindowSet windows(void*) noexcept {
   WindowSet set;
   const std::uint64_t count = attached.count.load(std::memory_order_acquire);
   for (std::uint64_t i = 0; i < count; ++i) {
-    set.add(attached.base[i], attached.hook->frontier(static_cast<std::uint32_t>(i)));
+    (void)set.add(attached.base[i], attached.base[i] + attached.hook->frontier(static_cast<std::uint32_t>(i)));
   }
   return set;
 }

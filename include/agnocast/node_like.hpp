@@ -40,17 +40,18 @@ template <class Node>
 inline constexpr bool has_resolve<
     Node, std::void_t<decltype(std::declval<Node&>().resolve_topic_name(std::string()))>> = true;
 
+template <class Node, class = void>
+inline constexpr bool is_pointer_like = false;
+template <class Node>
+inline constexpr bool is_pointer_like<Node, std::void_t<decltype(*std::declval<Node&>())>> = true;
+
 template <class Node>
 auto& dereference(Node& node) noexcept {
-  if constexpr (std::is_pointer_v<Node>) {
+  if constexpr (is_pointer_like<Node>) {
     return *node;
   } else {
     return node;
   }
-}
-template <class Node>
-auto dereference(Node& node) noexcept -> decltype(*node.get()) {
-  return *node.get();
 }
 
 /// Resolves `topic` as `node` would: its remappings if it has any, else by the rules alone.
