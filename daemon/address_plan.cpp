@@ -38,12 +38,12 @@ std::optional<Arena> plan_arena(const ArenaWish& wish, unsigned address_bits,
     // A quarter of the memory is more than one process should hold; and at least 64 processes must
     // find a window.
     arena.window_bytes = std::min(
-        {default_window_bytes, round_down(memory_bytes / 4, abi::page_bytes), arena.bytes / 64});
+        {default_window_bytes, memory_bytes / 4, arena.bytes / 64});
     arena.window_bytes = std::max(
         round_down(arena.window_bytes, least_window_bytes), least_window_bytes);
   }
-  if (arena.base % abi::page_bytes != 0 || arena.bytes % abi::page_bytes != 0 ||
-      arena.window_bytes % abi::page_bytes != 0)
+  if (arena.base % abi::window_granule_bytes != 0 || arena.bytes % abi::page_bytes != 0 ||
+      arena.window_bytes % abi::window_granule_bytes != 0)
     return std::nullopt;
   if (arena.window_bytes == 0 || arena.bytes < arena.window_bytes) return std::nullopt;
   if (arena.base >= space || arena.bytes > space - arena.base) return std::nullopt;

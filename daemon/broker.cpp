@@ -52,6 +52,14 @@ const char* word_of(Errc code) noexcept {
   return "?";
 }
 
+// To a connection that is not taken: it is closed afterwards, but not without a word.
+void send_refused(const PacketSocket& socket, Errc code, std::string_view text) noexcept {
+  auto packet = make_body<wire::Refused>(wire::Opcode::refused);
+  packet.code = static_cast<std::uint32_t>(code);
+  packet.text = name_of(text);
+  static_cast<void>(socket.send(packet_of(packet)));
+}
+
 const char* name_of_kind(Kind kind) noexcept {
   return kind == Kind::publisher ? "publisher" : "subscription";
 }
@@ -119,12 +127,8 @@ void Broker::turn_away() {
   spare_.reset();
   {
     auto socket = listener_.socket().accept();
-    if (socket && *socket) {
-      auto packet = make_body<wire::Refused>(wire::Opcode::refused);
-      packet.code = static_cast<std::uint32_t>(Errc::limit_reached);
-      packet.text = name_of("the daemon has no descriptor left");
-      static_cast<void>((*socket)->send(packet_of(packet)));
-    }
+    if (socket && *socket)
+      send_refused(**socket, Errc::limit_reached, "the daemon has no descriptor left");
   }
   spare_.reset(::open("/dev/null", O_RDONLY | O_CLOEXEC));
   log_.write_limited("descriptors", LogLevel::error, "connection refused",
@@ -136,15 +140,14 @@ void Broker::accept(PacketSocket socket) {
   if (!identity) {
     log_.write_limited("identify", LogLevel::warning, "connection refused",
                        {{"why", identity.error().what}, {"errno", identity.error().os_errno}});
+    send_refused(socket, identity.error().code, identity.error().what);
     return;
   }
   const std::uint32_t uid = identity->uid;
   if (connections_[uid] >= options_.config.quota.clients) {
-    auto packet = make_body<wire::Refused>(wire::Opcode::refused);
-    packet.code = static_cast<std::uint32_t>(Errc::quota_exceeded);
-    packet.text = name_of("this user may have " + std::to_string(options_.config.quota.clients) +
-                          " connections");
-    static_cast<void>(socket.send(packet_of(packet)));
+    send_refused(socket, Errc::quota_exceeded,
+                 "this user may have " + std::to_string(options_.config.quota.clients) +
+                     " connections");
     log_.write_limited("connections uid=" + std::to_string(uid), LogLevel::warning,
                        "connection refused",
                        {{"uid", uid},
@@ -161,11 +164,13 @@ void Broker::accept(PacketSocket socket) {
   }
   const auto connection = dispatcher_.add(peer->session.socket().fd(), EPOLLIN,
                                           [this, id](std::uint32_t) { on_readable(id); });
-  if (!connection) return;
-  const auto process = dispatcher_.add(peer->session.identity().process.fd(), EPOLLIN,
-                                       [this, id](std::uint32_t) { on_process_end(id); });
+  const auto process =
+      !connection ? connection
+                  : dispatcher_.add(peer->session.identity().process.fd(), EPOLLIN,
+                                    [this, id](std::uint32_t) { on_process_end(id); });
   if (!process) {
-    dispatcher_.remove(*connection);
+    if (connection) dispatcher_.remove(*connection);
+    send_refused(peer->session.socket(), process.error().code, process.error().what);
     return;
   }
   peer->connection = *connection;

@@ -122,7 +122,8 @@ int serve(const Config& config, const std::string& socket, Log& log) {
       memory_bytes());
   if (!arena)
     return complain("the arena does not fit into the addresses of this machine",
-                    "correct arena_base, arena_bytes and window_bytes in [heap], or leave them out");
+                    "correct arena_base, arena_bytes and window_bytes in [heap] (whole MiB, in steps of 2), or "
+                    "leave them out");
   const auto group = group_of(config.daemon.socket_group);
   if (!group && !config.daemon.socket_group.empty())
     return complain("there is no group " + config.daemon.socket_group,
