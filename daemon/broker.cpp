@@ -16,6 +16,7 @@
 #include <cstdio>
 #include <ctime>
 #include <type_traits>
+#include <utility>
 
 namespace agnocast::daemon {
 namespace {
@@ -274,16 +275,16 @@ void Broker::reap_peer(Peer& peer, std::string_view how) {
   const std::uint32_t uid = peer.session.identity().uid;
   drop(id);
   const Reaped reaped = reap(client, registry_, regions_, doorbells_, membership_);
-  log_.write(reaped.corrupt == 0 ? LogLevel::info : LogLevel::warning, "client gone",
-             {{"client", number(client)},
-              {"pid", pid},
-              {"uid", uid},
-              {"how", how},
-              {"publishers", reaped.publishers},
-              {"subscriptions", reaped.subscriptions},
-              {"rolled_back", reaped.rolled_back},
-              {"rolled_forward", reaped.rolled_forward},
-              {"corrupt_intents", reaped.corrupt}});
+  note(reaped.corrupt == 0 ? LogLevel::info : LogLevel::warning, uid, "client gone",
+       {{"client", number(client)},
+        {"pid", pid},
+        {"uid", uid},
+        {"how", how},
+        {"publishers", reaped.publishers},
+        {"subscriptions", reaped.subscriptions},
+        {"rolled_back", reaped.rolled_back},
+        {"rolled_forward", reaped.rolled_forward},
+        {"corrupt_intents", reaped.corrupt}});
 }
 
 void Broker::drop(PeerId id) {
@@ -343,6 +344,14 @@ void Broker::reply(Peer& peer, std::span<const std::byte> packet, std::vector<Sh
   peer.session.push(packet, std::move(fds));
   // While something waits for the socket there is nothing to gain from another try.
   if (!waiting || peer.session.queued_count() > Session::queue_count_max) flush(peer);
+}
+
+void Broker::note(LogLevel level, std::uint32_t uid, std::string_view event, Log::Fields fields) {
+  if (log_.is_written(LogLevel::debug)) {
+    log_.write(level, event, fields);
+  } else {
+    log_.write_limited(std::string(event) + " uid=" + std::to_string(uid), level, event, fields);
+  }
 }
 
 // --- requests
@@ -450,7 +459,9 @@ Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
   packet.arena_bytes = options_.arena.bytes;
   packet.client_region_bytes = Registry::client_region_bytes;
   reply(peer, packet_of(packet), {regions_.board_reader(), regions_.region_writer(*client)});
-  log_.write(LogLevel::info, "client registered",
+  if (regions_.unlocked_count() > 0 && !std::exchange(said_unlocked_, true))
+    log_.write(LogLevel::info, "memory not locked", {{"why", "limit of locked memory"}});
+  log_.write(LogLevel::debug, "client registered",
              {{"client", number(*client)},
               {"generation", record.generation},
               {"pid", session.identity().pid},
@@ -492,7 +503,7 @@ Result<void> Broker::open_window(Peer& peer, const wire::WindowRequest& request)
     // Before the answer: the announcement is in a subscriber's socket before the first message lies
     // in the window.
     membership_.announce_window(client);
-    log_.write(LogLevel::info, "window opened",
+    log_.write(LogLevel::debug, "window opened",
                {{"client", number(client)},
                 {"pid", peer.session.identity().pid},
                 {"window", request.window},
@@ -557,7 +568,7 @@ Result<void> Broker::create(Peer& peer, const CreateRequest& request) {
   }
   auto created = membership_.create(client, request);
   if (created) {
-    log_.write(LogLevel::info, "endpoint created",
+    log_.write(LogLevel::debug, "endpoint created",
                {{"kind", name_of_kind(request.kind)},
                 {"topic", request.topic},
                 {"type", request.type},

@@ -311,7 +311,7 @@ void Membership::notice_types(ClientIndex client, TopicIndex topic, const Create
 
 bool Membership::is_own(ClientIndex client, const wire::Reference& reference) const {
   const EndpointRef ref = ref_of(reference);
-  if (registry_.topic(ref.topic).state != TopicState::used) return false;
+  if (!registry_.was_used(ref)) return false;
   const EndpointState state = ref.kind == Kind::publisher
                                   ? registry_.publisher(ref.topic, ref.index).state
                                   : registry_.subscription(ref.topic, ref.index).state;
@@ -395,7 +395,8 @@ Result<void> Membership::unlinked(ClientIndex client, const wire::Unlinked& stat
     return fail(Errc::protocol_violation, "more packets were seen than were sent");
   if (statement.kind == Kind::region) {
     const ClientIndex owner{static_cast<std::uint32_t>(statement.index)};
-    if (registry_.client(owner).state == ClientState::free ||
+    if (number(owner) >= registry_.client_high() ||
+        registry_.client(owner).state == ClientState::free ||
         registry_.client(owner).generation != statement.generation)
       return {};  // late: it is over
     if (session->announcements().is_void(region_of(owner), statement.seen)) return {};
@@ -410,7 +411,7 @@ Result<void> Membership::unlinked(ClientIndex client, const wire::Unlinked& stat
   }
   const EndpointRef ref{statement.kind, static_cast<TopicIndex>(statement.topic),
                         static_cast<std::uint32_t>(statement.index)};
-  if (registry_.generation_of(ref) != statement.generation ||
+  if (!registry_.was_used(ref) || registry_.generation_of(ref) != statement.generation ||
       session->announcements().is_void(subject_of(ref), statement.seen))
     return {};
   session->announcements().forget(subject_of(ref));

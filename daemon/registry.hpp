@@ -184,6 +184,15 @@ class Registry {
   /// Does some publisher of the topic use slots whose hold bits lie behind the link lines?
   bool uses_far_slots(TopicIndex topic) const;
 
+  /// Has this place ever been used since its topic began? What was never used must not be looked at:
+  /// reading a hole of the tables gives it memory, and clients name places at will.
+  bool was_used(const EndpointRef& ref) const noexcept {
+    if (number(ref.topic) >= topic_high() || topic(ref.topic).state != TopicState::used)
+      return false;
+    return ref.index < (ref.kind == Kind::publisher ? topic(ref.topic).publisher_high
+                                                    : topic(ref.topic).subscription_high);
+  }
+
   // --- rule RU
   const AnnounceSet& told_of(const EndpointRef& ref) const noexcept;
   ClientIndex owner_of(const EndpointRef& ref) const noexcept;

@@ -84,7 +84,7 @@ Child subscriber_child(const std::string& socket, std::uint64_t crash_at) {
 }
 
 TEST(DaemonDeath, RepairsAPublisherKilledAtAnyPointAndDeliversWhatItCommitted) {
-  DaemonProcess daemon;
+  DaemonProcess daemon({.arguments = {"--log-level", "debug"}});
   WireNode subscriber(daemon.socket_path());
   ASSERT_TRUE(subscriber.create_subscription(topic_name, deep));
   // Upper case: what the subscriber does between the publisher's commands (T take, R release).

@@ -621,6 +621,25 @@ TEST(DaemonProtocol, SurvivesGarbageWhileAnHonestPairGoesOn) {
   honest.round();
 }
 
+TEST(DaemonProtocol, UsesNoMemoryForPlacesThatAreOnlyNamed) {
+  DaemonProcess daemon;
+  Node node(daemon);
+  node.publisher("/topic");
+  const std::size_t before = daemon.resident_bytes();
+  for (std::uint32_t topic = 0; topic < abi::topic_count_max; ++topic) {
+    node.wire.unlinked(Kind::publisher, topic, topic % abi::publisher_count_max, 1);
+    node.wire.unlinked(Kind::subscription, topic, topic % abi::subscription_count_max, 1);
+    node.wire.unlinked(Kind::region, 0, topic % abi::client_count_max, 1);
+    if (topic % 64 == 0) {
+      EXPECT_EQ(node.wire.reference(Opcode::leave, Kind::subscription, topic, 700, 1)
+                    .refused_code(),
+                Errc::protocol_violation);
+    }
+  }
+  node.wire.drain();
+  EXPECT_LT(daemon.resident_bytes(), before + (1 << 20));
+}
+
 TEST(DaemonProtocol, EndsAConnectionThatCannotBeParsedAndAnswersTheRest) {
   DaemonProcess daemon;
   HonestPair honest(daemon);

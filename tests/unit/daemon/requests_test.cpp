@@ -101,6 +101,9 @@ TEST(Requests, RefusesWhatCanBeParsedAndIsWrong) {
   EXPECT_EQ(rejected(decoded(body<wire::Done>(wire::Opcode::done))).text, "unknown request 105");
   EXPECT_EQ(rejected(decoded(body<wire::Done>(wire::Opcode::open_window))).code,
             Errc::protocol_violation);
+  EXPECT_EQ(rejected(decoded(body<wire::Done>(wire::Opcode::hello), {}, false)).code,
+            Errc::layout_mismatch)
+      << "the hello of another version";
   auto executor = body<wire::ExecutorRequest>(wire::Opcode::open_executor);
   executor.executor = abi::executor_count_max;
   EXPECT_EQ(rejected(decoded(executor)).code, Errc::limit_reached);
