@@ -140,6 +140,38 @@ TEST(DaemonProtocol, RefusesAnotherLayoutAndNamesBoth) {
   EXPECT_TRUE(daemon.wait_for_log("code=layout_mismatch"));
 }
 
+// A hello that a child says on the connection of its parent: whose process is it?
+void say_hello_in_a_child(WireClient& client) {
+  const pid_t pid = ::fork();
+  if (pid == 0) {
+    wire::Hello hello{};
+    hello.header = {Opcode::hello, sizeof hello, 1};
+    hello.fingerprint = abi::fingerprint();
+    ::_exit(client.send_bytes(std::as_bytes(std::span(&hello, 1))) ? 0 : 1);
+  }
+  int status = 0;
+  ::waitpid(pid, &status, 0);
+  EXPECT_EQ(status, 0);
+}
+
+TEST(DaemonProtocol, KnowsTheProcessThatConnectedOnEveryKernel) {
+  {
+    DaemonProcess daemon;
+    WireClient client(daemon.socket_path());
+    say_hello_in_a_child(client);
+    EXPECT_EQ(client.next().opcode(), Opcode::welcome) << "the process that connected is known";
+  }
+  DaemonProcess daemon({.without_peer_pidfd = true});
+  WireClient client(daemon.socket_path());
+  say_hello_in_a_child(client);
+  const Incoming refused = client.next();
+  EXPECT_EQ(refused.refused_code(), Errc::permission_denied);
+  EXPECT_EQ(refused.refused_text(),
+            "the process that connected is not the one that says hello");
+  EXPECT_EQ(client.hello().opcode(), Opcode::welcome) << "itself it may";
+  EXPECT_EQ(client.create_publisher("/topic").opcode(), Opcode::endpoint_created);
+}
+
 TEST(DaemonProtocol, AnnouncesBothSidesInOrderWithWorkingDescriptors) {
   DaemonProcess daemon;
   Node subscriber(daemon), publisher(daemon);
@@ -410,6 +442,11 @@ TEST(DaemonProtocol, LetsASubscriptionLeaveAndUsesItsPlaceOnlyWhenItIsUnlinked) 
   const auto state = [&](std::uint64_t index) {
     return abi::state_of(subscription_word(publisher.board, s.topic, index));
   };
+  // Whatever a process leaves in an extent, near and far.
+  const std::uint64_t places[] = {
+      s.extent, s.extent + abi::far_hold_offset(abi::publisher_count_max, 3, 0)};
+  for (const std::uint64_t place : places)
+    SharedMemory::word(subscriber.region.base(), place).store(~std::uint64_t{0});
   EXPECT_EQ(subscriber.wire.reference(Opcode::leave, Kind::subscription, s.topic, s.index,
                                       s.generation)
                 .opcode(),
@@ -442,7 +479,8 @@ TEST(DaemonProtocol, LetsASubscriptionLeaveAndUsesItsPlaceOnlyWhenItIsUnlinked) 
   EXPECT_EQ(fourth.index, s.index);
   EXPECT_EQ(fourth.extent, s.extent);
   EXPECT_GT(fourth.generation, third.generation);
-  EXPECT_EQ(word(subscriber.region, fourth.extent), 0u) << "link lines are zero at join";
+  for (const std::uint64_t place : places)
+    EXPECT_EQ(word(subscriber.region, place), 0u) << "lines and far hold words are zero at join";
 }
 
 TEST(DaemonProtocol, LetsAPublisherLeaveAndUsesItsPlaceOnlyWhenBothSidesAreDone) {

@@ -30,6 +30,8 @@ struct DaemonOptions {
   std::vector<std::string> arguments = {};
   /// Where to listen; empty: in its own directory.
   std::string socket = {};
+  /// As on a kernel before 6.5: SO_PEERPIDFD is not known (a seccomp filter answers).
+  bool without_peer_pidfd = false;
 };
 
 class DaemonProcess {

@@ -13,6 +13,8 @@
 #include <client/dataplane/subscription_core.hpp>
 #include <client/dataplane/windows.hpp>
 #include <client/peer_heap.hpp>
+#include <base/doorbell.hpp>
+#include <journal/verify.hpp>
 #include <tests/support/wire_client.hpp>
 
 #include <sys/mman.h>
@@ -117,7 +119,9 @@ class WireNode {
 
   // --- subscription
   bool create_subscription(const char* topic_name, const abi::Qos& qos) {
-    if (wire_.open_executor().opcode() != wire::Opcode::executor_opened) return false;
+    Incoming opened = wire_.open_executor();
+    if (opened.opcode() != wire::Opcode::executor_opened || opened.fds.size() != 2) return false;
+    bells_ = DoorbellReceiver(std::move(opened.fds[0]), std::move(opened.fds[1]));
     const Incoming created = wire_.create_subscription(topic_name, qos);
     if (created.opcode() != wire::Opcode::endpoint_created) return false;
     subscription_ = created.as<wire::EndpointCreated>();
@@ -146,6 +150,21 @@ class WireNode {
         << "message " << held.number << " changed while it was held";
     links_.at(held.publisher).core.release(held.slot);
     return true;
+  }
+  const DoorbellReceiver& bells() const noexcept { return bells_; }
+  /// The first broken invariant of the queues of orphans, as their reader sees them.
+  journal::Invariant verify_orphans() const {
+    for (const auto& [index, link] : links_) {
+      if (orphaned_.count(link.generation) == 0) continue;
+      const std::uint64_t slot_count =
+          topic(subscription_.topic)
+              .publisher(index, offsetof(abi::PublisherEntry, slot_count))
+              .load(std::memory_order_relaxed);
+      const auto broken =
+          journal::verify_queue(link.words, link.first_sequence, slot_count, true);
+      if (broken != journal::Invariant::none) return broken;
+    }
+    return journal::Invariant::none;
   }
   std::size_t link_count() const { return links_.size(); }
   std::size_t held_count() const { return held_.size(); }
@@ -260,6 +279,8 @@ class WireNode {
   struct Link {
     std::uint64_t client;
     std::uint64_t generation;
+    std::uint64_t first_sequence;
+    dataplane::PublisherWords<M> words;
     dataplane::LinkCore<M> core;
   };
   struct Held {
@@ -305,7 +326,8 @@ class WireNode {
     if (body.kind == wire::Kind::publisher) {
       const auto [link, fresh] = links_.emplace(
           body.index,
-          Link{body.client, body.generation,
+          Link{body.client, body.generation, body.first_sequence,
+               {peer.region->base(), body.extent},
                dataplane::LinkCore<M>({topic(body.topic),
                                        {peer.region->base(), body.extent},
                                        {region_.base(), subscription_.extent, body.index},
@@ -336,6 +358,7 @@ class WireNode {
   std::vector<std::uint64_t> blocks_;
   std::unique_ptr<dataplane::PublisherCore<M>> core_;
   abi::Qos requested_;
+  DoorbellReceiver bells_;
   std::map<std::uint64_t, Peer> peers_;          // by client
   std::map<std::uint64_t, Link> links_;          // by publisher index
   std::map<std::uint64_t, std::uint64_t> attached_;  // subscription index → client
