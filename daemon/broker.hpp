@@ -115,7 +115,7 @@ class Broker final : private Post {
   bool flush_later_ = false;
   bool said_unlocked_ = false;
   std::uint64_t looked_ms_ = 0;  // when tick() last had a look
-  UniqueFd spare_;  // given up for a moment when no descriptor is left
+  UniqueFd spare_;               // given up for a moment when no descriptor is left
   Dispatcher::Token listening_ = 0;
 };
 

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: any process may die at any instruction; the daemon undoes or completes what it was doing,
-// what it had committed is delivered, what it held comes free, and nothing of it is used again while
-// somebody knows it.
-// Method: real processes on the daemon's own regions. A child is killed with SIGKILL at its n-th
-// crash point, for n = 1, 2, 3 … until it survives; every run uses the places of the run before.
+// what it had committed is delivered, what it held comes free, and nothing of it is used again
+// while somebody knows it. Method: real processes on the daemon's own regions. A child is killed
+// with SIGKILL at its n-th crash point, for n = 1, 2, 3 … until it survives; every run uses the
+// places of the run before.
 
 #include <journal/crash_point.hpp>
 #include <journal/verify.hpp>
@@ -18,7 +18,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include <fstream>
+#include <filesystem>
 
 namespace agnocast::test {
 namespace {
@@ -274,6 +274,46 @@ TEST(DaemonDeath, UsesRegionAndWindowAgainOnlyWhenEverybodyHasLetGo) {
   const Places fourth = one_life();
   EXPECT_EQ(fourth.client, first.client);
   EXPECT_EQ(fourth.window, first.window);
+}
+
+TEST(DaemonDeath, FreesWhatOnlyDeadProcessesKnew) {
+  // Whoever of a pair dies first never said that it has let go of the other.
+  for (const bool subscriber_first : {true, false}) {
+    SCOPED_TRACE(subscriber_first);
+    DaemonProcess daemon;
+    WireNode watcher(daemon.socket_path());  // process 0
+    const auto gone = [&](std::size_t count) {
+      return eventually([&] {
+        std::size_t found = 0;
+        const std::string log = daemon.log();
+        for (std::size_t at = 0; (at = log.find("client gone", at)) != std::string::npos; ++at)
+          ++found;
+        return found == count;
+      });
+    };
+    const std::size_t fds = daemon.descriptor_count();
+    Child publisher = publisher_child(daemon.socket_path(), 0);
+    Child subscriber = subscriber_child(daemon.socket_path(), 0);
+    ASSERT_EQ(publisher.command('w'), '+');
+    ASSERT_EQ(subscriber.command('w'), '+');
+    (subscriber_first ? subscriber : publisher).end();
+    ASSERT_TRUE(gone(1));
+    (subscriber_first ? publisher : subscriber).end();
+    ASSERT_TRUE(gone(2));
+    EXPECT_EQ(daemon.descriptor_count(), fds);
+    EXPECT_TRUE(std::filesystem::is_empty(daemon.socket_path() + ".bells"));
+    // Everything is as at the beginning: both kinds of places are free again.
+    Child next = publisher_child(daemon.socket_path(), 0);
+    ASSERT_EQ(next.command('x'), '+');
+    ASSERT_TRUE(watcher.create_subscription(topic_name, deep));
+    EXPECT_EQ(watcher.subscription().index, 0u);
+    Incoming packet = watcher.wire().next();
+    ASSERT_EQ(packet.opcode(), wire::Opcode::announce);
+    const auto about = packet.as<wire::Announcement>();
+    EXPECT_EQ(about.index, 0u);
+    EXPECT_LE(about.client, 2u);
+    EXPECT_EQ(about.window[0].base, watcher.welcome().arena_base);
+  }
 }
 
 TEST(DaemonDeath, TakesTheEndOfAConnectionForNoDeathWhileTheRegionIsMapped) {

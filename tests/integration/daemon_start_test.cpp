@@ -33,9 +33,7 @@ class Directory {
   std::string path_;
 };
 
-void write_file(const std::string& path, const std::string& text) {
-  std::ofstream(path) << text;
-}
+void write_file(const std::string& path, const std::string& text) { std::ofstream(path) << text; }
 bool exists(const std::string& path) {
   struct stat entry {};
   return ::lstat(path.c_str(), &entry) == 0;

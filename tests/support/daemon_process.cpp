@@ -21,8 +21,8 @@
 
 #include <array>
 #include <cerrno>
-#include <cstddef>
 #include <csignal>
+#include <cstddef>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
@@ -75,7 +75,7 @@ bool deny_peer_pidfd() {
   };
   sock_fprog program{static_cast<unsigned short>(std::size(filter)), filter};
   return ::prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) == 0 &&
-         ::prctl(PR_SET_SECCOMP, SECCOMP_MODE_FILTER, &program) == 0;
+         ::syscall(SYS_seccomp, SECCOMP_SET_MODE_FILTER, 0, &program) == 0;
 }
 
 pid_t start(const Start& what) {
@@ -93,8 +93,7 @@ pid_t start(const Start& what) {
   ::unsetenv("NOTIFY_SOCKET");
   ::unsetenv("AGNOCAST_SOCKET");
   ::unsetenv("JOURNAL_STREAM");
-  for (const std::string& variable : what.environment)
-    ::putenv(::strdup(variable.c_str()));
+  for (const std::string& variable : what.environment) ::putenv(::strdup(variable.c_str()));
   const int out = ::open(what.out.c_str(), O_WRONLY | O_CREAT | O_APPEND, 0666);
   const int err = ::open(what.err.c_str(), O_WRONLY | O_CREAT | O_APPEND, 0666);
   if (out < 0 || err < 0) ::_exit(126);

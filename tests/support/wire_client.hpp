@@ -182,8 +182,8 @@ class WireClient {
   Incoming create_subscription(std::string_view topic, const abi::Qos& qos = {}) {
     return ask(wire::Opcode::create_subscription, endpoint(topic, qos));
   }
-  Incoming reference(wire::Opcode opcode, wire::Kind kind, std::uint32_t topic,
-                     std::uint64_t index, std::uint64_t generation) {
+  Incoming reference(wire::Opcode opcode, wire::Kind kind, std::uint32_t topic, std::uint64_t index,
+                     std::uint64_t generation) {
     wire::Reference body{};
     body.kind = kind;
     body.topic = topic;
@@ -191,8 +191,8 @@ class WireClient {
     body.generation = generation;
     return ask(opcode, body);
   }
-  void unlinked(wire::Kind kind, std::uint32_t topic, std::uint64_t index,
-                std::uint64_t generation, std::optional<std::uint64_t> seen = {}) {
+  void unlinked(wire::Kind kind, std::uint32_t topic, std::uint64_t index, std::uint64_t generation,
+                std::optional<std::uint64_t> seen = {}) {
     wire::Unlinked body{};
     body.kind = kind;
     body.topic = topic;

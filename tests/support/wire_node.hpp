@@ -9,11 +9,11 @@
 // child that dies at a crash point.
 #pragma once
 
+#include <base/doorbell.hpp>
 #include <client/dataplane/publisher_core.hpp>
 #include <client/dataplane/subscription_core.hpp>
 #include <client/dataplane/windows.hpp>
 #include <client/peer_heap.hpp>
-#include <base/doorbell.hpp>
 #include <journal/verify.hpp>
 #include <tests/support/wire_client.hpp>
 
@@ -50,9 +50,9 @@ class WireNode {
     welcome_ = answer.as<wire::Welcome>();
     board_ = std::move(
         Mapping::map(answer.fds[0].get(), abi::board_bytes, Mapping::Access::read).value());
-    region_ = std::move(Mapping::map(answer.fds[1].get(), welcome_.client_region_bytes,
-                                     Mapping::Access::read_write)
-                            .value());
+    region_ = std::move(
+        Mapping::map(answer.fds[1].get(), welcome_.client_region_bytes, Mapping::Access::read_write)
+            .value());
   }
   WireNode(const WireNode&) = delete;
   WireNode& operator=(const WireNode&) = delete;
@@ -74,9 +74,9 @@ class WireNode {
     Incoming opened = wire_.open_window(0);
     if (opened.opcode() != wire::Opcode::window_opened) return false;
     window_ = opened.as<wire::WindowOpened>();
-    heap_ = static_cast<std::byte*>(
-        ::mmap(reinterpret_cast<void*>(window_.base), window_.bytes, PROT_READ | PROT_WRITE,
-               MAP_SHARED | MAP_FIXED_NOREPLACE, opened.fds[0].get(), 0));
+    heap_ = static_cast<std::byte*>(::mmap(reinterpret_cast<void*>(window_.base), window_.bytes,
+                                           PROT_READ | PROT_WRITE, MAP_SHARED | MAP_FIXED_NOREPLACE,
+                                           opened.fds[0].get(), 0));
     if (heap_ == MAP_FAILED) return false;
     ::madvise(heap_, window_.bytes, MADV_DONTFORK);  // a child of ours may be a client itself
     for (std::uint64_t at = 0; at < heap_used_bytes; at += message_bytes)
@@ -160,8 +160,7 @@ class WireNode {
           topic(subscription_.topic)
               .publisher(index, offsetof(abi::PublisherEntry, slot_count))
               .load(std::memory_order_relaxed);
-      const auto broken =
-          journal::verify_queue(link.words, link.first_sequence, slot_count, true);
+      const auto broken = journal::verify_queue(link.words, link.first_sequence, slot_count, true);
       if (broken != journal::Invariant::none) return broken;
     }
     return journal::Invariant::none;
@@ -189,8 +188,7 @@ class WireNode {
         continue;
       }
       at->second.core.unlink();
-      wire_.unlinked(wire::Kind::publisher, subscription_.topic, at->first,
-                     at->second.generation);
+      wire_.unlinked(wire::Kind::publisher, subscription_.topic, at->first, at->second.generation);
       orphaned_.erase(at->second.generation);
       at = links_.erase(at);
     }
@@ -309,8 +307,7 @@ class WireNode {
     }
     if (found == peers_.end()) {
       auto region = std::make_unique<Mapping>(std::move(
-          Mapping::map(fds[0].get(), welcome_.client_region_bytes, Mapping::Access::read)
-              .value()));
+          Mapping::map(fds[0].get(), welcome_.client_region_bytes, Mapping::Access::read).value()));
       auto heap = std::make_unique<PeerHeap>(region->base());
       found = peers_
                   .emplace(body.client,
@@ -326,7 +323,9 @@ class WireNode {
     if (body.kind == wire::Kind::publisher) {
       const auto [link, fresh] = links_.emplace(
           body.index,
-          Link{body.client, body.generation, body.first_sequence,
+          Link{body.client,
+               body.generation,
+               body.first_sequence,
                {peer.region->base(), body.extent},
                dataplane::LinkCore<M>({topic(body.topic),
                                        {peer.region->base(), body.extent},
@@ -340,10 +339,10 @@ class WireNode {
       EXPECT_TRUE(link->second.core.link(body.from_start != 0));
     } else {
       Environment environment{*this};
-      core_->attach(body.index, body.generation, peer.region->base(), body.extent,
-                    offsetof(abi::ClientRegionHeader, executor) +
-                        body.executor * sizeof(abi::ExecutorLine),
-                    body.index, environment);
+      core_->attach(
+          body.index, body.generation, peer.region->base(), body.extent,
+          offsetof(abi::ClientRegionHeader, executor) + body.executor * sizeof(abi::ExecutorLine),
+          body.index, environment);
       attached_[body.index] = body.client;
       pass();
     }
@@ -359,10 +358,10 @@ class WireNode {
   std::unique_ptr<dataplane::PublisherCore<M>> core_;
   abi::Qos requested_;
   DoorbellReceiver bells_;
-  std::map<std::uint64_t, Peer> peers_;          // by client
-  std::map<std::uint64_t, Link> links_;          // by publisher index
+  std::map<std::uint64_t, Peer> peers_;              // by client
+  std::map<std::uint64_t, Link> links_;              // by publisher index
   std::map<std::uint64_t, std::uint64_t> attached_;  // subscription index → client
-  std::set<std::uint64_t> orphaned_;             // generations
+  std::set<std::uint64_t> orphaned_;                 // generations
   std::deque<Held> held_;
 };
 

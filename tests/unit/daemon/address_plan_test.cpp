@@ -48,9 +48,9 @@ TEST(AddressPlan, FitsEveryNumberOfAddressBitsAndEveryMemory) {
 TEST(AddressPlan, RefusesWhatDoesNotFit) {
   EXPECT_FALSE(plan_arena({0x7000'0000'0000, 32768 * gib, 0}, 47, 8 * gib));  // over the end
   EXPECT_FALSE(plan_arena({0x2000'0000'0000, ~std::uint64_t{0} - 4095, 0}, 47, 8 * gib));
-  EXPECT_FALSE(plan_arena({0x2000'0000'1000, 0, 0}, 47, 8 * gib));         // not a huge page
-  EXPECT_FALSE(plan_arena({0, 0, (64 << 20) + 4096}, 47, 8 * gib));        // not huge pages
-  EXPECT_FALSE(plan_arena({0, gib, 2 * gib}, 47, 8 * gib));            // no window fits
+  EXPECT_FALSE(plan_arena({0x2000'0000'1000, 0, 0}, 47, 8 * gib));   // not a huge page
+  EXPECT_FALSE(plan_arena({0, 0, (64 << 20) + 4096}, 47, 8 * gib));  // not huge pages
+  EXPECT_FALSE(plan_arena({0, gib, 2 * gib}, 47, 8 * gib));          // no window fits
   EXPECT_FALSE(plan_arena({}, 16, gib));
 }
 
