@@ -87,6 +87,15 @@ TEST(DaemonStart, SaysThatAnotherOneIsRunning) {
   EXPECT_TRUE(daemon.is_running());
 }
 
+TEST(DaemonStart, DoesNotTakeThePlaceOfOneWhoseSocketWasRemoved) {
+  DaemonProcess daemon;
+  ASSERT_EQ(::unlink(daemon.socket_path().c_str()), 0);
+  const Ended second = run_daemon({"--socket", daemon.socket_path()});
+  EXPECT_EQ(second.status, 1);
+  EXPECT_EQ(second.err.substr(0, second.err.find('\n')),
+            "agnocastd: another agnocastd is running at " + daemon.socket_path());
+}
+
 TEST(DaemonStart, LeavesASocketAloneThatSomebodyElseAnswers) {
   Directory directory;
   const std::string path = directory / "agnocastd.sock";
