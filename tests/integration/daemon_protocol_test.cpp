@@ -698,6 +698,26 @@ TEST(DaemonProtocol, EndsAConnectionThatCannotBeParsedAndAnswersTheRest) {
   honest.round();
 }
 
+TEST(DaemonProtocol, KeepsWhatASlowClientHasNotReadInOrder) {
+  DaemonProcess daemon;
+  HonestPair honest(daemon);
+  WireClient slow(daemon.socket_path());
+  slow.hello();
+  // Far more answers than a socket holds, far fewer than the queue does.
+  constexpr std::uint64_t count = 5000;
+  wire::WindowRequest nonsense{};
+  nonsense.window = abi::window_count_max;
+  for (std::uint64_t request = 1; request <= count; ++request) {
+    nonsense.header = {Opcode::open_window, sizeof nonsense, 1000 + request};
+    ASSERT_TRUE(slow.send_bytes(std::as_bytes(std::span(&nonsense, 1))));
+  }
+  honest.round();
+  for (std::uint64_t request = 1; request <= count; ++request)
+    ASSERT_EQ(slow.next().header().request, 1000 + request);
+  EXPECT_EQ(slow.create_publisher("/topic").opcode(), Opcode::endpoint_created);
+  honest.round();
+}
+
 TEST(DaemonProtocol, DisconnectsAClientThatDoesNotRead) {
   DaemonProcess daemon({.config = "[quota]\nheld_messages = \"unlimited\"\n"});
   HonestPair honest(daemon);
