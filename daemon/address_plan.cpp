@@ -27,8 +27,8 @@ std::optional<Arena> plan_arena(const ArenaWish& wish, unsigned address_bits,
   if (address_bits < 32 || address_bits > 56) return std::nullopt;
   const std::uint64_t space = std::uint64_t{1} << address_bits;
   Arena arena;
-  // With 47 bits the default fits: 32 + 8 of 128 TiB. Otherwise a quarter of the way up, a sixteenth
-  // long.
+  // With 47 bits the default fits: 32 + 8 of 128 TiB. Otherwise a quarter of the way up, a
+  // sixteenth long.
   const bool wide = space >= 4 * default_base;
   arena.base = wish.base != 0 ? wish.base : wide ? default_base : space / 4;
   arena.bytes = wish.bytes != 0 ? wish.bytes : wide ? default_bytes : space / 16;
@@ -37,13 +37,12 @@ std::optional<Arena> plan_arena(const ArenaWish& wish, unsigned address_bits,
   } else {
     // A quarter of the memory is more than one process should hold; and at least 64 processes must
     // find a window.
-    arena.window_bytes = std::min(
-        {default_window_bytes, round_down(memory_bytes / 4, abi::page_bytes), arena.bytes / 64});
-    arena.window_bytes = std::max(
-        round_down(arena.window_bytes, least_window_bytes), least_window_bytes);
+    arena.window_bytes = std::min({default_window_bytes, memory_bytes / 4, arena.bytes / 64});
+    arena.window_bytes =
+        std::max(round_down(arena.window_bytes, least_window_bytes), least_window_bytes);
   }
-  if (arena.base % abi::page_bytes != 0 || arena.bytes % abi::page_bytes != 0 ||
-      arena.window_bytes % abi::page_bytes != 0)
+  if (arena.base % abi::window_granule_bytes != 0 || arena.bytes % abi::page_bytes != 0 ||
+      arena.window_bytes % abi::window_granule_bytes != 0)
     return std::nullopt;
   if (arena.window_bytes == 0 || arena.bytes < arena.window_bytes) return std::nullopt;
   if (arena.base >= space || arena.bytes > space - arena.base) return std::nullopt;

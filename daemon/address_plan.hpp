@@ -36,7 +36,8 @@ struct ArenaWish {
 };
 
 /// The arena for a machine: `address_bits` of user addresses (47 on x86-64, 39 to 48 on AArch64)
-/// and `memory_bytes` of RAM. Nothing when the wish does not fit or is not page granular.
+/// and `memory_bytes` of RAM. Nothing when the wish does not fit or is not of whole granules
+/// (abi::window_granule_bytes).
 std::optional<Arena> plan_arena(const ArenaWish& wish, unsigned address_bits,
                                 std::uint64_t memory_bytes) noexcept;
 

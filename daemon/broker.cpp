@@ -16,6 +16,7 @@
 #include <cstdio>
 #include <ctime>
 #include <type_traits>
+#include <utility>
 
 namespace agnocast::daemon {
 namespace {
@@ -52,6 +53,14 @@ const char* word_of(Errc code) noexcept {
   return "?";
 }
 
+// To a connection that is not taken: it is closed afterwards, but not without a word.
+void send_refused(const PacketSocket& socket, Errc code, std::string_view text) noexcept {
+  auto packet = make_body<wire::Refused>(wire::Opcode::refused);
+  packet.code = static_cast<std::uint32_t>(code);
+  packet.text = name_of(text);
+  static_cast<void>(socket.send(packet_of(packet)));
+}
+
 const char* name_of_kind(Kind kind) noexcept {
   return kind == Kind::publisher ? "publisher" : "subscription";
 }
@@ -65,11 +74,10 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
       dispatcher_(dispatcher),
       listener_(listener),
       regions_(std::move(regions)),
-      registry_(regions_.memory(),
-                {options.config.limits.clients, options.config.limits.topics,
-                 options.config.limits.publishers_per_topic,
-                 options.config.limits.subscriptions_per_topic,
-                 options.config.limits.slots_per_publisher}),
+      registry_(regions_.memory(), {options.config.limits.clients, options.config.limits.topics,
+                                    options.config.limits.publishers_per_topic,
+                                    options.config.limits.subscriptions_per_topic,
+                                    options.config.limits.slots_per_publisher}),
       plan_(options.arena),
       doorbells_(listener.bells_directory()),
       membership_(registry_, regions_, doorbells_, *this),
@@ -89,8 +97,8 @@ Broker::~Broker() {
 }
 
 Result<void> Broker::start() {
-  const auto token = dispatcher_.add(listener_.socket().fd(), EPOLLIN,
-                                     [this](std::uint32_t) { accept_all(); });
+  const auto token =
+      dispatcher_.add(listener_.socket().fd(), EPOLLIN, [this](std::uint32_t) { accept_all(); });
   if (!token) return tl::unexpected(token.error());
   listening_ = *token;
   return {};
@@ -119,12 +127,8 @@ void Broker::turn_away() {
   spare_.reset();
   {
     auto socket = listener_.socket().accept();
-    if (socket && *socket) {
-      auto packet = make_body<wire::Refused>(wire::Opcode::refused);
-      packet.code = static_cast<std::uint32_t>(Errc::limit_reached);
-      packet.text = name_of("the daemon has no descriptor left");
-      static_cast<void>((*socket)->send(packet_of(packet)));
-    }
+    if (socket && *socket)
+      send_refused(**socket, Errc::limit_reached, "the daemon has no descriptor left");
   }
   spare_.reset(::open("/dev/null", O_RDONLY | O_CLOEXEC));
   log_.write_limited("descriptors", LogLevel::error, "connection refused",
@@ -136,15 +140,14 @@ void Broker::accept(PacketSocket socket) {
   if (!identity) {
     log_.write_limited("identify", LogLevel::warning, "connection refused",
                        {{"why", identity.error().what}, {"errno", identity.error().os_errno}});
+    send_refused(socket, identity.error().code, identity.error().what);
     return;
   }
   const std::uint32_t uid = identity->uid;
   if (connections_[uid] >= options_.config.quota.clients) {
-    auto packet = make_body<wire::Refused>(wire::Opcode::refused);
-    packet.code = static_cast<std::uint32_t>(Errc::quota_exceeded);
-    packet.text = name_of("this user may have " + std::to_string(options_.config.quota.clients) +
-                          " connections");
-    static_cast<void>(socket.send(packet_of(packet)));
+    send_refused(
+        socket, Errc::quota_exceeded,
+        "this user may have " + std::to_string(options_.config.quota.clients) + " connections");
     log_.write_limited("connections uid=" + std::to_string(uid), LogLevel::warning,
                        "connection refused",
                        {{"uid", uid},
@@ -156,16 +159,17 @@ void Broker::accept(PacketSocket socket) {
   const PeerId id = ++last_peer_;
   auto peer = std::make_unique<Peer>(Peer{id, Session(std::move(socket), std::move(*identity))});
   if (peer->session.identity().pid > 0) {
-    peer->session.user_namespace =
-        user_namespace_of(peer->session.identity().pid).value_or(0);
+    peer->session.user_namespace = user_namespace_of(peer->session.identity().pid).value_or(0);
   }
   const auto connection = dispatcher_.add(peer->session.socket().fd(), EPOLLIN,
                                           [this, id](std::uint32_t) { on_readable(id); });
-  if (!connection) return;
-  const auto process = dispatcher_.add(peer->session.identity().process.fd(), EPOLLIN,
-                                       [this, id](std::uint32_t) { on_process_end(id); });
+  const auto process = !connection
+                           ? connection
+                           : dispatcher_.add(peer->session.identity().process.fd(), EPOLLIN,
+                                             [this, id](std::uint32_t) { on_process_end(id); });
   if (!process) {
-    dispatcher_.remove(*connection);
+    if (connection) dispatcher_.remove(*connection);
+    send_refused(peer->session.socket(), process.error().code, process.error().what);
     return;
   }
   peer->connection = *connection;
@@ -269,16 +273,16 @@ void Broker::reap_peer(Peer& peer, std::string_view how) {
   const std::uint32_t uid = peer.session.identity().uid;
   drop(id);
   const Reaped reaped = reap(client, registry_, regions_, doorbells_, membership_);
-  log_.write(reaped.corrupt == 0 ? LogLevel::info : LogLevel::warning, "client gone",
-             {{"client", number(client)},
-              {"pid", pid},
-              {"uid", uid},
-              {"how", how},
-              {"publishers", reaped.publishers},
-              {"subscriptions", reaped.subscriptions},
-              {"rolled_back", reaped.rolled_back},
-              {"rolled_forward", reaped.rolled_forward},
-              {"corrupt_intents", reaped.corrupt}});
+  note(reaped.corrupt == 0 ? LogLevel::info : LogLevel::warning, uid, "client gone",
+       {{"client", number(client)},
+        {"pid", pid},
+        {"uid", uid},
+        {"how", how},
+        {"publishers", reaped.publishers},
+        {"subscriptions", reaped.subscriptions},
+        {"rolled_back", reaped.rolled_back},
+        {"rolled_forward", reaped.rolled_forward},
+        {"corrupt_intents", reaped.corrupt}});
 }
 
 void Broker::drop(PeerId id) {
@@ -306,8 +310,8 @@ void Broker::tick() {
   if (detached_count_ > 0) {
     std::vector<PeerId> gone;
     for (const auto& [id, peer] : peers_) {
-      if (peer->detached && !maps_file(peer->session.identity().pid,
-                                       regions_.region_file(*peer->session.client())))
+      if (peer->detached &&
+          !maps_file(peer->session.identity().pid, regions_.region_file(*peer->session.client())))
         gone.push_back(id);
     }
     for (const PeerId id : gone) reap_peer(*peers_.at(id), "process let go of its region");
@@ -340,6 +344,14 @@ void Broker::reply(Peer& peer, std::span<const std::byte> packet, std::vector<Sh
   if (!waiting || peer.session.queued_count() > Session::queue_count_max) flush(peer);
 }
 
+void Broker::note(LogLevel level, std::uint32_t uid, std::string_view event, Log::Fields fields) {
+  if (log_.is_written(LogLevel::debug)) {
+    log_.write(level, event, fields);
+  } else {
+    log_.write_limited(std::string(event) + " uid=" + std::to_string(uid), level, event, fields);
+  }
+}
+
 // --- requests
 
 tl::unexpected<Failure> Broker::refusal(Errc code, std::string text) {
@@ -350,9 +362,9 @@ tl::unexpected<Failure> Broker::refusal(Errc code, std::string text) {
 Result<void> Broker::check_limit(std::uint64_t used, std::uint64_t more, std::uint64_t limit,
                                  std::string_view name) {
   if (used <= limit && more <= limit - used) return {};
-  return refusal(Errc::quota_exceeded,
-                 std::string(name) + " is " + std::to_string(limit) + ", this user has " +
-                     std::to_string(used) + " and asks for " + std::to_string(more) + " more");
+  return refusal(Errc::quota_exceeded, std::string(name) + " is " + std::to_string(limit) +
+                                           ", this user has " + std::to_string(used) +
+                                           " and asks for " + std::to_string(more) + " more");
 }
 
 void Broker::refuse(Peer& peer, std::uint64_t request, Errc code, int os_errno,
@@ -415,10 +427,9 @@ void Broker::serve(Peer& peer, const Request& request) {
 Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
   Session& session = peer.session;
   if (hello.fingerprint != abi::fingerprint())
-    return refusal(Errc::layout_mismatch, "the library has layout " +
-                                              hexadecimal(hello.fingerprint) +
-                                              ", the daemon has layout " +
-                                              hexadecimal(abi::fingerprint()));
+    return refusal(Errc::layout_mismatch,
+                   "the library has layout " + hexadecimal(hello.fingerprint) +
+                       ", the daemon has layout " + hexadecimal(abi::fingerprint()));
   if (!session.identity().confirmed)
     return refusal(Errc::permission_denied,
                    "the process that connected is not the one that says hello");
@@ -445,7 +456,9 @@ Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
   packet.arena_bytes = options_.arena.bytes;
   packet.client_region_bytes = Registry::client_region_bytes;
   reply(peer, packet_of(packet), {regions_.board_reader(), regions_.region_writer(*client)});
-  log_.write(LogLevel::info, "client registered",
+  if (regions_.unlocked_count() > 0 && !std::exchange(said_unlocked_, true))
+    log_.write(LogLevel::info, "memory not locked", {{"why", "limit of locked memory"}});
+  log_.write(LogLevel::debug, "client registered",
              {{"client", number(*client)},
               {"generation", record.generation},
               {"pid", session.identity().pid},
@@ -467,8 +480,8 @@ Result<void> Broker::open_window(Peer& peer, const wire::WindowRequest& request)
   } else {
     if (record.window_count >= options_.config.heap.windows_per_process)
       return refusal(Errc::window_exhausted,
-                     "a process has at most " + std::to_string(options_.config.heap.windows_per_process) +
-                         " windows");
+                     "a process has at most " +
+                         std::to_string(options_.config.heap.windows_per_process) + " windows");
     const std::uint64_t bytes = options_.arena.window_bytes;
     if (auto allowed = check_limit(registry_.usage_of(record.uid).heap_bytes, bytes,
                                    options_.config.quota.heap_bytes, "[quota] heap_bytes");
@@ -487,7 +500,7 @@ Result<void> Broker::open_window(Peer& peer, const wire::WindowRequest& request)
     // Before the answer: the announcement is in a subscriber's socket before the first message lies
     // in the window.
     membership_.announce_window(client);
-    log_.write(LogLevel::info, "window opened",
+    log_.write(LogLevel::debug, "window opened",
                {{"client", number(client)},
                 {"pid", peer.session.identity().pid},
                 {"window", request.window},
@@ -507,8 +520,8 @@ Result<void> Broker::open_executor(Peer& peer, const wire::ExecutorRequest& requ
   if (doorbells_.is_open(client, request.executor))
     return refusal(Errc::protocol_violation, "the executor is open");
   const std::uint32_t uid = registry_.client(client).uid;
-  if (auto allowed = check_limit(registry_.usage_of(uid).executors, 1, options_.config.quota.executors,
-                                 "[quota] executors");
+  if (auto allowed = check_limit(registry_.usage_of(uid).executors, 1,
+                                 options_.config.quota.executors, "[quota] executors");
       !allowed)
     return allowed;
   auto bells = doorbells_.open(client, request.executor);
@@ -523,8 +536,8 @@ Result<void> Broker::create(Peer& peer, const CreateRequest& request) {
   const ClientIndex client = *peer.session.client();
   const ClientRecord& record = registry_.client(client);
   if (const auto problem = check_topic_name(request.topic))
-    return refusal(Errc::invalid_name, "topic " + printable(request.topic) + ": " +
-                                           problem->text());
+    return refusal(Errc::invalid_name,
+                   "topic " + printable(request.topic) + ": " + problem->text());
   if (request.qos.depth > options_.config.limits.depth_max)
     return refusal(Errc::depth_refused, "depth " + std::to_string(request.qos.depth) +
                                             " is above depth_max " +
@@ -535,15 +548,16 @@ Result<void> Broker::create(Peer& peer, const CreateRequest& request) {
   const Decision decision = decide(options_.config.access, subject, record.domain, request.topic,
                                    publisher ? Action::publish : Action::subscribe);
   if (!decision.allowed)
-    return refusal(Errc::permission_denied,
-                   "user " + std::to_string(record.uid) + " may not " +
-                       (publisher ? "publish on " : "subscribe to ") + request.topic +
-                       " (rule in line " + std::to_string(decision.line) + ")");
+    return refusal(Errc::permission_denied, "user " + std::to_string(record.uid) + " may not " +
+                                                (publisher ? "publish on " : "subscribe to ") +
+                                                request.topic + " (rule in line " +
+                                                std::to_string(decision.line) + ")");
   const Usage usage = registry_.usage_of(record.uid);
-  auto allowed = publisher ? check_limit(usage.publishers, 1, options_.config.quota.publishers,
-                                         "[quota] publishers")
-                           : check_limit(usage.subscriptions, 1, options_.config.quota.subscriptions,
-                                         "[quota] subscriptions");
+  auto allowed =
+      publisher
+          ? check_limit(usage.publishers, 1, options_.config.quota.publishers, "[quota] publishers")
+          : check_limit(usage.subscriptions, 1, options_.config.quota.subscriptions,
+                        "[quota] subscriptions");
   if (!allowed) return allowed;
   if (!publisher) {
     allowed = check_limit(usage.held_messages, request.quota, options_.config.quota.held_messages,
@@ -552,7 +566,7 @@ Result<void> Broker::create(Peer& peer, const CreateRequest& request) {
   }
   auto created = membership_.create(client, request);
   if (created) {
-    log_.write(LogLevel::info, "endpoint created",
+    log_.write(LogLevel::debug, "endpoint created",
                {{"kind", name_of_kind(request.kind)},
                 {"topic", request.topic},
                 {"type", request.type},
@@ -564,9 +578,8 @@ Result<void> Broker::create(Peer& peer, const CreateRequest& request) {
     AGNOCAST_CHECK(topic.has_value());
     const std::string_view type = registry_.topic(*topic).type;
     return refusal(Errc::type_mismatch,
-                   request.topic + (type == request.type
-                                        ? " has the same type with another layout"
-                                        : " has type " + printable(type)));
+                   request.topic + (type == request.type ? " has the same type with another layout"
+                                                         : " has type " + printable(type)));
   }
   return created;
 }

@@ -89,6 +89,8 @@ class Broker final : private Post {
   void refuse(Peer& peer, std::uint64_t request, Errc code, int os_errno, std::string_view text);
   void reply(Peer& peer, std::span<const std::byte> packet, std::vector<SharedFd> fds = {});
   void on_ended(ClientIndex client);
+  /// A line that any client can cause: limited per user, unless somebody looks at everything.
+  void note(LogLevel level, std::uint32_t uid, std::string_view event, Log::Fields fields);
 
   /// Why the last request was refused, when there is more to say than a static text.
   [[nodiscard]] tl::unexpected<Failure> refusal(Errc code, std::string text);
@@ -111,8 +113,9 @@ class Broker final : private Post {
   PeerId last_peer_ = 0;
   std::uint64_t detached_count_ = 0;  // processes without a connection
   bool flush_later_ = false;
+  bool said_unlocked_ = false;
   std::uint64_t looked_ms_ = 0;  // when tick() last had a look
-  UniqueFd spare_;  // given up for a moment when no descriptor is left
+  UniqueFd spare_;               // given up for a moment when no descriptor is left
   Dispatcher::Token listening_ = 0;
 };
 

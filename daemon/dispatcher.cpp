@@ -23,8 +23,7 @@ Result<Dispatcher::Token> Dispatcher::add(int fd, std::uint32_t events, Handler 
   event.data.u64 = last_token_ + 1;
   if (::epoll_ctl(epoll_.get(), EPOLL_CTL_ADD, fd, &event) != 0)
     return fail(Errc::os_failure, "watching a descriptor", errno);
-  sources_.emplace(++last_token_,
-                   Source{fd, std::make_shared<const Handler>(std::move(handler))});
+  sources_.emplace(++last_token_, Source{fd, std::make_shared<const Handler>(std::move(handler))});
   return last_token_;
 }
 

@@ -2,9 +2,9 @@
 //
 // Dispatcher: one epoll set, one thread, one handler per descriptor.
 //
-// A source is known by a token that is never used twice. Descriptor numbers are: a handler may close
-// one source and open another that gets the same number while an event of the old one still waits in
-// the batch; its token finds nobody, and the event is dropped.
+// A source is known by a token that is never used twice. Descriptor numbers are: a handler may
+// close one source and open another that gets the same number while an event of the old one still
+// waits in the batch; its token finds nobody, and the event is dropped.
 #pragma once
 
 #include <agnocast/result.hpp>

@@ -34,8 +34,7 @@ tl::expected<void, Complaint> make_directory(const std::string& directory) {
   if (::mkdir(directory.c_str(), 0755) == 0) {
     ::chmod(directory.c_str(), 0755);  // whatever the umask
   } else if (errno != EEXIST) {
-    return complain(Errc::os_failure,
-                    "cannot make directory " + directory + ": " + reason(errno));
+    return complain(Errc::os_failure, "cannot make directory " + directory + ": " + reason(errno));
   }
   struct stat entry {};
   if (::stat(directory.c_str(), &entry) != 0)
@@ -59,8 +58,7 @@ void clear_bells(const std::string& directory) noexcept {
 
 tl::expected<void, Complaint> make_bells(const std::string& directory) {
   if (::mkdir(directory.c_str(), 0700) != 0 && errno != EEXIST)
-    return complain(Errc::os_failure,
-                    "cannot make directory " + directory + ": " + reason(errno));
+    return complain(Errc::os_failure, "cannot make directory " + directory + ": " + reason(errno));
   struct stat entry {};
   if (::lstat(directory.c_str(), &entry) != 0)
     return complain(Errc::os_failure, "cannot use directory " + directory + ": " + reason(errno));
@@ -104,16 +102,15 @@ tl::expected<Listener, Complaint> Listener::open(const ListenerOptions& options)
   Listener listener;
   listener.bells_ = base + ".bells";
   if (listener.bells_.size() > bells_length_max)
-    return complain(Errc::invalid_argument,
-                    "cannot use runtime directory " + directory + ": " + listener.bells_ +
-                        " must have at most " + std::to_string(bells_length_max) + " bytes");
+    return complain(Errc::invalid_argument, "cannot use runtime directory " + directory + ": " +
+                                                listener.bells_ + " must have at most " +
+                                                std::to_string(bells_length_max) + " bytes");
   for (const std::string& wanted : {parent_of(path), directory}) {
     if (auto made = make_directory(wanted); !made) return tl::unexpected(made.error());
   }
 
   const std::string lock_path = base + ".lock";
-  listener.lock_.reset(
-      ::open(lock_path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600));
+  listener.lock_.reset(::open(lock_path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600));
   if (!listener.lock_)
     return complain(errno == EACCES || errno == EPERM ? Errc::permission_denied : Errc::os_failure,
                     "cannot write in directory " + directory + ": " + reason(errno));
@@ -138,9 +135,9 @@ tl::expected<Listener, Complaint> Listener::open(const ListenerOptions& options)
     return complain(Errc::os_failure,
                     "cannot listen at " + path + ": " + reason(wanted.error().os_errno));
   if (options.group && ::lchown(path.c_str(), static_cast<uid_t>(-1), *options.group) != 0)
-    return complain(Errc::permission_denied,
-                    "cannot give " + path + " to group " + std::to_string(*options.group) + ": " +
-                        reason(errno));
+    return complain(Errc::permission_denied, "cannot give " + path + " to group " +
+                                                 std::to_string(*options.group) + ": " +
+                                                 reason(errno));
   if (::chmod(path.c_str(), options.mode) != 0)
     return complain(Errc::os_failure, "cannot set the mode of " + path + ": " + reason(errno));
   return listener;

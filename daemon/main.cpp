@@ -2,8 +2,8 @@
 //
 // agnocastd: options, configuration, the place where clients find it, and the loop.
 //
-// Exit status: 0 ended by SIGTERM or SIGINT, or what was asked for is printed · 1 it cannot run here
-// · 2 wrong usage. A complaint is two lines on stderr; everything else goes through the log.
+// Exit status: 0 ended by SIGTERM or SIGINT, or what was asked for is printed · 1 it cannot run
+// here · 2 wrong usage. A complaint is two lines on stderr; everything else goes through the log.
 
 #include <daemon/broker.hpp>
 #include <daemon/config.hpp>
@@ -90,8 +90,8 @@ std::uint64_t random_incarnation() noexcept {
   if (::getrandom(&value, sizeof value, 0) != sizeof value || value == 0) {
     timespec now{};
     ::clock_gettime(CLOCK_MONOTONIC, &now);
-    value = static_cast<std::uint64_t>(now.tv_sec) << 32 ^
-            static_cast<std::uint64_t>(now.tv_nsec) ^ static_cast<std::uint64_t>(::getpid()) << 48;
+    value = static_cast<std::uint64_t>(now.tv_sec) << 32 ^ static_cast<std::uint64_t>(now.tv_nsec) ^
+            static_cast<std::uint64_t>(::getpid()) << 48;
   }
   return value;
 }
@@ -117,12 +117,14 @@ Result<UniqueFd> watch_signals() noexcept {
 }
 
 int serve(const Config& config, const std::string& socket, Log& log) {
-  const auto arena = plan_arena(
-      {config.heap.arena_base, config.heap.arena_bytes, config.heap.window_bytes}, address_bits(),
-      memory_bytes());
+  const auto arena =
+      plan_arena({config.heap.arena_base, config.heap.arena_bytes, config.heap.window_bytes},
+                 address_bits(), memory_bytes());
   if (!arena)
-    return complain("the arena does not fit into the addresses of this machine",
-                    "correct arena_base, arena_bytes and window_bytes in [heap], or leave them out");
+    return complain(
+        "the arena does not fit into the addresses of this machine",
+        "correct arena_base, arena_bytes and window_bytes in [heap] (whole MiB, in steps of 2), or "
+        "leave them out");
   const auto group = group_of(config.daemon.socket_group);
   if (!group && !config.daemon.socket_group.empty())
     return complain("there is no group " + config.daemon.socket_group,

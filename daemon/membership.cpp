@@ -80,15 +80,13 @@ Result<void> Membership::create_publisher(ClientIndex client, TopicIndex topic,
     Result<void> backed;
     registry_.for_each_subscription(topic, [&](std::uint32_t, const SubscriptionRecord& record) {
       if (backed && regions_.is_open(record.client))
-        backed =
-            regions_.back(record.client, record.extent, Registry::subscription_extent_bytes);
+        backed = regions_.back(record.client, record.extent, Registry::subscription_extent_bytes);
     });
     if (!backed) return backed;
   }
   registry_.add_publisher(client, topic, request.qos, *plan, request.node);
 
-  auto answer =
-      make_body<wire::EndpointCreated>(wire::Opcode::endpoint_created, request.request);
+  auto answer = make_body<wire::EndpointCreated>(wire::Opcode::endpoint_created, request.request);
   answer.topic = number(topic);
   answer.index = plan->index;
   answer.generation = plan->generation;
@@ -122,8 +120,7 @@ Result<void> Membership::create_subscription(ClientIndex client, TopicIndex topi
   registry_.add_subscription(client, topic, request.qos, request.quota, request.executor, *plan,
                              request.node);
 
-  auto answer =
-      make_body<wire::EndpointCreated>(wire::Opcode::endpoint_created, request.request);
+  auto answer = make_body<wire::EndpointCreated>(wire::Opcode::endpoint_created, request.request);
   answer.topic = number(topic);
   answer.index = plan->index;
   answer.generation = plan->generation;
@@ -215,8 +212,7 @@ void Membership::announce_subscription(TopicIndex topic, std::uint32_t index,
   const Session* const owner = post_.session_of(subscription.client);
   const bool same_user =
       registry_.client(subscription.client).uid == registry_.client(member.client).uid &&
-      owner != nullptr && owner->user_namespace != 0 &&
-      owner->user_namespace == to->user_namespace;
+      owner != nullptr && owner->user_namespace != 0 && owner->user_namespace == to->user_namespace;
   const auto bells =
       doorbells_.for_publisher(subscription.client, subscription.executor, same_user);
   packet.doorbell_count = static_cast<std::uint32_t>(bells.size());
@@ -293,10 +289,9 @@ void Membership::notice_mismatches(const EndpointRef& ref) {
 
 void Membership::notice_types(ClientIndex client, TopicIndex topic, const CreateRequest& request) {
   if (!type_notices_.insert({number(client), number(topic)}).second) return;
-  const std::string text =
-      request.type == registry_.topic(topic).type
-          ? "another process uses the same type with another layout"
-          : "another process uses type " + printable(request.type);
+  const std::string text = request.type == registry_.topic(topic).type
+                               ? "another process uses the same type with another layout"
+                               : "another process uses type " + printable(request.type);
   registry_.for_each_publisher(topic, [&](std::uint32_t i, const PublisherRecord& record) {
     if (record.state == EndpointState::active)
       notice({Kind::publisher, topic, i}, Errc::type_mismatch, text);
@@ -311,7 +306,7 @@ void Membership::notice_types(ClientIndex client, TopicIndex topic, const Create
 
 bool Membership::is_own(ClientIndex client, const wire::Reference& reference) const {
   const EndpointRef ref = ref_of(reference);
-  if (registry_.topic(ref.topic).state != TopicState::used) return false;
+  if (!registry_.was_used(ref)) return false;
   const EndpointState state = ref.kind == Kind::publisher
                                   ? registry_.publisher(ref.topic, ref.index).state
                                   : registry_.subscription(ref.topic, ref.index).state;
@@ -395,7 +390,8 @@ Result<void> Membership::unlinked(ClientIndex client, const wire::Unlinked& stat
     return fail(Errc::protocol_violation, "more packets were seen than were sent");
   if (statement.kind == Kind::region) {
     const ClientIndex owner{static_cast<std::uint32_t>(statement.index)};
-    if (registry_.client(owner).state == ClientState::free ||
+    if (number(owner) >= registry_.client_high() ||
+        registry_.client(owner).state == ClientState::free ||
         registry_.client(owner).generation != statement.generation)
       return {};  // late: it is over
     if (session->announcements().is_void(region_of(owner), statement.seen)) return {};
@@ -410,7 +406,7 @@ Result<void> Membership::unlinked(ClientIndex client, const wire::Unlinked& stat
   }
   const EndpointRef ref{statement.kind, static_cast<TopicIndex>(statement.topic),
                         static_cast<std::uint32_t>(statement.index)};
-  if (registry_.generation_of(ref) != statement.generation ||
+  if (!registry_.was_used(ref) || registry_.generation_of(ref) != statement.generation ||
       session->announcements().is_void(subject_of(ref), statement.seen))
     return {};
   session->announcements().forget(subject_of(ref));
@@ -513,12 +509,10 @@ void Membership::settle_all() {
   for (std::uint32_t t = 0; t < registry_.topic_high(); ++t) {
     const TopicIndex topic{t};
     for (std::uint32_t i = 0; i < registry_.topic(topic).publisher_high; ++i) {
-      if (registry_.topic(topic).state == TopicState::used)
-        settle({Kind::publisher, topic, i});
+      if (registry_.topic(topic).state == TopicState::used) settle({Kind::publisher, topic, i});
     }
     for (std::uint32_t i = 0; i < registry_.topic(topic).subscription_high; ++i) {
-      if (registry_.topic(topic).state == TopicState::used)
-        settle({Kind::subscription, topic, i});
+      if (registry_.topic(topic).state == TopicState::used) settle({Kind::subscription, topic, i});
     }
   }
   for (std::uint32_t c = 0; c < registry_.client_high(); ++c)

@@ -4,7 +4,8 @@
 //
 // Every operation has the same shape: check what the sender may say, let the registry decide and
 // journal, then answer, then announce. An announcement is journaled before it is sent (rule RU, a),
-// and only processes that are connected are told: to whom nothing was sent, nothing must be unlinked.
+// and only processes that are connected are told: to whom nothing was sent, nothing must be
+// unlinked.
 //
 // settle() is the other half of rule RU: called for whatever somebody has let go of, it frees what
 // nobody has any more, and then what that made free: endpoint, topic, process.

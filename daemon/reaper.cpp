@@ -79,8 +79,8 @@ bool maps_file(pid_t pid, const Regions::FileId& file) noexcept {
     unsigned device_major = 0, device_minor = 0;
     std::uint64_t inode = 0;
     if (starts_here &&
-        std::sscanf(line, "%*x-%*x %*s %*x %x:%x %" SCNu64, &device_major, &device_minor,
-                    &inode) == 3 &&
+        std::sscanf(line, "%*x-%*x %*s %*x %x:%x %" SCNu64, &device_major, &device_minor, &inode) ==
+            3 &&
         inode == file.inode && makedev(device_major, device_minor) == file.device)
       return true;
   }

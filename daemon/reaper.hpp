@@ -9,9 +9,9 @@
 //     journal the death → its subscriptions dead → its intents back or forward, its publishers
 //     orphans, everybody rung and told → it leaves all announce sets → what became free is freed
 //
-// Every step may be repeated. The reaper never trusts a value that the dead process wrote, and never
-// takes the end of a connection for a death: only the pidfd says it, or a process that has no trace
-// of its region any more (after exec).
+// Every step may be repeated. The reaper never trusts a value that the dead process wrote, and
+// never takes the end of a connection for a death: only the pidfd says it, or a process that has no
+// trace of its region any more (after exec).
 #pragma once
 
 #include <daemon/membership.hpp>

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Regions: the memory that the daemon makes. Board and tables once, a client region and heap windows
-// per process.
+// Regions: the memory that the daemon makes. Board and tables once, a client region and heap
+// windows per process.
 //
 // A process gets a writable descriptor of its own region and windows; everybody else one that was
 // opened for reading. The daemon keeps its own writable mapping of every client region: to prepare
 // extents before they are given out, and to repair the queues of a dead process. Extents are backed
-// by memory before they are used and locked where the limit allows, so that nobody meets SIGBUS or a
-// page fault from disk; what the limit refuses is counted, not reported.
+// by memory before they are used and locked where the limit allows, so that nobody meets SIGBUS or
+// a page fault from disk; what the limit refuses is counted, not reported.
 //
 // Whose region it is and when it goes is the registry's business; nothing here decides.
 #pragma once

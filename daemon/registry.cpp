@@ -13,9 +13,9 @@ namespace agnocast::daemon {
 namespace {
 
 constexpr std::uint64_t magic_value = 0x6c6261742e6f6761;  // "ago.tabl" in memory order
-constexpr std::uint64_t layout_of_tables =
-    sizeof(ClientRecord) << 48 | sizeof(TopicRecord) << 32 | sizeof(PublisherRecord) << 16 |
-    sizeof(SubscriptionRecord);
+constexpr std::uint64_t layout_of_tables = sizeof(ClientRecord) << 48 | sizeof(TopicRecord) << 32 |
+                                           sizeof(PublisherRecord) << 16 |
+                                           sizeof(SubscriptionRecord);
 
 // A pass may be left out so many times (docs/protocol.md, lazy pass); what these publishes would
 // have freed needs a slot each.
@@ -181,8 +181,8 @@ void Registry::apply_to_client(const Record& record) {
       client.window_count = 0;
       client.told.begin(client.generation);
       client.state = ClientState::alive;
-      tables_.header.client_high = std::max(tables_.header.client_high,
-                                            static_cast<std::uint32_t>(record.argument[0]) + 1);
+      tables_.header.client_high =
+          std::max(tables_.header.client_high, static_cast<std::uint32_t>(record.argument[0]) + 1);
       note_generation(client.generation);
       break;
     case Type::open_window:
@@ -220,8 +220,8 @@ void Registry::apply_to_endpoint(const Record& record) {
   const TopicIndex at = topic_of(record);
   const std::uint32_t index = index_of(record);
   TopicRecord& topic = tables_.topic[number(at)];
-  PublisherRecord& publisher = tables_.publisher[number(at)]
-                                                [std::min(index, abi::publisher_count_max - 1)];
+  PublisherRecord& publisher =
+      tables_.publisher[number(at)][std::min(index, abi::publisher_count_max - 1)];
   SubscriptionRecord& subscription = tables_.subscription[number(at)][index];
   const std::uint64_t* const argument = record.argument;
   switch (record.type) {
@@ -363,8 +363,7 @@ Usage Registry::usage_of(std::uint32_t uid) const {
 void Registry::open_window(ClientIndex index, const WindowRecord& window) {
   AGNOCAST_CHECK(is_alive(index));
   AGNOCAST_CHECK(client(index).window_count < abi::window_count_max);
-  change(Type::open_window,
-         {number(index), client(index).window_count, window.base, window.bytes});
+  change(Type::open_window, {number(index), client(index).window_count, window.base, window.bytes});
 }
 
 void Registry::open_executor(ClientIndex index, std::uint32_t executor) {
@@ -571,20 +570,19 @@ void Registry::tell(const EndpointRef& ref, ClientIndex to) {
   if (told_of(ref).contains(number(to)) &&
       (owner_of(ref) == to || client(owner_of(ref)).told.contains(number(to))))
     return;
-  change(Type::announced, {number(ref.topic), ref.index, number(to),
-                           static_cast<std::uint64_t>(ref.kind)});
+  change(Type::announced,
+         {number(ref.topic), ref.index, number(to), static_cast<std::uint64_t>(ref.kind)});
 }
 
 void Registry::let_go(const EndpointRef& ref, ClientIndex by) {
   if (!told_of(ref).contains(number(by))) return;
-  change(Type::unlinked, {number(ref.topic), ref.index, number(by),
-                          static_cast<std::uint64_t>(ref.kind)});
+  change(Type::unlinked,
+         {number(ref.topic), ref.index, number(by), static_cast<std::uint64_t>(ref.kind)});
 }
 
 void Registry::let_go_of_region(ClientIndex owner, ClientIndex by) {
   if (!client(owner).told.contains(number(by))) return;
-  change(Type::unlinked,
-         {number(owner), 0, number(by), static_cast<std::uint64_t>(Kind::region)});
+  change(Type::unlinked, {number(owner), 0, number(by), static_cast<std::uint64_t>(Kind::region)});
 }
 
 }  // namespace agnocast::daemon

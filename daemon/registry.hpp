@@ -3,14 +3,14 @@
 // Registry: what exists and who knows of it. Pure state, no descriptor in it, no packet, no clock.
 //
 // Every change goes one way: a record is committed to the redo log, apply() carries it out on the
-// tables and on the board, the log notes that it is applied. apply() is idempotent, so a daemon that
-// died in between does it again when it starts. A creation has two halves: plan_*() says what it
-// would be (index, generation, extent), the shell makes the memory ready, add_*() makes it so;
+// tables and on the board, the log notes that it is applied. apply() is idempotent, so a daemon
+// that died in between does it again when it starts. A creation has two halves: plan_*() says what
+// it would be (index, generation, extent), the shell makes the memory ready, add_*() makes it so;
 // between the two nothing else may change.
 //
 // The rules about *when* something may change lie in membership.cpp and reaper.cpp; here are the
-// facts that they ask for. What is kept beside the tables (names to topics, endpoints and extents of
-// a process) is derived from them and made anew by open().
+// facts that they ask for. What is kept beside the tables (names to topics, endpoints and extents
+// of a process) is derived from them and made anew by open().
 //
 // Callers pass indexes that they have checked: an index out of range is a mistake of ours.
 #pragma once
@@ -150,9 +150,7 @@ class Registry {
   std::optional<TopicIndex> find_topic(std::uint64_t domain, std::string_view name) const;
   [[nodiscard]] Result<TopicIndex> add_topic(const NewTopic& topic);
   std::uint32_t topic_high() const noexcept { return tables_.header.topic_high; }
-  const TopicRecord& topic(TopicIndex index) const noexcept {
-    return tables_.topic[number(index)];
-  }
+  const TopicRecord& topic(TopicIndex index) const noexcept { return tables_.topic[number(index)]; }
   bool topic_is_empty(TopicIndex index) const;
   void free_topic(TopicIndex index);
 
@@ -183,6 +181,15 @@ class Registry {
   void free_subscription(TopicIndex topic, std::uint32_t index);
   /// Does some publisher of the topic use slots whose hold bits lie behind the link lines?
   bool uses_far_slots(TopicIndex topic) const;
+
+  /// Has this place ever been used since its topic began? What was never used must not be looked
+  /// at: reading a hole of the tables gives it memory, and clients name places at will.
+  bool was_used(const EndpointRef& ref) const noexcept {
+    if (number(ref.topic) >= topic_high() || topic(ref.topic).state != TopicState::used)
+      return false;
+    return ref.index < (ref.kind == Kind::publisher ? topic(ref.topic).publisher_high
+                                                    : topic(ref.topic).subscription_high);
+  }
 
   // --- rule RU
   const AnnounceSet& told_of(const EndpointRef& ref) const noexcept;

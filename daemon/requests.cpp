@@ -161,11 +161,15 @@ Request decode(std::span<const std::byte> packet, const Envelope& envelope, bool
     return end(header.request, "a packet is not as long as it says");
   if (envelope.descriptor_count != 0 || envelope.descriptors_lost)
     return refuse(header, Errc::protocol_violation, "descriptors came with a request");
-  const Row* const row = std::find_if(
-      std::begin(rows), std::end(rows), [&](const Row& r) { return r.opcode == header.opcode; });
+  const Row* const row = std::find_if(std::begin(rows), std::end(rows),
+                                      [&](const Row& r) { return r.opcode == header.opcode; });
   if (row == std::end(rows))
     return refuse(header, Errc::protocol_violation,
                   "unknown request " + std::to_string(static_cast<std::uint32_t>(header.opcode)));
+  if (header.opcode == wire::Opcode::hello && packet.size() != row->bytes)
+    return refuse(header, Errc::layout_mismatch,
+                  "the library's hello has " + std::to_string(packet.size()) +
+                      " bytes, the daemon's has " + std::to_string(row->bytes));
   if (packet.size() != row->bytes)
     return refuse(header, Errc::protocol_violation,
                   "a request of " + std::to_string(packet.size()) + " bytes should have " +

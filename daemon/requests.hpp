@@ -4,8 +4,8 @@
 //
 // A table says for every opcode how long its body is, whether it may come before hello, and which
 // check its fields must pass. Everything in a packet is input: what comes out of decode() has names
-// that end, indexes inside the tables, a quality of service that exists. Whether an index belongs to
-// the sender is for the membership to know.
+// that end, indexes inside the tables, a quality of service that exists. Whether an index belongs
+// to the sender is for the membership to know.
 #pragma once
 
 #include <agnocast/abi/wire.hpp>

@@ -6,9 +6,9 @@
 //
 // Packets leave in the order in which they were handed in, each counted; the number of a packet is
 // what `seen` in an `unlinked` refers to, so the session also remembers in which packet each thing
-// was announced last. What does not fit into the socket waits in a bounded queue; a client that does
-// not read until the bound is reached is disconnected. A closed session is not a dead process: that
-// is the reaper's to find out.
+// was announced last. What does not fit into the socket waits in a bounded queue; a client that
+// does not read until the bound is reached is disconnected. A closed session is not a dead process:
+// that is the reaper's to find out.
 //
 // The queue and the book of announcements are pure; only flush() touches the socket.
 #pragma once

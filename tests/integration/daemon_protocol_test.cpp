@@ -116,8 +116,7 @@ TEST(DaemonProtocol, WelcomesWithBoardRegionAndArena) {
   EXPECT_NE(node.welcome.incarnation, 0u);
   EXPECT_EQ(word(node.board, offsetof(abi::BoardHeader, magic)), abi::board_magic);
   EXPECT_EQ(word(node.board, offsetof(abi::BoardHeader, incarnation)), node.welcome.incarnation);
-  EXPECT_EQ(word(node.region, offsetof(abi::ClientRegionHeader, magic)),
-            abi::client_region_magic);
+  EXPECT_EQ(word(node.region, offsetof(abi::ClientRegionHeader, magic)), abi::client_region_magic);
   EXPECT_EQ(word(node.region, offsetof(abi::ClientRegionHeader, generation)),
             node.welcome.client_generation);
   Node second(daemon);
@@ -132,12 +131,42 @@ TEST(DaemonProtocol, RefusesAnotherLayoutAndNamesBoth) {
   EXPECT_EQ(answer.refused_code(), Errc::layout_mismatch);
   EXPECT_NE(answer.refused_text().find("0x0000000000abcdef"), std::string::npos);
   char own[32];
-  std::snprintf(own, sizeof own, "0x%016llx",
-                static_cast<unsigned long long>(abi::fingerprint()));
+  std::snprintf(own, sizeof own, "0x%016llx", static_cast<unsigned long long>(abi::fingerprint()));
   EXPECT_NE(answer.refused_text().find(own), std::string::npos) << answer.refused_text();
   EXPECT_EQ(client.open_window(0).refused_code(), Errc::protocol_violation)
       << "nothing else goes without hello";
   EXPECT_TRUE(daemon.wait_for_log("code=layout_mismatch"));
+}
+
+// A hello that a child says on the connection of its parent: whose process is it?
+void say_hello_in_a_child(WireClient& client) {
+  const pid_t pid = ::fork();
+  if (pid == 0) {
+    wire::Hello hello{};
+    hello.header = {Opcode::hello, sizeof hello, 1};
+    hello.fingerprint = abi::fingerprint();
+    ::_exit(client.send_bytes(std::as_bytes(std::span(&hello, 1))) ? 0 : 1);
+  }
+  int status = 0;
+  ::waitpid(pid, &status, 0);
+  EXPECT_EQ(status, 0);
+}
+
+TEST(DaemonProtocol, KnowsTheProcessThatConnectedOnEveryKernel) {
+  {
+    DaemonProcess daemon;
+    WireClient client(daemon.socket_path());
+    say_hello_in_a_child(client);
+    EXPECT_EQ(client.next().opcode(), Opcode::welcome) << "the process that connected is known";
+  }
+  DaemonProcess daemon({.without_peer_pidfd = true});
+  WireClient client(daemon.socket_path());
+  say_hello_in_a_child(client);
+  const Incoming refused = client.next();
+  EXPECT_EQ(refused.refused_code(), Errc::permission_denied);
+  EXPECT_EQ(refused.refused_text(), "the process that connected is not the one that says hello");
+  EXPECT_EQ(client.hello().opcode(), Opcode::welcome) << "itself it may";
+  EXPECT_EQ(client.create_publisher("/topic").opcode(), Opcode::endpoint_created);
 }
 
 TEST(DaemonProtocol, AnnouncesBothSidesInOrderWithWorkingDescriptors) {
@@ -205,8 +234,7 @@ TEST(DaemonProtocol, AnnouncesBothSidesInOrderWithWorkingDescriptors) {
     EXPECT_EQ(about.own_index, late.index);
     EXPECT_EQ(about.from_start, 0u);
   }
-  EXPECT_EQ(subscriber.wire.expect<wire::Announcement>(Opcode::announce).kind,
-            Kind::subscription);
+  EXPECT_EQ(subscriber.wire.expect<wire::Announcement>(Opcode::announce).kind, Kind::subscription);
   EXPECT_EQ(publisher.wire.expect<wire::Announcement>(Opcode::announce).index, late.index);
 }
 
@@ -243,8 +271,7 @@ TEST(DaemonProtocol, AnnouncesAWindowBeforeItsOwnerHasIt) {
   ASSERT_EQ(again.fds.size(), 2u);
   EXPECT_EQ(::pwrite(again.fds[0].get(), &written, 1, 0), 1);
   EXPECT_EQ(publisher.wire.open_window(2).refused_code(), Errc::protocol_violation);
-  EXPECT_EQ(stranger.wire.open_window(0).as<wire::WindowOpened>().base,
-            window.base + window.bytes);
+  EXPECT_EQ(stranger.wire.open_window(0).as<wire::WindowOpened>().base, window.base + window.bytes);
 }
 
 // docs/protocol.md's facts on memfds, as what our descriptors must not allow another user.
@@ -297,8 +324,7 @@ TEST(DaemonProtocol, GivesAnotherUserTheDatagramBellAlone) {
               Node publisher(daemon);
               publisher.publisher("/topic");
               std::vector<UniqueFd> fds;
-              const auto about =
-                  publisher.wire.expect<wire::Announcement>(Opcode::announce, &fds);
+              const auto about = publisher.wire.expect<wire::Announcement>(Opcode::announce, &fds);
               if (about.doorbell_count != 1 || fds.size() != 2) return 1;
               return Doorbell(std::move(fds[1])).ring() == Doorbell::Rung::rung ? 0 : 2;
             }),
@@ -386,18 +412,16 @@ TEST(DaemonProtocol, RefusesToSpeakOfOthersEndpoints) {
                   .refused_code(),
               Errc::protocol_violation);
   }
-  EXPECT_EQ(owner.wire.reference(Opcode::leave, Kind::publisher, p.topic, p.index,
-                                 p.generation + 1)
+  EXPECT_EQ(owner.wire.reference(Opcode::leave, Kind::publisher, p.topic, p.index, p.generation + 1)
                 .refused_code(),
             Errc::protocol_violation);
   EXPECT_EQ(owner.wire.reference(Opcode::leave, Kind::publisher, 4000, 3, 1).refused_code(),
             Errc::protocol_violation);
-  EXPECT_EQ(owner.wire.reference(Opcode::drained, Kind::subscription, s.topic, s.index,
-                                 s.generation)
-                .refused_text(),
-            "the subscription has not left");
-  EXPECT_EQ(abi::state_of(publisher_word(owner.board, p.topic, p.index)),
-            abi::MemberState::active);
+  EXPECT_EQ(
+      owner.wire.reference(Opcode::drained, Kind::subscription, s.topic, s.index, s.generation)
+          .refused_text(),
+      "the subscription has not left");
+  EXPECT_EQ(abi::state_of(publisher_word(owner.board, p.topic, p.index)), abi::MemberState::active);
 }
 
 TEST(DaemonProtocol, LetsASubscriptionLeaveAndUsesItsPlaceOnlyWhenItIsUnlinked) {
@@ -410,10 +434,15 @@ TEST(DaemonProtocol, LetsASubscriptionLeaveAndUsesItsPlaceOnlyWhenItIsUnlinked) 
   const auto state = [&](std::uint64_t index) {
     return abi::state_of(subscription_word(publisher.board, s.topic, index));
   };
-  EXPECT_EQ(subscriber.wire.reference(Opcode::leave, Kind::subscription, s.topic, s.index,
-                                      s.generation)
-                .opcode(),
-            Opcode::done);
+  // Whatever a process leaves in an extent, near and far.
+  const std::uint64_t places[] = {s.extent,
+                                  s.extent + abi::far_hold_offset(abi::publisher_count_max, 3, 0)};
+  for (const std::uint64_t place : places)
+    SharedMemory::word(subscriber.region.base(), place).store(~std::uint64_t{0});
+  EXPECT_EQ(
+      subscriber.wire.reference(Opcode::leave, Kind::subscription, s.topic, s.index, s.generation)
+          .opcode(),
+      Opcode::done);
   EXPECT_EQ(state(s.index), abi::MemberState::leaving);
   const auto kick = publisher.wire.expect<wire::Reference>(Opcode::kick);
   EXPECT_EQ(kick.kind, Kind::publisher);
@@ -423,10 +452,10 @@ TEST(DaemonProtocol, LetsASubscriptionLeaveAndUsesItsPlaceOnlyWhenItIsUnlinked) 
   const auto second = subscriber.subscription("/topic");
   EXPECT_NE(second.index, s.index);
   EXPECT_NE(second.extent, s.extent);
-  EXPECT_EQ(subscriber.wire.reference(Opcode::drained, Kind::subscription, s.topic, s.index,
-                                      s.generation)
-                .opcode(),
-            Opcode::done);
+  EXPECT_EQ(
+      subscriber.wire.reference(Opcode::drained, Kind::subscription, s.topic, s.index, s.generation)
+          .opcode(),
+      Opcode::done);
   EXPECT_EQ(state(s.index), abi::MemberState::free);
   publisher.wire.expect<wire::Announcement>(Opcode::announce);  // of the second
   const auto forget = publisher.wire.expect<wire::Reference>(Opcode::forget);
@@ -442,7 +471,8 @@ TEST(DaemonProtocol, LetsASubscriptionLeaveAndUsesItsPlaceOnlyWhenItIsUnlinked) 
   EXPECT_EQ(fourth.index, s.index);
   EXPECT_EQ(fourth.extent, s.extent);
   EXPECT_GT(fourth.generation, third.generation);
-  EXPECT_EQ(word(subscriber.region, fourth.extent), 0u) << "link lines are zero at join";
+  for (const std::uint64_t place : places)
+    EXPECT_EQ(word(subscriber.region, place), 0u) << "lines and far hold words are zero at join";
 }
 
 TEST(DaemonProtocol, LetsAPublisherLeaveAndUsesItsPlaceOnlyWhenBothSidesAreDone) {
@@ -492,8 +522,7 @@ TEST(DaemonProtocol, IgnoresAnUnlinkedThatCrossedAnAnnouncement) {
   const auto s = subscriber.subscription("/topic");
   const std::uint64_t before = subscriber.wire.seen();  // the announcement is not read yet
   const auto leave = [&] {
-    return publisher.wire.reference(Opcode::leave, Kind::publisher, p.topic, p.index,
-                                    p.generation);
+    return publisher.wire.reference(Opcode::leave, Kind::publisher, p.topic, p.index, p.generation);
   };
   ASSERT_EQ(leave().opcode(), Opcode::done);
   publisher.wire.drain();
@@ -543,8 +572,8 @@ TEST(DaemonProtocol, RaisesThePublishersSlotsForADeepSubscription) {
   EXPECT_GE(slots, 900u + 4u + 2u);
   // Both ends of the raised slots, and of the far hold words, are memory and zero.
   EXPECT_EQ(word(publisher.region, p.extent + abi::slot_offset(abi::ring_count, slots - 1)), 0u);
-  EXPECT_EQ(word(subscriber.region, s.extent + abi::far_hold_offset(abi::publisher_count_max,
-                                                                    p.index, 0)),
+  EXPECT_EQ(word(subscriber.region,
+                 s.extent + abi::far_hold_offset(abi::publisher_count_max, p.index, 0)),
             0u);
 }
 
@@ -562,10 +591,10 @@ class HonestPair {
     const auto about_s = publisher_.wire.expect<wire::Announcement>(Opcode::announce);
     EXPECT_EQ(about_s.generation, s.generation);
     for (const Opcode opcode : {Opcode::leave, Opcode::drained}) {
-      EXPECT_EQ(subscriber_.wire
-                    .reference(opcode, Kind::subscription, s.topic, s.index, s.generation)
-                    .opcode(),
-                Opcode::done);
+      EXPECT_EQ(
+          subscriber_.wire.reference(opcode, Kind::subscription, s.topic, s.index, s.generation)
+              .opcode(),
+          Opcode::done);
     }
     EXPECT_EQ(publisher_.wire.expect<wire::Reference>(Opcode::kick).index, p_.index);
     EXPECT_EQ(publisher_.wire.expect<wire::Reference>(Opcode::forget).index, s.index);
@@ -583,9 +612,14 @@ TEST(DaemonProtocol, SurvivesGarbageWhileAnHonestPairGoesOn) {
   DaemonProcess daemon;
   HonestPair honest(daemon);
   std::mt19937_64 random(4711);
-  const Opcode opcodes[] = {Opcode::hello,   Opcode::open_window, Opcode::open_executor,
-                            Opcode::create_publisher, Opcode::create_subscription, Opcode::leave,
-                            Opcode::drained, Opcode::unlinked};
+  const Opcode opcodes[] = {Opcode::hello,
+                            Opcode::open_window,
+                            Opcode::open_executor,
+                            Opcode::create_publisher,
+                            Opcode::create_subscription,
+                            Opcode::leave,
+                            Opcode::drained,
+                            Opcode::unlinked};
   // Connections that never speak stay open all the time.
   std::vector<WireClient> silent;
   for (int i = 0; i < 20; ++i) silent.emplace_back(daemon.socket_path());
@@ -621,6 +655,27 @@ TEST(DaemonProtocol, SurvivesGarbageWhileAnHonestPairGoesOn) {
   honest.round();
 }
 
+TEST(DaemonProtocol, UsesNoMemoryForPlacesThatAreOnlyNamed) {
+  DaemonProcess daemon;
+  Node node(daemon);
+  node.publisher("/topic");
+  const std::size_t before = daemon.resident_bytes();
+  for (std::uint32_t topic = 0; topic < abi::topic_count_max; ++topic) {
+    node.wire.unlinked(Kind::publisher, topic, topic % abi::publisher_count_max, 1);
+    node.wire.unlinked(Kind::subscription, topic, topic % abi::subscription_count_max, 1);
+    node.wire.unlinked(Kind::region, 0, topic % abi::client_count_max, 1);
+    if (topic % 64 == 0) {
+      EXPECT_EQ(
+          node.wire.reference(Opcode::leave, Kind::subscription, topic, 700, 1).refused_code(),
+          Errc::protocol_violation);
+    }
+  }
+  for (std::uint32_t index = 0; index < abi::subscription_count_max; ++index)
+    node.wire.unlinked(Kind::subscription, 0, index, 1);
+  node.wire.drain();
+  EXPECT_LT(daemon.resident_bytes(), before + (256 << 10));
+}
+
 TEST(DaemonProtocol, EndsAConnectionThatCannotBeParsedAndAnswersTheRest) {
   DaemonProcess daemon;
   HonestPair honest(daemon);
@@ -643,6 +698,26 @@ TEST(DaemonProtocol, EndsAConnectionThatCannotBeParsedAndAnswersTheRest) {
   honest.round();
 }
 
+TEST(DaemonProtocol, KeepsWhatASlowClientHasNotReadInOrder) {
+  DaemonProcess daemon;
+  HonestPair honest(daemon);
+  WireClient slow(daemon.socket_path());
+  slow.hello();
+  // Far more answers than a socket holds, far fewer than the queue does.
+  constexpr std::uint64_t count = 5000;
+  wire::WindowRequest nonsense{};
+  nonsense.window = abi::window_count_max;
+  for (std::uint64_t request = 1; request <= count; ++request) {
+    nonsense.header = {Opcode::open_window, sizeof nonsense, 1000 + request};
+    ASSERT_TRUE(slow.send_bytes(std::as_bytes(std::span(&nonsense, 1))));
+  }
+  honest.round();
+  for (std::uint64_t request = 1; request <= count; ++request)
+    ASSERT_EQ(slow.next().header().request, 1000 + request);
+  EXPECT_EQ(slow.create_publisher("/topic").opcode(), Opcode::endpoint_created);
+  honest.round();
+}
+
 TEST(DaemonProtocol, DisconnectsAClientThatDoesNotRead) {
   DaemonProcess daemon({.config = "[quota]\nheld_messages = \"unlimited\"\n"});
   HonestPair honest(daemon);
@@ -654,8 +729,7 @@ TEST(DaemonProtocol, DisconnectsAClientThatDoesNotRead) {
   nonsense.header = {Opcode::open_window, sizeof nonsense, 1};
   bool ended = false;
   for (int i = 0; i < 100000 && !ended; ++i) {
-    const auto sent =
-        deaf.socket().send(std::as_bytes(std::span(&nonsense, 1)), {}, Wait::yes);
+    const auto sent = deaf.socket().send(std::as_bytes(std::span(&nonsense, 1)), {}, Wait::yes);
     ended = !sent || *sent == Sent::peer_gone;
     if (i % 4096 == 0) honest.round();
   }

@@ -33,9 +33,7 @@ class Directory {
   std::string path_;
 };
 
-void write_file(const std::string& path, const std::string& text) {
-  std::ofstream(path) << text;
-}
+void write_file(const std::string& path, const std::string& text) { std::ofstream(path) << text; }
 bool exists(const std::string& path) {
   struct stat entry {};
   return ::lstat(path.c_str(), &entry) == 0;
@@ -87,6 +85,15 @@ TEST(DaemonStart, SaysThatAnotherOneIsRunning) {
                             "\nhint: stop it, or start this one with another --socket\n");
   EXPECT_TRUE(PacketSocket::connect(daemon.socket_path())) << "the first one goes on";
   EXPECT_TRUE(daemon.is_running());
+}
+
+TEST(DaemonStart, DoesNotTakeThePlaceOfOneWhoseSocketWasRemoved) {
+  DaemonProcess daemon;
+  ASSERT_EQ(::unlink(daemon.socket_path().c_str()), 0);
+  const Ended second = run_daemon({"--socket", daemon.socket_path()});
+  EXPECT_EQ(second.status, 1);
+  EXPECT_EQ(second.err.substr(0, second.err.find('\n')),
+            "agnocastd: another agnocastd is running at " + daemon.socket_path());
 }
 
 TEST(DaemonStart, LeavesASocketAloneThatSomebodyElseAnswers) {

@@ -307,14 +307,17 @@ class Child {
     ::close(pair[1]);
     socket_.reset(pair[0]);
   }
-  ~Child() {
-    if (pid_ > 0) {
-      ::kill(pid_, SIGKILL);
-      ::waitpid(pid_, nullptr, 0);
-    }
-  }
+  ~Child() { end(); }
   Child(const Child&) = delete;
   Child& operator=(const Child&) = delete;
+
+  /// Kills it now.
+  void end() {
+    if (pid_ > 0) {
+      ::kill(pid_, SIGKILL);
+      ::waitpid(std::exchange(pid_, -1), nullptr, 0);
+    }
+  }
 
   /// The answer, or nothing when the child died of the command.
   std::optional<char> command(char what) {

@@ -8,10 +8,13 @@
 #include <fcntl.h>
 #include <grp.h>
 #include <gtest/gtest.h>
+#include <linux/filter.h>
+#include <linux/seccomp.h>
 #include <poll.h>
 #include <sys/prctl.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
+#include <sys/syscall.h>
 #include <sys/un.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -19,11 +22,13 @@
 #include <array>
 #include <cerrno>
 #include <csignal>
+#include <cstddef>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <iterator>
 #include <memory>
 #include <sstream>
 #include <utility>
@@ -51,7 +56,27 @@ struct Start {
   std::optional<uid_t> uid;
   std::string out;  // files
   std::string err;
+  bool without_peer_pidfd = false;
 };
+
+// getsockopt(…, SO_PEERPIDFD, …) fails with ENOPROTOOPT from here on, over exec.
+bool deny_peer_pidfd() {
+  constexpr std::uint32_t so_peerpidfd = 77;
+  const auto load = [](std::size_t offset) {
+    return sock_filter{BPF_LD | BPF_W | BPF_ABS, 0, 0, static_cast<std::uint32_t>(offset)};
+  };
+  sock_filter filter[] = {
+      load(offsetof(seccomp_data, nr)),
+      {BPF_JMP | BPF_JEQ | BPF_K, 0, 3, SYS_getsockopt},
+      load(offsetof(seccomp_data, args) + 2 * sizeof(std::uint64_t)),  // little endian
+      {BPF_JMP | BPF_JEQ | BPF_K, 0, 1, so_peerpidfd},
+      {BPF_RET | BPF_K, 0, 0, SECCOMP_RET_ERRNO | ENOPROTOOPT},
+      {BPF_RET | BPF_K, 0, 0, SECCOMP_RET_ALLOW},
+  };
+  sock_fprog program{static_cast<unsigned short>(std::size(filter)), filter};
+  return ::prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) == 0 &&
+         ::syscall(SYS_seccomp, SECCOMP_SET_MODE_FILTER, 0, &program) == 0;
+}
 
 pid_t start(const Start& what) {
   std::vector<std::string> arguments{AGNOCAST_TEST_DAEMON};
@@ -68,8 +93,7 @@ pid_t start(const Start& what) {
   ::unsetenv("NOTIFY_SOCKET");
   ::unsetenv("AGNOCAST_SOCKET");
   ::unsetenv("JOURNAL_STREAM");
-  for (const std::string& variable : what.environment)
-    ::putenv(::strdup(variable.c_str()));
+  for (const std::string& variable : what.environment) ::putenv(::strdup(variable.c_str()));
   const int out = ::open(what.out.c_str(), O_WRONLY | O_CREAT | O_APPEND, 0666);
   const int err = ::open(what.err.c_str(), O_WRONLY | O_CREAT | O_APPEND, 0666);
   if (out < 0 || err < 0) ::_exit(126);
@@ -80,6 +104,7 @@ pid_t start(const Start& what) {
       ::_exit(125);
     ::prctl(PR_SET_PDEATHSIG, SIGKILL);  // setuid clears it
   }
+  if (what.without_peer_pidfd && !deny_peer_pidfd()) ::_exit(124);
   ::execv(argv[0], argv.data());
   ::_exit(127);
 }
@@ -147,6 +172,7 @@ void DaemonProcess::begin(const DaemonOptions& options) {
   what.arguments.insert(what.arguments.end(), options.arguments.begin(), options.arguments.end());
   what.environment = {"NOTIFY_SOCKET=" + notify};
   what.uid = options.uid;
+  what.without_peer_pidfd = options.without_peer_pidfd;
   what.out = directory_ + "/out";
   what.err = directory_ + "/log";
   pid_ = start(what);

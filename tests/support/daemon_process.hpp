@@ -2,9 +2,9 @@
 //
 // DaemonProcess: the real agnocastd in a directory of its own, for integration tests.
 //
-//   DaemonProcess daemon;                          // or DaemonProcess daemon({.config = "[quota]\n…"});
-//   … connect to daemon.socket_path() …
-//   EXPECT_EQ(daemon.stop(), 0);                   // or let the destructor kill it
+//   DaemonProcess daemon;                          // or DaemonProcess daemon({.config =
+//   "[quota]\n…"}); … connect to daemon.socket_path() … EXPECT_EQ(daemon.stop(), 0); // or let the
+//   destructor kill it
 //
 // The constructor returns when the daemon serves (it says so through NOTIFY_SOCKET, so nothing is
 // polled); if it ends instead or says nothing, the test fails with what it wrote. The daemon dies
@@ -30,6 +30,8 @@ struct DaemonOptions {
   std::vector<std::string> arguments = {};
   /// Where to listen; empty: in its own directory.
   std::string socket = {};
+  /// As on a kernel before 6.5: SO_PEERPIDFD is not known (a seccomp filter answers).
+  bool without_peer_pidfd = false;
 };
 
 class DaemonProcess {

@@ -192,7 +192,7 @@ struct Announcement {
       from_start;  // publisher: it joined after the subscription, so nothing of it may be missed
   std::uint32_t window_count;    // publisher
   std::uint32_t doorbell_count;  // subscription: 1 datagram socket, 2 eventfd (same user), then
-                                 // datagram socket
+                                 // datagram socket, 0 nobody listens any more
   std::uint32_t reserved;
   struct Window {
     std::uint64_t base;

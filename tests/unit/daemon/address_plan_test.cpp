@@ -3,6 +3,7 @@
 // Goal: the arena fits into every machine it is planned for and refuses what does not; windows are
 // given out lowest first and never twice. Method: numbers in, numbers out.
 
+#include <agnocast/abi/limits.hpp>
 #include <daemon/address_plan.hpp>
 
 #include <gtest/gtest.h>
@@ -37,7 +38,8 @@ TEST(AddressPlan, FitsEveryNumberOfAddressBitsAndEveryMemory) {
       ASSERT_TRUE(arena) << bits;
       EXPECT_LE(arena->base + arena->bytes, std::uint64_t{1} << bits) << bits;
       EXPECT_GE(arena->base, std::min(std::uint64_t{1} << (bits - 2), 0x200000000000u)) << bits;
-      EXPECT_EQ(arena->window_bytes % 4096, 0u);
+      EXPECT_EQ(arena->window_bytes % abi::window_granule_bytes, 0u);
+      EXPECT_EQ(arena->base % abi::window_granule_bytes, 0u);
       EXPECT_GE(arena->bytes / arena->window_bytes, 64u) << bits << " bits, " << memory;
     }
   }
@@ -46,9 +48,9 @@ TEST(AddressPlan, FitsEveryNumberOfAddressBitsAndEveryMemory) {
 TEST(AddressPlan, RefusesWhatDoesNotFit) {
   EXPECT_FALSE(plan_arena({0x7000'0000'0000, 32768 * gib, 0}, 47, 8 * gib));  // over the end
   EXPECT_FALSE(plan_arena({0x2000'0000'0000, ~std::uint64_t{0} - 4095, 0}, 47, 8 * gib));
-  EXPECT_FALSE(plan_arena({0x2000'0000'0001, 0, 0}, 47, 8 * gib));     // not a page
-  EXPECT_FALSE(plan_arena({0, 0, 4097}, 47, 8 * gib));                 // not a page
-  EXPECT_FALSE(plan_arena({0, gib, 2 * gib}, 47, 8 * gib));            // no window fits
+  EXPECT_FALSE(plan_arena({0x2000'0000'1000, 0, 0}, 47, 8 * gib));   // not a huge page
+  EXPECT_FALSE(plan_arena({0, 0, (64 << 20) + 4096}, 47, 8 * gib));  // not huge pages
+  EXPECT_FALSE(plan_arena({0, gib, 2 * gib}, 47, 8 * gib));          // no window fits
   EXPECT_FALSE(plan_arena({}, 16, gib));
 }
 

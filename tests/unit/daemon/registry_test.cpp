@@ -32,8 +32,7 @@ class Memory {
   Memory& operator=(const Memory&) = delete;
 
   Registry::Memory parts() const {
-    return {base_, base_ + journal::RedoLog::bytes,
-            base_ + journal::RedoLog::bytes + tables_bytes};
+    return {base_, base_ + journal::RedoLog::bytes, base_ + journal::RedoLog::bytes + tables_bytes};
   }
   std::byte* board() const { return parts().board; }
 
@@ -140,9 +139,9 @@ TEST_F(RegistryTest, RaisesSlotsBeforeADeepSubscriptionIsAMember) {
   ASSERT_EQ(plan.raises.size(), 1u);
   EXPECT_EQ(plan.raises[0].slot_count, 640u);  // 500 + 100 + 34, whole words
   registry.raise_slots(t, plan.raises[0]);
-  EXPECT_EQ(board_word(t, abi::publisher_entry_offset(0) +
-                              offsetof(abi::PublisherEntry, slot_count)),
-            640u);
+  EXPECT_EQ(
+      board_word(t, abi::publisher_entry_offset(0) + offsetof(abi::PublisherEntry, slot_count)),
+      640u);
   EXPECT_TRUE(registry.uses_far_slots(t));
   registry.add_subscription(a, t, qos, 100, 0, plan, "node");
   EXPECT_EQ(publisher(a, t, 1).slot_count, 640u);
@@ -282,8 +281,7 @@ TEST_F(RegistryTest, AgreesWithAModelOverManyLives) {
   auto life = std::make_unique<Registry>(memory.parts());
   ASSERT_TRUE(life->open());
   std::vector<ClientIndex> clients;
-  for (int i = 0; i < 6; ++i)
-    clients.push_back(life->add_client({1, 1, 1, 0, "process"}).value());
+  for (int i = 0; i < 6; ++i) clients.push_back(life->add_client({1, 1, 1, 0, "process"}).value());
   const TopicIndex t = life->add_topic({0, "/topic", "T", 1}).value();
   std::vector<Member> members;  // publishers
   std::set<std::uint64_t> generations;

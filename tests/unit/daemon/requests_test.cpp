@@ -101,6 +101,9 @@ TEST(Requests, RefusesWhatCanBeParsedAndIsWrong) {
   EXPECT_EQ(rejected(decoded(body<wire::Done>(wire::Opcode::done))).text, "unknown request 105");
   EXPECT_EQ(rejected(decoded(body<wire::Done>(wire::Opcode::open_window))).code,
             Errc::protocol_violation);
+  EXPECT_EQ(rejected(decoded(body<wire::Done>(wire::Opcode::hello), {}, false)).code,
+            Errc::layout_mismatch)
+      << "the hello of another version";
   auto executor = body<wire::ExecutorRequest>(wire::Opcode::open_executor);
   executor.executor = abi::executor_count_max;
   EXPECT_EQ(rejected(decoded(executor)).code, Errc::limit_reached);
@@ -110,8 +113,8 @@ TEST(Requests, RefusesNamesWithoutEnd) {
   auto hello = body<wire::Hello>(wire::Opcode::hello);
   std::memset(hello.process_name.text, 'x', sizeof hello.process_name.text);
   EXPECT_EQ(rejected(decoded(hello, {}, false)).text, "the name of the process does not end");
-  for (auto member : {&wire::CreateEndpoint::topic, &wire::CreateEndpoint::type,
-                      &wire::CreateEndpoint::node}) {
+  for (auto member :
+       {&wire::CreateEndpoint::topic, &wire::CreateEndpoint::type, &wire::CreateEndpoint::node}) {
     auto create = honest_create(wire::Opcode::create_publisher);
     std::memset((create.*member).text, 'x', sizeof(wire::Name));
     EXPECT_EQ(rejected(decoded(create)).code, Errc::protocol_violation);
@@ -145,24 +148,26 @@ TEST(Requests, RefusesReferencesOutsideTheTables) {
   EXPECT_EQ(with([](auto& r) { r.kind = wire::Kind{0}; }), Errc::protocol_violation);
   EXPECT_EQ(with([](auto& r) { r.kind = wire::Kind::region; }), Errc::protocol_violation);
   EXPECT_EQ(with([](auto& r) { r.topic = abi::topic_count_max; }), Errc::protocol_violation);
-  EXPECT_EQ(with([](auto& r) { r.index = abi::subscription_count_max; }),
-            Errc::protocol_violation);
+  EXPECT_EQ(with([](auto& r) { r.index = abi::subscription_count_max; }), Errc::protocol_violation);
   EXPECT_EQ(with([](auto& r) {
               r.kind = wire::Kind::publisher;
               r.index = abi::publisher_count_max;
             }),
             Errc::protocol_violation);
   EXPECT_EQ(with([](auto& r) { r.generation = 0; }), Errc::protocol_violation);
-  EXPECT_EQ(with([](auto& r) { r.generation = std::uint64_t{1} << 48; }),
-            Errc::protocol_violation);
+  EXPECT_EQ(with([](auto& r) { r.generation = std::uint64_t{1} << 48; }), Errc::protocol_violation);
 }
 
 TEST(Requests, SurvivesRandomPackets) {
   std::mt19937_64 random(20260101);
-  const wire::Opcode opcodes[] = {wire::Opcode::hello,  wire::Opcode::open_window,
-                                  wire::Opcode::open_executor, wire::Opcode::create_publisher,
-                                  wire::Opcode::create_subscription, wire::Opcode::leave,
-                                  wire::Opcode::drained, wire::Opcode::unlinked};
+  const wire::Opcode opcodes[] = {wire::Opcode::hello,
+                                  wire::Opcode::open_window,
+                                  wire::Opcode::open_executor,
+                                  wire::Opcode::create_publisher,
+                                  wire::Opcode::create_subscription,
+                                  wire::Opcode::leave,
+                                  wire::Opcode::drained,
+                                  wire::Opcode::unlinked};
   unsigned accepted = 0;
   for (int i = 0; i < 200000; ++i) {
     // Mostly honest packets with a few wrong bytes: pure noise would never get past the length.
