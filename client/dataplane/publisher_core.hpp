@@ -217,24 +217,33 @@ class PublisherCore {
     AGNOCAST_STEP(P7_epoch) epoch = self_.topic.epoch().load(std::memory_order_acquire);
     if (M::holds(Step::P7_changed, epoch != epoch_seen_)) {
       epoch_seen_ = epoch;
-      std::uint64_t high = self_.topic.subscription_high().load(std::memory_order_acquire);
-      high = std::min<std::uint64_t>(high, M::subscription_capacity);
-      member_high_ = std::max(member_high_, high);
-      for (std::uint64_t i = 0; i < high; ++i) refresh_member(i);
+      // The own word before the members' words: once it says orphan no history is kept for late joiners, and whoever joined before that must
+      // be seen by the same pass. [sync:join] acquire; pairs with D3_word, which the daemon stores after every earlier J3.
       std::uint64_t self_word = abi::pack_member(self_.generation, abi::MemberState::active);
       AGNOCAST_STEP(P7_self)
       self_word = self_.topic.publisher(self_.index, offsetof(abi::PublisherEntry, word))
                       .load(std::memory_order_acquire);
-      if (abi::state_of(self_word) != abi::MemberState::active) history_ = 0;
-      // Free again: everybody it was announced to has unlinked or is dead (rule RU), so nobody can
-      // hold anything.
-      if (abi::state_of(self_word) == abi::MemberState::free) over_ = 1;
+      std::uint64_t high = self_.topic.subscription_high().load(std::memory_order_acquire);
+      high = std::min<std::uint64_t>(high, M::subscription_capacity);
+      member_high_ = std::max(member_high_, high);
+      for (std::uint64_t i = 0; i < high; ++i) refresh_member(i);
+      refresh_self(self_word);
+    }
+    AGNOCAST_STEP(P7_seen) seen_ = head_sequence_;
+  }
+
+  /// After the members: a first sight of one still counts with the history that it was promised.
+  void refresh_self(std::uint64_t word) noexcept {
+    // Free again, or already somebody else's: everybody it was announced to has unlinked or is dead (rule RU), so nobody holds anything.
+    if (abi::generation_of(word) != self_.generation || abi::state_of(word) == abi::MemberState::free) {
+      over_ = 1;
+    } else {
       const std::uint64_t slots =
           self_.topic.publisher(self_.index, offsetof(abi::PublisherEntry, slot_count))
               .load(std::memory_order_relaxed);
       slot_count_ = std::clamp<std::uint64_t>(slots, slot_count_, M::slot_capacity);
     }
-    AGNOCAST_STEP(P7_seen) seen_ = head_sequence_;
+    if (over_ != 0 || abi::state_of(word) != abi::MemberState::active) history_ = 0;
   }
 
   void refresh_member(std::uint64_t index) noexcept {
