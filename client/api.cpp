@@ -179,6 +179,8 @@ Result<std::shared_ptr<UntypedSubscription>> UntypedSubscription::create(
   request.layout_hash = type.layout_hash();
   request.qos = to_abi(qos);
   request.quota = options.hold_quota();
+  request.message_bytes = type.message_bytes();
+  request.message_alignment = type.message_alignment();
   auto endpoint = Context::instance().create_subscription(request, std::move(sleeper));
   if (!endpoint) return tl::unexpected<Failure>(endpoint.error());
   subscription->endpoint_ = std::move(*endpoint);

@@ -317,7 +317,8 @@ Result<std::shared_ptr<SubscriptionEndpoint>> Context::create_subscription(
                                            region_.base(),
                                            made.extent,
                                            request.qos,
-                                           request.quota},
+                                           request.quota, request.message_bytes,
+                                           request.message_alignment},
             sleeper);
         const std::lock_guard lock(endpoints_);
         subscriptions_[{made.topic, made.index}] = subscription;

@@ -43,6 +43,8 @@ struct EndpointRequest {
   std::uint64_t layout_hash = 0;
   abi::Qos qos;
   std::uint64_t quota = 0;  // subscriptions: messages held at once, per publisher
+  std::uint64_t message_bytes = 0;  // sizeof the message object; 0 = any
+  std::uint64_t message_alignment = 1;
 };
 
 class Context {

@@ -18,7 +18,9 @@ Result<void> SubscriptionEndpoint::add_publisher(const Publisher& publisher,
                                       publisher.generation,
                                       publisher.first_sequence,
                                       publisher.qos,
-                                      self_.qos};
+                                      self_.qos,
+                                      self_.message_bytes,
+                                      self_.message_alignment};
   auto link = std::make_shared<Link>(identity, std::move(peer));
   if (!link->core_.link(publisher.from_start))
     return fail(Errc::protocol_violation, "an announced publisher is not on the board");

@@ -77,6 +77,8 @@ class SubscriptionEndpoint {
     std::uint64_t extent;  // in it
     abi::Qos qos;
     std::uint64_t quota;  // messages held at once, per publisher
+    std::uint64_t message_bytes = 0;      // sizeof the message object; 0 = any
+    std::uint64_t message_alignment = 1;
   };
   struct Publisher {
     std::uint64_t index;

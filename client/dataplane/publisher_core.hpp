@@ -235,7 +235,8 @@ class PublisherCore {
   /// After the members: a first sight of one still counts with the history that it was promised.
   void refresh_self(std::uint64_t word) noexcept {
     // Free again, or already somebody else's: everybody it was announced to has unlinked or is dead (rule RU), so nobody holds anything.
-    if (abi::generation_of(word) != self_.generation || abi::state_of(word) == abi::MemberState::free) {
+    if (abi::generation_of(word) != self_.generation ||
+        abi::state_of(word) == abi::MemberState::free) {
       over_ = 1;
     } else {
       const std::uint64_t slots =

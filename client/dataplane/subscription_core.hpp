@@ -39,6 +39,9 @@ class LinkCore {
     std::uint64_t first_sequence;
     abi::Qos offered;
     abi::Qos requested;
+    std::uint64_t
+        message_bytes;  // sizeof the message object; 0 = any (tools that do not know the type)
+    std::uint64_t message_alignment = 1;  // a power of two
   };
 
   explicit LinkCore(const Identity& identity) noexcept
@@ -128,7 +131,8 @@ class LinkCore {
                   self_.publisher.slot_size(slot).load(std::memory_order_relaxed),
                   self_.publisher.slot_stamp(slot).load(std::memory_order_relaxed)};
       AGNOCAST_STEP(T6_frontier) windows.open();
-      if (!M::holds(Step::T6_inside, windows.contains(taken.address, taken.size))) {
+      if (!M::holds(Step::T6_inside,
+                    has_right_shape(taken) && windows.contains(taken.address, taken.size))) {
         release(slot);
         // In a window that its owner has and this process has not been told of yet: it stays unread
         // until then.
@@ -222,6 +226,10 @@ class LinkCore {
     // [sync:publish] acquire; pairs with P5.
     AGNOCAST_STEP(T1_head) head = self_.publisher.head().load(std::memory_order_acquire);
     return head;
+  }
+  bool has_right_shape(const Taken& taken) const noexcept {
+    return taken.size != 0 && (self_.message_bytes == 0 || taken.size == self_.message_bytes) &&
+           (taken.address & (self_.message_alignment - 1)) == 0;
   }
   std::uint64_t publisher_word() const noexcept {
     return self_.topic.publisher(self_.index, offsetof(abi::PublisherEntry, word))

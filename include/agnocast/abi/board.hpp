@@ -25,10 +25,11 @@ struct BoardHeader {
 inline constexpr std::uint64_t board_magic = 0x6472616f622e6761;  // "ag.board" in memory order
 static_assert(sizeof(BoardHeader) == 24 && sizeof(BoardHeader) <= page_bytes);
 
-//    0  epoch              u64  +1 after every membership change       [sync:join] seq_cst store at
-//    J3, acquire at P7 8  word               u64  generation | state of the topic
-//   64  publisher_high     u64  publisher indexes ever used             bound of every loop over
-//   them 72  subscription_high  u64  subscription indexes ever used
+//    0  epoch              u64  +1 after every membership change
+//                               [sync:join] seq_cst store at J3, acquire at P7
+//    8  word               u64  generation | state of the topic
+//   64  publisher_high     u64  publisher indexes ever used: bound of every loop over them
+//   72  subscription_high  u64  subscription indexes ever used
 struct TopicHeader {
   alignas(cache_line_bytes) SharedWord epoch;
   SharedWord word;
@@ -39,7 +40,7 @@ static_assert(sizeof(TopicHeader) == 128 && offsetof(TopicHeader, publisher_high
               offsetof(TopicHeader, subscription_high) == 72);
 
 //    0  word            u64  generation | state; written last, release  [sync:join]
-//    8  qos             u64
+//    8  qos             u64  packed
 //   16  client          u64  index of the process
 //   24  extent          u64  offset of its PublisherEndpoint in the client region, bytes
 //   32  slot_count      u64  N; only grows
@@ -59,8 +60,8 @@ static_assert(sizeof(PublisherEntry) == 64 && offsetof(PublisherEntry, qos) == 8
               offsetof(PublisherEntry, first_sequence) == 40 &&
               offsetof(PublisherEntry, final_head) == 48);
 
-//    0  word      u64  generation | state; written last, release        [sync:join]
-//    8  qos       u64
+//    0  word      u64  generation | state; written last, release  [sync:join]
+//    8  qos       u64  packed
 //   16  client    u64  index of the process
 //   24  extent    u64  offset of its subscription endpoint in the client region, bytes
 //   32  quota     u64  messages it may hold, per publisher

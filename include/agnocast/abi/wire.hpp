@@ -13,25 +13,23 @@
 //
 // clang-format off
 //   client → daemon       body               answer              descriptors of the answer
-//   hello                 Hello              welcome             board (read), client region (write)
+//   hello                 Hello              welcome             board (read), region (write)
 //   open_window           WindowRequest      window_opened       window (write), window (read)
-//   open_executor         ExecutorRequest    executor_opened     eventfd, datagram socket (body: Done)
+//   open_executor         ExecutorRequest    executor_opened     eventfd, datagram socket
 //   create_publisher      CreateEndpoint     endpoint_created
 //   create_subscription   CreateEndpoint     endpoint_created
-//   leave                 Reference          done                the endpoint takes or publishes no more
-//   drained               Reference          done                subscription: nothing held, lines zeroed;
-//                                                                publisher, after its word is free: everything freed
-//   unlinked              Unlinked           –                   rule RU: nothing of it is mapped or linked any more
+//   leave                 Reference          done                takes or publishes no more
+//   drained               Reference          done                nothing held, lines zeroed
+//   unlinked              Unlinked           –                   rule RU: not mapped any more
 //   any request may be answered by `refused`
 //
 //   daemon → client, unasked
-//   announce              Announcement       client region (read), windows (read), doorbells: as the body says
+//   announce              Announcement       region (read), windows (read), bells: see the body
 //   window_announced      WindowAnnounced    window (read)
-//   forget                Reference          –                   a subscription is over: detach it, then say unlinked
-//   orphaned              Orphaned           –                   a publisher is gone: drain it, then say unlinked
-//   kick                  Reference          –                   make a pass over this publisher's queue
-//   notice                Notice             –                   incompatible QoS, type mismatch, …
-// clang-format on
+//   forget                Reference          a subscription is over: detach it, say unlinked
+//   orphaned              Orphaned           a publisher is gone: drain it, then say unlinked
+//   kick                  Reference          make a pass over this publisher's queue
+//   notice                Notice             incompatible QoS, type mismatch, …
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
