@@ -24,6 +24,7 @@
 #include <unistd.h>
 
 #include <functional>
+#include <memory>
 #include <random>
 
 namespace agnocast::test {
@@ -674,6 +675,101 @@ TEST(DaemonProtocol, UsesNoMemoryForPlacesThatAreOnlyNamed) {
     node.wire.unlinked(Kind::subscription, 0, index, 1);
   node.wire.drain();
   EXPECT_LT(daemon.resident_bytes(), before + (256 << 10));
+}
+
+// Well-formed requests in any order, of one's own things and of others': whatever somebody claims
+// to have left, drained or unlinked, the daemon's own invariants hold (it aborts when one does
+// not), and when all are gone nothing is left.
+TEST(DaemonProtocol, SurvivesAnyOrderOfPlausibleRequests) {
+  for (const std::uint64_t seed : {1u, 2u, 3u}) {
+    SCOPED_TRACE("seed " + std::to_string(seed));
+    DaemonProcess daemon;
+    std::mt19937_64 random(seed);
+    struct Endpoint {
+      Kind kind;
+      std::uint32_t topic;
+      std::uint64_t index, generation;
+    };
+    struct Process {
+      std::unique_ptr<WireClient> wire;
+      wire::Welcome welcome{};
+    };
+    std::vector<Process> processes(6);
+    std::vector<Endpoint> endpoints;
+    unsigned accepted = 0, lives = 0;
+    const std::size_t fds = [&] {
+      Node first(daemon);  // what is made once is made now; its own: socket, pidfd, region twice
+      return daemon.descriptor_count() - 4;
+    }();
+    for (int step = 0; step < 6000 && !HasFailure(); ++step) {
+      Process& process = processes[random() % processes.size()];
+      if (!process.wire || random() % 100 == 0) {
+        process.wire = std::make_unique<WireClient>(daemon.socket_path());
+        const Incoming answer = process.wire->hello();
+        ASSERT_EQ(answer.opcode(), Opcode::welcome) << answer.refused_text();
+        process.welcome = answer.as<wire::Welcome>();
+        process.wire->open_executor();
+        ++lives;
+      }
+      WireClient& client = *process.wire;
+      const std::string topic = "/topic" + std::to_string(random() % 3);
+      const Qos qos{static_cast<std::uint32_t>(1 + random() % 500), random() % 2 == 0,
+                    random() % 2 == 0, random() % 4 == 0, false};
+      const Endpoint any = endpoints.empty() ? Endpoint{Kind::publisher, 0, 0, 1}
+                                             : endpoints[random() % endpoints.size()];
+      const std::uint64_t seen = client.seen() - std::min(client.seen(), random() % 4);
+      switch (random() % 9) {
+        case 0:
+        case 1: {
+          const bool publisher = random() % 2 == 0;
+          const Incoming created = publisher ? client.create_publisher(topic, qos)
+                                             : client.create_subscription(topic, qos);
+          ASSERT_EQ(created.opcode(), Opcode::endpoint_created) << created.refused_text();
+          const auto body = created.as<wire::EndpointCreated>();
+          endpoints.push_back({publisher ? Kind::publisher : Kind::subscription, body.topic,
+                               body.index, body.generation});
+          if (endpoints.size() > 60) endpoints.erase(endpoints.begin());
+          break;
+        }
+        case 2:
+        case 3:
+        case 4: {
+          const Opcode opcode = random() % 2 == 0 ? Opcode::leave : Opcode::drained;
+          const Incoming answer =
+              client.reference(opcode, any.kind, any.topic, any.index, any.generation);
+          if (answer.opcode() == Opcode::done) ++accepted;
+          break;
+        }
+        case 5:
+        case 6:
+          client.unlinked(any.kind, any.topic, any.index, any.generation, seen);
+          break;
+        case 7: {
+          const Process& other = processes[random() % processes.size()];
+          client.unlinked(Kind::region, 0, other.welcome.client,
+                          std::max<std::uint64_t>(other.welcome.client_generation, 1), seen);
+          break;
+        }
+        default:
+          client.open_window(random() % 3);
+          break;
+      }
+      client.drain();
+    }
+    EXPECT_GT(accepted, 100u);
+    EXPECT_GT(lives, 30u);
+    processes.clear();
+    ASSERT_TRUE(eventually([&] { return daemon.descriptor_count() == fds; }))
+        << daemon.descriptor_count() << " descriptors, " << fds << " at the beginning";
+    Node last(daemon);
+    EXPECT_EQ(last.welcome.client, 0u);
+    const auto p = last.publisher("/again");
+    EXPECT_EQ(p.topic, 0u);
+    EXPECT_EQ(p.index, 0u);
+    EXPECT_EQ(p.extent, abi::page_bytes);
+    EXPECT_EQ(last.wire.open_window(0).as<wire::WindowOpened>().base, last.welcome.arena_base);
+    EXPECT_TRUE(daemon.is_running());
+  }
 }
 
 TEST(DaemonProtocol, EndsAConnectionThatCannotBeParsedAndAnswersTheRest) {
