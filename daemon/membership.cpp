@@ -69,7 +69,7 @@ Result<void> Membership::create_publisher(ClientIndex client, TopicIndex topic,
                                           const CreateRequest& request) {
   const auto plan = registry_.plan_publisher(client, topic, request.qos);
   if (!plan) return tl::unexpected(plan.error());
-  const auto ready = regions_.renew(client, plan->extent, Registry::publisher_extent_bytes,
+  const auto ready = regions_.renew(client, plan->extent, abi::publisher_extent_bytes,
                                     abi::slot_offset(abi::ring_count, plan->slot_count));
   if (!ready) return ready;
   // Nobody looks there yet; the add that follows publishes it.
@@ -80,7 +80,7 @@ Result<void> Membership::create_publisher(ClientIndex client, TopicIndex topic,
     Result<void> backed;
     registry_.for_each_subscription(topic, [&](std::uint32_t, const SubscriptionRecord& record) {
       if (backed && regions_.is_open(record.client))
-        backed = regions_.back(record.client, record.extent, Registry::subscription_extent_bytes);
+        backed = regions_.back(record.client, record.extent, abi::subscription_extent_bytes);
     });
     if (!backed) return backed;
   }
@@ -145,8 +145,8 @@ Result<void> Membership::make_ready(TopicIndex topic, const SubscriptionPlan& pl
   bool far = registry_.uses_far_slots(topic);
   for (const SlotRaise& raise : plan.raises) far = far || raise.slot_count > abi::near_slot_count;
   const std::uint64_t near_bytes = abi::far_hold_offset(abi::publisher_count_max, 0, 0);
-  auto ready = regions_.renew(client, extent, Registry::subscription_extent_bytes,
-                              far ? Registry::subscription_extent_bytes : near_bytes);
+  auto ready = regions_.renew(client, extent, abi::subscription_extent_bytes,
+                              far ? abi::subscription_extent_bytes : near_bytes);
   for (const SlotRaise& raise : plan.raises) {
     const PublisherRecord& publisher = registry_.publisher(topic, raise.index);
     if (ready && regions_.is_open(publisher.client))
@@ -156,7 +156,7 @@ Result<void> Membership::make_ready(TopicIndex topic, const SubscriptionPlan& pl
   if (far) {
     registry_.for_each_subscription(topic, [&](std::uint32_t, const SubscriptionRecord& record) {
       if (ready && regions_.is_open(record.client))
-        ready = regions_.back(record.client, record.extent, Registry::subscription_extent_bytes);
+        ready = regions_.back(record.client, record.extent, abi::subscription_extent_bytes);
     });
   }
   return ready;

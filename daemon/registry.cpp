@@ -302,9 +302,9 @@ void Registry::track(const EndpointRef& ref) {
   if (std::find(view.endpoints.begin(), view.endpoints.end(), ref) != view.endpoints.end()) return;
   view.endpoints.push_back(ref);
   if (ref.kind == Kind::publisher) {
-    view.extents[publisher(ref.topic, ref.index).extent] = publisher_extent_bytes;
+    view.extents[publisher(ref.topic, ref.index).extent] = abi::publisher_extent_bytes;
   } else {
-    view.extents[subscription(ref.topic, ref.index).extent] = subscription_extent_bytes;
+    view.extents[subscription(ref.topic, ref.index).extent] = abi::subscription_extent_bytes;
   }
 }
 
@@ -455,7 +455,7 @@ Result<PublisherPlan> Registry::plan_publisher(ClientIndex client, TopicIndex to
     ++plan.index;
   if (plan.index >= capacity_.publishers_per_topic)
     return fail(Errc::limit_reached, "the topic has no room for another publisher");
-  const auto extent = lowest_extent(client, publisher_extent_bytes);
+  const auto extent = lowest_extent(client, abi::publisher_extent_bytes);
   if (!extent) return fail(Errc::limit_reached, "the client region has no room left");
   plan.generation = next_generation();
   plan.extent = *extent;
@@ -484,7 +484,7 @@ Result<SubscriptionPlan> Registry::plan_subscription(ClientIndex client, TopicIn
     ++plan.index;
   if (plan.index >= capacity_.subscriptions_per_topic)
     return fail(Errc::limit_reached, "the topic has no room for another subscription");
-  const auto extent = lowest_extent(client, subscription_extent_bytes);
+  const auto extent = lowest_extent(client, abi::subscription_extent_bytes);
   if (!extent) return fail(Errc::limit_reached, "the client region has no room left");
   plan.generation = next_generation();
   plan.extent = *extent;

@@ -104,13 +104,6 @@ class Registry {
     std::byte* tables;  // tables_bytes, aligned to a page
     std::byte* board;   // abi::board_bytes
   };
-  static constexpr std::uint64_t publisher_extent_bytes =
-      (abi::slot_offset(abi::ring_count, abi::slot_count_max) + abi::page_bytes - 1) /
-      abi::page_bytes * abi::page_bytes;
-  static constexpr std::uint64_t subscription_extent_bytes =
-      (abi::far_hold_offset(abi::publisher_count_max, abi::publisher_count_max, 0) +
-       abi::page_bytes - 1) /
-      abi::page_bytes * abi::page_bytes;
   // Sparse and sealed against growth, so it is made as long as it may ever be: 13,000 endpoints.
   static constexpr std::uint64_t client_region_bytes = std::uint64_t{1} << 30;
 

@@ -197,8 +197,10 @@ class QueueScenario {
     world.threads[daemon_main].pc = idle;
     for (std::uint32_t s = 0; s < 2; ++s) {
       const dataplane::LinkCore<MM>::Identity identity{
-          topic(),   words(),     {{sub_region0 + s}, se, 0}, 0, generation, first,
-          offered(), requested(s)};
+          topic(),   words(),      {{sub_region0 + s}, se, 0},
+          0,         generation,   first,
+          offered(), requested(s), 16,
+          16};
       new (world.state.sub[s]) SubscriptionPrivate(identity, {sub_region0 + s}, armed_offset());
       sub_private(world, s).last = 0;
       const SubscriptionPlan& sub = plan_.sub[s];

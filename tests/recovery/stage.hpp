@@ -119,8 +119,16 @@ class Stage {
             first_sequence(), setup_.offered, slot_count, setup_.lazy_limit};
   }
   dataplane::LinkCore<M>::Identity link_identity() const {
-    return {topic(),          words(),        line(),          0, publisher_generation,
-            first_sequence(), setup_.offered, setup_.requested};
+    return {topic(),
+            words(),
+            line(),
+            0,
+            publisher_generation,
+            first_sequence(),
+            setup_.offered,
+            setup_.requested,
+            sizeof(Message),
+            alignof(Message)};
   }
 
   /// The child may write its own region only, the parent's side is read-only to it.

@@ -74,8 +74,9 @@ class WireNode {
     Incoming opened = wire_.open_window(0);
     if (opened.opcode() != wire::Opcode::window_opened) return false;
     window_ = opened.as<wire::WindowOpened>();
+    // The arena is ours by contract; a forked child inherits what its parent has reserved there.
     heap_ = static_cast<std::byte*>(::mmap(reinterpret_cast<void*>(window_.base), window_.bytes,
-                                           PROT_READ | PROT_WRITE, MAP_SHARED | MAP_FIXED_NOREPLACE,
+                                           PROT_READ | PROT_WRITE, MAP_SHARED | MAP_FIXED,
                                            opened.fds[0].get(), 0));
     if (heap_ == MAP_FAILED) return false;
     ::madvise(heap_, window_.bytes, MADV_DONTFORK);  // a child of ours may be a client itself
@@ -231,7 +232,8 @@ class WireNode {
       case wire::Opcode::window_announced: {
         const auto body = packet.as<wire::WindowAnnounced>();
         if (auto peer = peers_.find(body.client); peer != peers_.end()) {
-          EXPECT_TRUE(peer->second.heap->add(body.base, body.bytes, std::move(packet.fds[0])));
+          EXPECT_TRUE(
+              peer->second.heap->add(body.window, body.base, body.bytes, std::move(packet.fds[0])));
         }
         break;
       }
@@ -314,7 +316,7 @@ class WireNode {
                            Peer{body.client_generation, std::move(region), std::move(heap)})
                   .first;
       for (std::uint32_t w = 0; w < body.window_count; ++w) {
-        const auto added = found->second.heap->add(body.window[w].base, body.window[w].bytes,
+        const auto added = found->second.heap->add(w, body.window[w].base, body.window[w].bytes,
                                                    std::move(fds[1 + w]));
         EXPECT_TRUE(added) << (added ? "" : added.error().what);
       }
@@ -334,7 +336,9 @@ class WireNode {
                                        body.generation,
                                        body.first_sequence,
                                        abi::unpack_qos(body.qos),
-                                       requested_})});
+                                       requested_,
+                                       0,
+                                       1})});
       EXPECT_TRUE(fresh) << "an index is used again while it is linked here";
       EXPECT_TRUE(link->second.core.link(body.from_start != 0));
     } else {

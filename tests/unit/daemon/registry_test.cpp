@@ -120,11 +120,11 @@ TEST_F(RegistryTest, KeepsExtentsApart) {
   const auto p = publisher(a, t);
   const auto s = subscription(a, t);
   const auto q = publisher(a, t);
-  EXPECT_EQ(s.extent, p.extent + Registry::publisher_extent_bytes);
-  EXPECT_EQ(q.extent, s.extent + Registry::subscription_extent_bytes);
+  EXPECT_EQ(s.extent, p.extent + abi::publisher_extent_bytes);
+  EXPECT_EQ(q.extent, s.extent + abi::subscription_extent_bytes);
   registry.change_subscription(t, s.index, EndpointState::over);
   registry.free_subscription(t, s.index);
-  EXPECT_EQ(publisher(a, t).extent, q.extent + Registry::publisher_extent_bytes)
+  EXPECT_EQ(publisher(a, t).extent, q.extent + abi::publisher_extent_bytes)
       << "a publisher does not fit where a subscription was";
   EXPECT_EQ(subscription(a, t).extent, s.extent);
 }
@@ -257,7 +257,7 @@ TEST_F(RegistryTest, IsFoundAgainByALaterLife) {
   EXPECT_TRUE(later.told_of({Kind::publisher, t, 0}).contains(number(b)));
   const auto q = later.plan_publisher(a, t, {1, false, true, false, false}).value();
   EXPECT_EQ(q.index, 1u);
-  EXPECT_EQ(q.extent, p.extent + Registry::publisher_extent_bytes);
+  EXPECT_EQ(q.extent, p.extent + abi::publisher_extent_bytes);
   EXPECT_GT(q.generation, p.generation);
 }
 
@@ -299,8 +299,8 @@ TEST_F(RegistryTest, AgreesWithAModelOverManyLives) {
       ASSERT_TRUE(generations.insert(plan.generation).second) << "a generation came twice";
       for (const Member& m : members) {
         if (m.owner != number(owner)) continue;
-        ASSERT_TRUE(plan.extent + Registry::publisher_extent_bytes <= m.extent ||
-                    m.extent + Registry::publisher_extent_bytes <= plan.extent)
+        ASSERT_TRUE(plan.extent + abi::publisher_extent_bytes <= m.extent ||
+                    m.extent + abi::publisher_extent_bytes <= plan.extent)
             << "two endpoints share an extent";
       }
       life->add_publisher(owner, t, qos, plan, "node");
