@@ -2,15 +2,18 @@
 //
 // The plan: a message type boiled down to what the residency check must look at.
 //
-// Made once per endpoint by message_type.cpp, walked at every publish by residency.cpp. Members without memory of their own
-// do not appear; plain nested messages are flattened into their parent; what remains is one step per string, sequence, or
-// fixed array of things that own memory. Steps of a subtree are neighbours, so a walk is a loop over a small array:
+// Made once per endpoint by message_type.cpp, walked at every publish by residency.cpp. Members
+// without memory of their own do not appear; plain nested messages are flattened into their parent;
+// what remains is one step per string, sequence, or fixed array of things that own memory. Steps of
+// a subtree are neighbours, so a walk is a loop over a small array:
 //
-//     PointCloud2:   [0] string "name"                                          steps of one PointField
-//                    [1] string "header.frame_id"  [2] sequence "fields" of {0}  [3] sequence "data" of nothing
-//                    root = {1, 3}
+//     PointCloud2:   [0] string "name"                                          steps of one
+//     PointField
+//                    [1] string "header.frame_id"  [2] sequence "fields" of {0}  [3] sequence
+//                    "data" of nothing root = {1, 3}
 //
-// The plan holds no function of the user's type support, so that library may be unloaded while messages live.
+// The plan holds no function of the user's type support, so that library may be unloaded while
+// messages live.
 #pragma once
 
 #include <agnocast/message_type.hpp>
@@ -24,18 +27,20 @@
 
 namespace agnocast::detail {
 
-// Messages inside messages. ROS's own nest 4 deep or so; 32 levels of the walk are a few KiB of stack.
+// Messages inside messages. ROS's own nest 4 deep or so; 32 levels of the walk are a few KiB of
+// stack.
 inline constexpr std::size_t plan_depth_max = 32;
-// Members of a message with all its nested ones, arrays counted once; Autoware's largest has some hundreds. A type that
-// nests two of a type that nests two … doubles at each level, hence a bound.
+// Members of a message with all its nested ones, arrays counted once; Autoware's largest has some
+// hundreds. A type that nests two of a type that nests two … doubles at each level, hence a bound.
 inline constexpr std::size_t plan_member_count_max = 65536;
 
 enum class Step : std::uint8_t {
-  string,      // std::string
-  u16string,   // std::u16string
-  bits,        // std::vector<bool>
-  sequence,    // std::vector of something else, or BoundedVector, which is one; its elements have steps or none
-  array,       // std::array of `count` elements that have steps
+  string,     // std::string
+  u16string,  // std::u16string
+  bits,       // std::vector<bool>
+  sequence,   // std::vector of something else, or BoundedVector, which is one; its elements have
+              // steps or none
+  array,      // std::array of `count` elements that have steps
 };
 
 struct StepRange {
@@ -45,11 +50,11 @@ struct StepRange {
 
 struct PlanStep {
   Step step;
-  std::uint32_t offset;    // bytes from the start of the enclosing element or message
-  std::uint32_t count;     // elements of an array
-  std::uint32_t stride;    // sizeof an element of a sequence or array
-  StepRange elements;      // steps of one element
-  const char* path;        // "header.frame_id"; empty for a string that is itself an element
+  std::uint32_t offset;  // bytes from the start of the enclosing element or message
+  std::uint32_t count;   // elements of an array
+  std::uint32_t stride;  // sizeof an element of a sequence or array
+  StepRange elements;    // steps of one element
+  const char* path;      // "header.frame_id"; empty for a string that is itself an element
 };
 
 struct MessagePlan {
@@ -65,16 +70,19 @@ struct MessagePlan {
   std::deque<std::string> paths;  // a deque: its elements stay where they are
 };
 
-// A std::vector of anything but bool, as libstdc++ and libc++ lay it out. Not taken on trust: see probe() in message_type.cpp.
+// A std::vector of anything but bool, as libstdc++ and libc++ lay it out. Not taken on trust: see
+// probe() in message_type.cpp.
 struct VectorWords {
   const std::byte* begin;
   const std::byte* end;
   const std::byte* end_of_storage;
 };
-static_assert(sizeof(VectorWords) == sizeof(std::vector<int>) && alignof(VectorWords) == alignof(std::vector<int>));
+static_assert(sizeof(VectorWords) == sizeof(std::vector<int>) &&
+              alignof(VectorWords) == alignof(std::vector<int>));
 
-// Where a vector<bool> keeps its bits. libstdc++ says it by a public member of its iterator, found here without naming
-// private layout; other libraries do not. `words` is null where it cannot be known.
+// Where a vector<bool> keeps its bits. libstdc++ says it by a public member of its iterator, found
+// here without naming private layout; other libraries do not. `words` is null where it cannot be
+// known.
 template <class Bits, class = void>
 struct BitsReader {
   static const void* words(const Bits&) noexcept { return nullptr; }
@@ -90,8 +98,9 @@ struct BitsReader<Bits, std::void_t<decltype(*std::declval<const Bits&>().begin(
   }
 };
 
-// Whether the reader really finds the bits: writes patterns through the vector's own interface and looks for them in
-// memory. Allocates, may throw bad_alloc; called when a type is described, never by the check.
+// Whether the reader really finds the bits: writes patterns through the vector's own interface and
+// looks for them in memory. Allocates, may throw bad_alloc; called when a type is described, never
+// by the check.
 template <class Bits>
 bool bits_reader_holds() {
   for (const std::size_t size : {1U, 63U, 64U, 65U, 1000U}) {
@@ -102,7 +111,8 @@ bool bits_reader_holds() {
     const auto* memory = static_cast<const unsigned long*>(words);
     constexpr std::size_t word_bits = sizeof(unsigned long) * 8;
     for (std::size_t i = 0; i < size; ++i) {
-      if (((memory[i / word_bits] >> (i % word_bits)) & 1) != static_cast<unsigned long>(bits[i])) return false;
+      if (((memory[i / word_bits] >> (i % word_bits)) & 1) != static_cast<unsigned long>(bits[i]))
+        return false;
     }
   }
   return true;

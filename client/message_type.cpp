@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Builds a MessageType from a table: verify it, hash it, boil it down to a plan. All of it happens when an endpoint is
-// created; nothing here runs at publish.
+// Builds a MessageType from a table: verify it, hash it, boil it down to a plan. All of it happens
+// when an endpoint is created; nothing here runs at publish.
 //
-//     make_described_type → probe (is the table true?) → add_to_hash (who is my equal?) → plan (what to look at)
+//     make_described_type → probe (is the table true?) → add_to_hash (who is my equal?) → plan
+//     (what to look at)
 
 #include "client/message_plan.hpp"
 
@@ -31,7 +32,8 @@ constexpr const char* table_is_wrong = "the introspection table of the message c
 constexpr const char* build_differs =
     "this program and libagnocast were compiled with different standard libraries or ABI switches";
 constexpr const char* not_a_vector =
-    "a sequence member is not a std::vector but an object that only works in the process that made it, such as "
+    "a sequence member is not a std::vector but an object that only works in the process that made "
+    "it, such as "
     "rosidl::Buffer; its virtual functions belong to one process";
 
 bool is_sequence(const FieldTable& field) {
@@ -61,8 +63,9 @@ class Builder {
     }
   }
 
-  // Builds one message of each nested type and compares every sequence in it with VectorWords. This finds sequence types
-  // that are no std::vector, whatever they are called, and spares the check every call into the type support.
+  // Builds one message of each nested type and compares every sequence in it with VectorWords. This
+  // finds sequence types that are no std::vector, whatever they are called, and spares the check
+  // every call into the type support.
   void probe(const void* table) {
     for (const void* seen : probed_) {
       if (seen == table) return;
@@ -72,7 +75,8 @@ class Builder {
     for_each_field(table, [&](const FieldTable& field, std::size_t element_bytes) {
       if (field.is_polymorphic) refuse(not_a_vector);
       std::byte* member = sample.memory() + field.offset;
-      if (field.offset + member_bytes(field, element_bytes) > sample.message_bytes()) refuse(table_is_wrong);
+      if (field.offset + member_bytes(field, element_bytes) > sample.message_bytes())
+        refuse(table_is_wrong);
       if (is_sequence(field)) {
         probe_sequence(field, member, element_bytes);
       } else if (field.array == ArrayKind::fixed && field.get != nullptr) {
@@ -93,7 +97,9 @@ class Builder {
       count_member();
       hash.add(std::string_view(field.name)).add(static_cast<std::uint64_t>(field.element));
       hash.add(std::uint64_t{field.primitive_id}).add(field.offset).add(element_bytes);
-      hash.add(static_cast<std::uint64_t>(field.array)).add(field.array_bound).add(field.string_bound);
+      hash.add(static_cast<std::uint64_t>(field.array))
+          .add(field.array_bound)
+          .add(field.string_bound);
       if (field.element == ElementKind::message) add_to_hash(hash, field.nested, depth + 1);
     });
   }
@@ -124,8 +130,11 @@ class Builder {
   class Sample {
    public:
     Sample(const TableReader& reader, const void* table, std::size_t message_bytes)
-        : reader_(reader), table_(table), message_bytes_(message_bytes),
-          // VectorWords are read even where a smaller object stands at the very end; zeroes there are not vectors.
+        : reader_(reader),
+          table_(table),
+          message_bytes_(message_bytes),
+          // VectorWords are read even where a smaller object stands at the very end; zeroes there
+          // are not vectors.
           memory_(message_bytes_ + sizeof(VectorWords)) {
       reader_.construct(table_, memory());
     }
@@ -136,7 +145,9 @@ class Builder {
     std::size_t message_bytes() const { return message_bytes_; }
 
    private:
-    struct alignas(64) Line { std::byte bytes[64]; };
+    struct alignas(64) Line {
+      std::byte bytes[64];
+    };
     struct Memory {
       explicit Memory(std::size_t bytes) : lines((bytes + sizeof(Line) - 1) / sizeof(Line)) {}
       void* data() const { return const_cast<Line*>(lines.data()); }
@@ -150,7 +161,8 @@ class Builder {
 
   std::size_t element_bytes_of(const FieldTable& field) {
     if (field.element != ElementKind::message) {
-      if (field.element_bytes == 0) refuse("a member has an element type that this version does not know");
+      if (field.element_bytes == 0)
+        refuse("a member has an element type that this version does not know");
       return field.element_bytes;
     }
     return message_of(field.nested).message_bytes;
@@ -159,22 +171,27 @@ class Builder {
   static std::size_t member_bytes(const FieldTable& field, std::size_t element_bytes) {
     if (field.array == ArrayKind::none) return element_bytes;
     if (field.array == ArrayKind::fixed) return element_bytes * field.array_bound;
-    return 0;  // what is no vector may be smaller than one; probe_sequence has a better sentence for it
+    return 0;  // what is no vector may be smaller than one; probe_sequence has a better sentence
+               // for it
   }
 
-  static void probe_sequence(const FieldTable& field, std::byte* member, std::size_t element_bytes) {
+  static void probe_sequence(const FieldTable& field, std::byte* member,
+                             std::size_t element_bytes) {
     if (field.size == nullptr || field.resize == nullptr) refuse(table_is_wrong);
-    const std::size_t count = field.array == ArrayKind::bounded && field.array_bound < 2 ? field.array_bound : 2;
+    const std::size_t count =
+        field.array == ArrayKind::bounded && field.array_bound < 2 ? field.array_bound : 2;
     field.resize(member, count);
     if (field.size(member) != count) refuse(not_a_vector);
     if (field.element == ElementKind::boolean) {
-      if (static_cast<const std::vector<bool>*>(static_cast<const void*>(member))->size() != count) refuse(not_a_vector);
+      if (static_cast<const std::vector<bool>*>(static_cast<const void*>(member))->size() != count)
+        refuse(not_a_vector);
       return;
     }
     if (field.get == nullptr) refuse(not_a_vector);
     VectorWords words;
     std::memcpy(&words, member, sizeof(words));
-    if (words.begin == nullptr || words.end != words.begin + count * element_bytes) refuse(not_a_vector);
+    if (words.begin == nullptr || words.end != words.begin + count * element_bytes)
+      refuse(not_a_vector);
     if (words.end_of_storage < words.end) refuse(not_a_vector);
     for (std::size_t i = 0; i < count; ++i) {
       if (field.get(member, i) != words.begin + i * element_bytes) refuse(not_a_vector);
@@ -185,10 +202,13 @@ class Builder {
     if (++member_count_ > plan_member_count_max) refuse("the message type has too many members");
   }
 
-  const char* keep(MessagePlan& out, std::string path) { return out.paths.emplace_back(std::move(path)).c_str(); }
+  const char* keep(MessagePlan& out, std::string path) {
+    return out.paths.emplace_back(std::move(path)).c_str();
+  }
 
   StepRange append(MessagePlan& out, const std::vector<PlanStep>& steps) {
-    const StepRange range{static_cast<std::uint32_t>(out.steps.size()), static_cast<std::uint32_t>(steps.size())};
+    const StepRange range{static_cast<std::uint32_t>(out.steps.size()),
+                          static_cast<std::uint32_t>(steps.size())};
     out.steps.insert(out.steps.end(), steps.begin(), steps.end());
     return range;
   }
@@ -203,8 +223,8 @@ class Builder {
     return {};
   }
 
-  void plan_members(MessagePlan& out, std::vector<PlanStep>& steps, const void* table, std::size_t base,
-                    const std::string& prefix) {
+  void plan_members(MessagePlan& out, std::vector<PlanStep>& steps, const void* table,
+                    std::size_t base, const std::string& prefix) {
     for_each_field(table, [&](const FieldTable& field, std::size_t element_bytes) {
       const std::string path = prefix + field.name;
       const auto offset = static_cast<std::uint32_t>(base + field.offset);
@@ -213,7 +233,8 @@ class Builder {
         if (field.element == ElementKind::boolean) {
           steps.push_back({Step::bits, offset, 1, 0, {}, keep(out, path)});
         } else {
-          steps.push_back({Step::sequence, offset, 1, stride, plan_element(out, field), keep(out, path)});
+          steps.push_back(
+              {Step::sequence, offset, 1, stride, plan_element(out, field), keep(out, path)});
         }
       } else if (field.array == ArrayKind::fixed) {
         const StepRange element = plan_element(out, field);
@@ -260,8 +281,8 @@ Result<MessageType> guarded(Build&& build) noexcept {
 
 void DestroyPlan::operator()(const MessagePlan* plan) const noexcept { delete plan; }
 
-Result<MessageType> make_described_type(const TableReader& reader, const void* table, std::uint32_t alignment,
-                                        std::uint64_t build) noexcept {
+Result<MessageType> make_described_type(const TableReader& reader, const void* table,
+                                        std::uint32_t alignment, std::uint64_t build) noexcept {
   return guarded([&]() -> Result<MessageType> {
     if (build != build_hash) refuse(build_differs);
     Builder builder(reader);

@@ -5,47 +5,88 @@
 
 #include <sys/mman.h>
 
-#include <cerrno>
+#include <utility>
 
 namespace agnocast {
+namespace {
 
-Result<void> PeerHeap::add(std::uint64_t base, std::uint64_t length, UniqueFd fd) noexcept {
-  if (count_ == windows_.size())
-    return fail(Errc::invalid_argument, "more heap windows than a process may have");
-  Result<Mapping> reservation = Mapping::reserve(base, length);
-  if (!reservation) return tl::unexpected<Failure>(reservation.error());
-  Window& window = windows_[count_++];
-  window.reservation = std::move(*reservation);
-  window.fd = std::move(fd);
-  window.base = base;
-  window.length = length;
+void* at_address(std::uint64_t address) noexcept { return reinterpret_cast<void*>(address); }
+
+}  // namespace
+
+PeerHeap::~PeerHeap() {
+  for (std::uint64_t i = 0; i < window_count(); ++i) {
+    const Window& window = windows_[i];
+    if (!window.fd || window.opened.load(std::memory_order_relaxed) == 0) continue;
+    ::mmap(at_address(window.base), window.opened.load(std::memory_order_relaxed), PROT_NONE,
+           MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE | MAP_FIXED, -1, 0);
+  }
+}
+
+Result<void> PeerHeap::append(std::uint64_t window, std::uint64_t base, std::uint64_t length,
+                              UniqueFd fd, std::uint64_t opened) noexcept {
+  const std::lock_guard lock(growing_);
+  const std::uint64_t count = count_.load(std::memory_order_relaxed);
+  if (window < count) return {};
+  if (window != count || window >= windows_.size() || base % abi::page_bytes != 0 ||
+      length % abi::page_bytes != 0 || base + length < base) {
+    return fail(Errc::invalid_argument, "a heap window that cannot be");
+  }
+  windows_[window].fd = std::move(fd);
+  windows_[window].base = base;
+  windows_[window].length = length;
+  windows_[window].opened.store(opened, std::memory_order_relaxed);
+  count_.store(count + 1, std::memory_order_release);
   return {};
 }
 
+Result<void> PeerHeap::add(std::uint64_t window, std::uint64_t base, std::uint64_t length,
+                           UniqueFd fd) noexcept {
+  return append(window, base, length, std::move(fd), 0);
+}
+
+Result<void> PeerHeap::add_own(std::uint64_t window, std::uint64_t base,
+                               std::uint64_t length) noexcept {
+  return append(window, base, length, UniqueFd(), length);
+}
+
 void PeerHeap::open() noexcept {
-  for (std::uint64_t i = 0; i < count_; ++i) {
+  for (std::uint64_t i = 0; i < window_count(); ++i) {
     Window& window = windows_[i];
-    std::uint64_t frontier =
-        dataplane::load_frontier<SharedMemory>(client_region_, i, window.length);
-    frontier &= ~(abi::page_bytes - 1);
-    if (frontier <= window.opened) continue;
-    std::byte* const at = window.reservation.base() + window.opened;
-    const std::uint64_t bytes = frontier - window.opened;
-    void* const mapped = ::mmap(at, bytes, PROT_READ, MAP_SHARED | MAP_FIXED, window.fd.get(),
-                                static_cast<off_t>(window.opened));
-    if (mapped == MAP_FAILED)
+    const std::uint64_t frontier =
+        dataplane::load_frontier<SharedMemory>(client_region_, i, window.length) &
+        ~(abi::page_bytes - 1);
+    if (frontier <= window.opened.load(std::memory_order_acquire)) continue;
+    const std::lock_guard lock(growing_);
+    const std::uint64_t opened = window.opened.load(std::memory_order_relaxed);
+    if (frontier <= opened) continue;
+    void* const at = at_address(window.base + opened);
+    if (::mmap(at, frontier - opened, PROT_READ, MAP_SHARED | MAP_FIXED, window.fd.get(),
+               static_cast<off_t>(opened)) == MAP_FAILED) {
       return;  // what lies beyond stays closed: contains() refuses it, and the message counts as
                // malformed
-    ::madvise(at, bytes, MADV_DONTDUMP);
-    window.opened = frontier;
+    }
+    ::madvise(at, frontier - opened, MADV_DONTDUMP);
+    window.opened.store(frontier, std::memory_order_release);
   }
 }
 
 bool PeerHeap::contains(std::uint64_t address, std::uint64_t size) const noexcept {
-  for (std::uint64_t i = 0; i < count_; ++i) {
+  for (std::uint64_t i = 0; i < window_count(); ++i) {
     const Window& window = windows_[i];
-    if (address >= window.base && size <= window.opened &&
-        address - window.base <= window.opened - size)
+    const std::uint64_t opened = window.opened.load(std::memory_order_acquire);
+    if (address >= window.base && size <= opened && address - window.base <= opened - size)
+      return true;
+  }
+  return false;
+}
+
+bool PeerHeap::is_awaited(std::uint64_t address, std::uint64_t size) const noexcept {
+  const auto& header = *reinterpret_cast<const abi::ClientRegionHeader*>(client_region_);
+  for (std::uint64_t i = window_count(); i < abi::window_count_max; ++i) {
+    const std::uint64_t base = header.window[i].base.load(std::memory_order_acquire);
+    const std::uint64_t length = header.window[i].length.load(std::memory_order_relaxed);
+    if (base != 0 && address >= base && size <= length && address - base <= length - size)
       return true;
   }
   return false;

@@ -2,53 +2,69 @@
 //
 // PeerHeap: somebody else's heap windows, read-only, at the addresses where their owner has them.
 //
-// The whole window is reserved without access first; only what the owner's frontier says is in use
-// gets mapped. A process that has locked its memory (mlockall) would otherwise allocate the whole
-// window. Left out of core dumps, never populated: touching a hole through a read-only mapping
-// allocates a page.
+// The addresses are reserved without access by the caller (the arena, reserved at hello); only what
+// the owner's frontier says is in use gets mapped. A process that has locked its memory (mlockall)
+// would otherwise allocate the whole window. Left out of core dumps, never populated: touching a
+// hole through a read-only mapping allocates a page.
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
 #include <agnocast/result.hpp>
-#include <base/mapping.hpp>
 #include <base/unique_fd.hpp>
 
 #include <array>
+#include <atomic>
 #include <cstddef>
 #include <cstdint>
+#include <mutex>
 
 namespace agnocast {
 
-/// Not thread-safe: one owner per process serialises add() and open(); contains() may run beside
-/// neither.
+/// Any thread may call anything. open() and contains() take a lock only after the owner's heap has
+/// grown.
 class PeerHeap {
  public:
-  /// `client_region`: the owner's, mapped here read-only; must outlive this.
+  /// `client_region`: the owner's, mapped here; must outlive this.
   explicit PeerHeap(std::byte* client_region) noexcept : client_region_(client_region) {}
+  /// Puts the reservation back in place of what was mapped. Nobody may use a message of this heap
+  /// any more.
+  ~PeerHeap();
+  PeerHeap(const PeerHeap&) = delete;
+  PeerHeap& operator=(const PeerHeap&) = delete;
 
-  /// A window as the daemon announced it: `fd` opened for reading, [base, base + length) free in
-  /// this process or reserved by `reserved`. Errors: os_failure (EEXIST: something is in the way),
-  /// invalid_argument (too many windows).
-  [[nodiscard]] Result<void> add(std::uint64_t base, std::uint64_t length, UniqueFd fd) noexcept;
+  /// Window number `window` as the daemon announced it; `fd` opened for reading, [base, base +
+  /// length) reserved by the caller. Windows come in order; one that is there already is ignored.
+  /// Errors: invalid_argument.
+  [[nodiscard]] Result<void> add(std::uint64_t window, std::uint64_t base, std::uint64_t length,
+                                 UniqueFd fd) noexcept;
+  /// The same for this process's own heap, which the hook has mapped already.
+  [[nodiscard]] Result<void> add_own(std::uint64_t window, std::uint64_t base,
+                                     std::uint64_t length) noexcept;
 
   /// Makes accessible what the owner has put to use since the last call. A system call only after
   /// growth.
   void open() noexcept;
   /// True when [address, address + size) lies in what is open. Any values.
   bool contains(std::uint64_t address, std::uint64_t size) const noexcept;
+  /// True when it lies in a window that the owner's header shows and that has not been added here
+  /// yet. Any values; a lie delays only the liar's own messages.
+  bool is_awaited(std::uint64_t address, std::uint64_t size) const noexcept;
+  std::uint64_t window_count() const noexcept { return count_.load(std::memory_order_acquire); }
 
  private:
   struct Window {
-    Mapping reservation;
     UniqueFd fd;
     std::uint64_t base = 0;
     std::uint64_t length = 0;
-    std::uint64_t opened = 0;  // bytes
+    std::atomic<std::uint64_t> opened{0};  // bytes; only grows
   };
+  Result<void> append(std::uint64_t window, std::uint64_t base, std::uint64_t length, UniqueFd fd,
+                      std::uint64_t opened) noexcept;
 
   std::byte* client_region_;
+  std::mutex growing_;
   std::array<Window, abi::window_count_max> windows_;
-  std::uint64_t count_ = 0;
+  std::atomic<std::uint64_t> count_{0};
 };
 
 }  // namespace agnocast

@@ -2,10 +2,11 @@
 //
 // The residency check: walks the plan of a message type over one message, at every publish.
 //
-// Allocates nothing and throws nothing; recursion is as deep as sequences nest in the type, which the plan bounds. What it
-// reads is this process's own live message, so values are trusted; the same walk must not be used on messages of others.
-// A message that is fully resident costs one range comparison per string and sequence. Only the first foreign range pays
-// for a path, put together from the frames of the recursion.
+// Allocates nothing and throws nothing; recursion is as deep as sequences nest in the type, which
+// the plan bounds. What it reads is this process's own live message, so values are trusted; the
+// same walk must not be used on messages of others. A message that is fully resident costs one
+// range comparison per string and sequence. Only the first foreign range pays for a path, put
+// together from the frames of the recursion.
 
 #include <agnocast/residency.hpp>
 
@@ -24,7 +25,8 @@ bool WindowSet::add(std::uintptr_t begin, std::uintptr_t end) noexcept {
   while (at < count_ && windows_[at].begin < begin) ++at;
   if (at > 0 && windows_[at - 1].end > begin) return false;
   if (at < count_ && windows_[at].begin < end) return false;
-  std::copy_backward(windows_.begin() + at, windows_.begin() + count_, windows_.begin() + count_ + 1);
+  std::copy_backward(windows_.begin() + at, windows_.begin() + count_,
+                     windows_.begin() + count_ + 1);
   windows_[at] = {begin, end};
   ++count_;
   return true;
@@ -56,7 +58,9 @@ class Walk {
   void visited_range(const char* label, const void* first, std::size_t bytes) noexcept {
     if (bytes != 0) range(first, bytes, label, nullptr);
   }
-  void visited_bits(const char* label, const std::vector<bool>& bits) noexcept { this->bits(bits, label, nullptr); }
+  void visited_bits(const char* label, const std::vector<bool>& bits) noexcept {
+    this->bits(bits, label, nullptr);
+  }
 
  private:
   template <class T>
@@ -102,13 +106,15 @@ class Walk {
     }
   }
 
-  void elements(const PlanStep& step, const std::byte* first, std::size_t count, const Frame* frame) noexcept {
+  void elements(const PlanStep& step, const std::byte* first, std::size_t count,
+                const Frame* frame) noexcept {
     Frame inner{frame, step.path, 0};
-    for (; inner.index < count; ++inner.index) steps(step.elements, first + inner.index * step.stride, &inner);
+    for (; inner.index < count; ++inner.index)
+      steps(step.elements, first + inner.index * step.stride, &inner);
   }
 
-  // A short text lies in the string object, which belongs to a range that was looked at before. Even an empty text counts
-  // if it is outside, because c_str() reads its terminator.
+  // A short text lies in the string object, which belongs to a range that was looked at before.
+  // Even an empty text counts if it is outside, because c_str() reads its terminator.
   template <class C>
   void text(const std::basic_string<C>& text, const PlanStep& step, const Frame* frame) noexcept {
     const auto self = reinterpret_cast<std::uintptr_t>(&text);
@@ -159,7 +165,8 @@ class Walk {
     if (path_length_ != 0) write(".");
     write(frame->path);
     char digits[24];
-    const std::to_chars_result end = std::to_chars(digits, digits + sizeof(digits) - 1, frame->index);
+    const std::to_chars_result end =
+        std::to_chars(digits, digits + sizeof(digits) - 1, frame->index);
     *end.ptr = '\0';
     write("[");
     write(digits);
@@ -168,7 +175,8 @@ class Walk {
 
   // Keeps the terminator in place; what does not fit is left out.
   void write(const char* text) noexcept {
-    while (*text != '\0' && path_length_ + 1 < found_.first_path.size()) found_.first_path[path_length_++] = *text++;
+    while (*text != '\0' && path_length_ + 1 < found_.first_path.size())
+      found_.first_path[path_length_++] = *text++;
     found_.first_path[path_length_] = '\0';
   }
 
@@ -180,7 +188,8 @@ class Walk {
 
 }  // namespace detail
 
-Residency check_residency(const MessageType& type, const void* message, const WindowSet& windows) noexcept {
+Residency check_residency(const MessageType& type, const void* message,
+                          const WindowSet& windows) noexcept {
   Residency found;
   detail::Walk(type.plan(), windows, found).run(message);
   return found;

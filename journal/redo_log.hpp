@@ -44,6 +44,9 @@ enum class RecordType : std::uint32_t {
   revoke_subscription = 14,
   add_topic = 15,
   open_executor = 16,
+  free_topic = 17,
+  raise_slots = 18,
+  client_forgotten = 19,
 };
 
 //    0 lsn u64 · 8 type u32 · 12 crc32c u32 (of everything else) · 16 argument[14] u64, meaning by

@@ -119,6 +119,7 @@ class PublisherCore {
               Environment& environment) noexcept {
     Member& member = members_[index];
     member.executor = executor;
+    rung_[executor] = 0;  // the number may have been another sleeper's
     member.attached_generation = generation;
     member.region = region;
     member.extent = extent;
@@ -138,6 +139,8 @@ class PublisherCore {
     for_each(allocated_, [&](std::uint64_t slot) { found = found || sequence_[slot] < keep_from; });
     return found;
   }
+  /// The daemon has freed the index: nothing of it is read by anybody any more.
+  bool is_over() const noexcept { return over_ != 0; }
   std::uint64_t head_sequence() const noexcept { return head_sequence_; }
   std::uint64_t allocated_count() const noexcept {
     std::uint64_t count = 0;
@@ -214,24 +217,34 @@ class PublisherCore {
     AGNOCAST_STEP(P7_epoch) epoch = self_.topic.epoch().load(std::memory_order_acquire);
     if (M::holds(Step::P7_changed, epoch != epoch_seen_)) {
       epoch_seen_ = epoch;
-      std::uint64_t high = self_.topic.subscription_high().load(std::memory_order_acquire);
-      high = std::min<std::uint64_t>(high, M::subscription_capacity);
-      member_high_ = std::max(member_high_, high);
-      for (std::uint64_t i = 0; i < high; ++i) refresh_member(i);
+      // The own word before the members' words: once it says orphan no history is kept for late joiners, and whoever joined before that must
+      // be seen by the same pass. [sync:join] acquire; pairs with D3_word, which the daemon stores after every earlier J3.
       std::uint64_t self_word = abi::pack_member(self_.generation, abi::MemberState::active);
       AGNOCAST_STEP(P7_self)
       self_word = self_.topic.publisher(self_.index, offsetof(abi::PublisherEntry, word))
                       .load(std::memory_order_acquire);
-      if (abi::state_of(self_word) != abi::MemberState::active) history_ = 0;
-      // Free again: everybody it was announced to has unlinked or is dead (rule RU), so nobody can
-      // hold anything.
-      if (abi::state_of(self_word) == abi::MemberState::free) over_ = 1;
+      std::uint64_t high = self_.topic.subscription_high().load(std::memory_order_acquire);
+      high = std::min<std::uint64_t>(high, M::subscription_capacity);
+      member_high_ = std::max(member_high_, high);
+      for (std::uint64_t i = 0; i < high; ++i) refresh_member(i);
+      refresh_self(self_word);
+    }
+    AGNOCAST_STEP(P7_seen) seen_ = head_sequence_;
+  }
+
+  /// After the members: a first sight of one still counts with the history that it was promised.
+  void refresh_self(std::uint64_t word) noexcept {
+    // Free again, or already somebody else's: everybody it was announced to has unlinked or is dead (rule RU), so nobody holds anything.
+    if (abi::generation_of(word) != self_.generation ||
+        abi::state_of(word) == abi::MemberState::free) {
+      over_ = 1;
+    } else {
       const std::uint64_t slots =
           self_.topic.publisher(self_.index, offsetof(abi::PublisherEntry, slot_count))
               .load(std::memory_order_relaxed);
       slot_count_ = std::clamp<std::uint64_t>(slots, slot_count_, M::slot_capacity);
     }
-    AGNOCAST_STEP(P7_seen) seen_ = head_sequence_;
+    if (over_ != 0 || abi::state_of(word) != abi::MemberState::active) history_ = 0;
   }
 
   void refresh_member(std::uint64_t index) noexcept {

@@ -39,6 +39,9 @@ class LinkCore {
     std::uint64_t first_sequence;
     abi::Qos offered;
     abi::Qos requested;
+    std::uint64_t
+        message_bytes;  // sizeof the message object; 0 = any (tools that do not know the type)
+    std::uint64_t message_alignment = 1;  // a power of two
   };
 
   explicit LinkCore(const Identity& identity) noexcept
@@ -128,8 +131,14 @@ class LinkCore {
                   self_.publisher.slot_size(slot).load(std::memory_order_relaxed),
                   self_.publisher.slot_stamp(slot).load(std::memory_order_relaxed)};
       AGNOCAST_STEP(T6_frontier) windows.open();
-      if (!M::holds(Step::T6_inside, windows.contains(taken.address, taken.size))) {
+      if (!M::holds(Step::T6_inside,
+                    has_right_shape(taken) && windows.contains(taken.address, taken.size))) {
         release(slot);
+        // In a window that its owner has and this process has not been told of yet: it stays unread
+        // until then.
+        if constexpr (requires { windows.is_awaited(taken.address, taken.size); }) {
+          if (windows.is_awaited(taken.address, taken.size)) break;
+        }
         ++malformed_;
         lose(1);
         continue;
@@ -140,6 +149,40 @@ class LinkCore {
     }
     if (cursor_ != stored_cursor) store_cursor();
     return std::nullopt;
+  }
+
+  /// Unread messages that lie in the window: what take() can still deliver.
+  std::uint64_t unread() const noexcept {
+    const std::uint64_t end = abi::sequence_of(newest()) + 1;
+    const std::uint64_t from =
+        std::max(cursor_, minus_at_least(end, abi::window_of(self_.requested), 0));
+    return end > from ? end - from : 0;
+  }
+  /// Stamp of the message that take() would try next, if there is one. Orders the links of a
+  /// subscription; a hint, unvalidated.
+  std::optional<std::uint64_t> next_stamp() const noexcept {
+    const std::uint64_t head = newest();
+    const std::uint64_t newest_sequence = abi::sequence_of(head);
+    if (newest_sequence < cursor_) return std::nullopt;
+    const std::uint64_t wanted =
+        std::max(cursor_, minus_at_least(newest_sequence + 1, abi::window_of(self_.requested), 0));
+    const std::uint64_t entry = wanted == newest_sequence
+                                    ? head
+                                    : self_.publisher.order(wanted).load(std::memory_order_acquire);
+    const std::uint64_t slot = abi::slot_of(entry);
+    if (abi::sequence_of(entry) != wanted || slot >= M::slot_capacity)
+      return 0;  // gone: look at this link first
+    return self_.publisher.slot_stamp(slot).load(std::memory_order_relaxed);
+  }
+  /// Gives up the next unread message: it counts as lost. How a subscription keeps its depth over
+  /// several publishers.
+  void skip() noexcept {
+    const std::uint64_t end = abi::sequence_of(newest()) + 1;
+    const std::uint64_t from =
+        std::max(cursor_, minus_at_least(end, abi::window_of(self_.requested), 0));
+    if (from >= end) return;
+    lose(from + 1 - cursor_);
+    store_cursor();
   }
 
   /// L1. Commit and effect are one instruction. Any thread of the process that holds the
@@ -183,6 +226,10 @@ class LinkCore {
     // [sync:publish] acquire; pairs with P5.
     AGNOCAST_STEP(T1_head) head = self_.publisher.head().load(std::memory_order_acquire);
     return head;
+  }
+  bool has_right_shape(const Taken& taken) const noexcept {
+    return taken.size != 0 && (self_.message_bytes == 0 || taken.size == self_.message_bytes) &&
+           (taken.address & (self_.message_alignment - 1)) == 0;
   }
   std::uint64_t publisher_word() const noexcept {
     return self_.topic.publisher(self_.index, offsetof(abi::PublisherEntry, word))

@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// MessageType: everything the library knows about one message type, made once when an endpoint is created.
+// MessageType: everything the library knows about one message type, made once when an endpoint is
+// created.
 //
-// The library itself never sees T and never includes a header of rosidl. The user's translation unit hands it small plain
-// structs (below) which it reads from the introspection table, because the layout of that table differs between releases of
-// ROS 2 and only the user's compiler knows which one is at hand.
+// The library itself never sees T and never includes a header of rosidl. The user's translation
+// unit hands it small plain structs (below) which it reads from the introspection table, because
+// the layout of that table differs between releases of ROS 2 and only the user's compiler knows
+// which one is at hand.
 #pragma once
 
 #include <agnocast/export.hpp>
@@ -36,13 +38,13 @@ struct FieldTable {
   const char* name;
   ElementKind element;
   ArrayKind array;
-  std::uint8_t primitive_id;     ///< rosidl's number of a primitive element type
-  bool is_polymorphic;           ///< the generator says so (rosidl::Buffer)
-  std::uint32_t element_bytes;   ///< sizeof one element; 0 for a message, whose own table says it
-  std::size_t offset;            ///< bytes from the start of the message object
-  std::size_t array_bound;       ///< elements of a fixed array, or the most a bounded sequence can have
-  std::size_t string_bound;      ///< letters of a bounded string, else 0
-  const void* nested;            ///< table of the element, for messages
+  std::uint8_t primitive_id;    ///< rosidl's number of a primitive element type
+  bool is_polymorphic;          ///< the generator says so (rosidl::Buffer)
+  std::uint32_t element_bytes;  ///< sizeof one element; 0 for a message, whose own table says it
+  std::size_t offset;           ///< bytes from the start of the message object
+  std::size_t array_bound;   ///< elements of a fixed array, or the most a bounded sequence can have
+  std::size_t string_bound;  ///< letters of a bounded string, else 0
+  const void* nested;        ///< table of the element, for messages
   std::size_t (*size)(const void* member);
   const void* (*get)(const void* member, std::size_t index);
   void (*resize)(void* member, std::size_t size);
@@ -59,7 +61,8 @@ struct MessageTable {
 struct TableReader {
   MessageTable (*message)(const void* table);
   FieldTable (*field)(const void* table, std::size_t index);
-  void (*construct)(const void* table, void* memory);  ///< may throw what the message's constructor throws
+  void (*construct)(const void* table,
+                    void* memory);  ///< may throw what the message's constructor throws
   void (*destroy)(const void* table, void* memory);
 };
 
@@ -69,21 +72,24 @@ struct PlainType {
   std::uint64_t version;
   std::uint32_t bytes;
   std::uint32_t alignment;
-  bool is_flat;                                                  ///< trivially copyable
-  void (*visit)(const void* message, PointerVisitor& visitor);   ///< null: opaque, or flat
+  bool is_flat;                                                 ///< trivially copyable
+  void (*visit)(const void* message, PointerVisitor& visitor);  ///< null: opaque, or flat
 };
 
 }  // namespace detail
 
-/// A message type as the library knows it. Movable, immutable; any thread may use it at the same time.
+/// A message type as the library knows it. Movable, immutable; any thread may use it at the same
+/// time.
 class MessageType {
  public:
   /// How residency is decided; see message_traits.hpp.
   enum class Kind : std::uint8_t { described, flat, visited, opaque };
 
-  /// "sensor_msgs/msg/PointCloud2", the name of the trait, or the C++ name. Valid as long as this object.
+  /// "sensor_msgs/msg/PointCloud2", the name of the trait, or the C++ name. Valid as long as this
+  /// object.
   AGNOCAST_PUBLIC std::string_view name() const noexcept;
-  /// Equal in two processes if and only if a message of one can be read by the other (see LayoutHash for the odds).
+  /// Equal in two processes if and only if a message of one can be read by the other (see
+  /// LayoutHash for the odds).
   AGNOCAST_PUBLIC std::uint64_t layout_hash() const noexcept;
   /// sizeof and alignof the message object, in bytes.
   AGNOCAST_PUBLIC std::uint32_t message_bytes() const noexcept;
@@ -92,7 +98,8 @@ class MessageType {
   /// The pair that is compared at match; its name is valid as long as this object.
   TypeIdentity identity() const noexcept { return {name(), layout_hash()}; }
 
-  explicit MessageType(std::unique_ptr<const detail::MessagePlan, detail::DestroyPlan> plan) noexcept
+  explicit MessageType(
+      std::unique_ptr<const detail::MessagePlan, detail::DestroyPlan> plan) noexcept
       : plan_(std::move(plan)) {}
   const detail::MessagePlan& plan() const noexcept { return *plan_; }
 
@@ -103,10 +110,12 @@ class MessageType {
 namespace detail {
 
 // `build` is the build_hash of the caller's translation unit.
-[[nodiscard]] AGNOCAST_PUBLIC Result<MessageType> make_described_type(const TableReader& reader, const void* table,
+[[nodiscard]] AGNOCAST_PUBLIC Result<MessageType> make_described_type(const TableReader& reader,
+                                                                      const void* table,
                                                                       std::uint32_t alignment,
                                                                       std::uint64_t build) noexcept;
-[[nodiscard]] AGNOCAST_PUBLIC Result<MessageType> make_plain_type(const PlainType& type, std::uint64_t build) noexcept;
+[[nodiscard]] AGNOCAST_PUBLIC Result<MessageType> make_plain_type(const PlainType& type,
+                                                                  std::uint64_t build) noexcept;
 
 template <class T>
 void visit_message(const void* message, PointerVisitor& visitor) {
@@ -117,20 +126,22 @@ void visit_message(const void* message, PointerVisitor& visitor) {
 
 /// What T is as a message. Does not compile if T cannot be one; message_traits.hpp has the rules.
 ///
-/// For a rosidl type its tables are not believed: a default message of each nested type is built, every sequence in it is
-/// resized to two elements, and the memory is compared with what a std::vector looks like. So call it when endpoints are
-/// created: it allocates, runs the message's constructors, and costs about a microsecond per member.
-/// Errors: type_refused: a member that only works in this process (rosidl::Buffer), a table that contradicts itself, or a
-/// library built with another standard library than the caller; os_failure with ENOMEM. Throws nothing. Any thread.
+/// For a rosidl type its tables are not believed: a default message of each nested type is built,
+/// every sequence in it is resized to two elements, and the memory is compared with what a
+/// std::vector looks like. So call it when endpoints are created: it allocates, runs the message's
+/// constructors, and costs about a microsecond per member. Errors: type_refused: a member that only
+/// works in this process (rosidl::Buffer), a table that contradicts itself, or a library built with
+/// another standard library than the caller; os_failure with ENOMEM. Throws nothing. Any thread.
 template <class T>
 [[nodiscard]] Result<MessageType> message_type_of() noexcept {
   static_assert(detail::require_message<T>());
   if constexpr (detail::is_described<T>) {
-    return detail::make_described_type(MessageTraits<T>::reader(), MessageTraits<T>::table(), alignof(T),
-                                       detail::build_hash);
+    return detail::make_described_type(MessageTraits<T>::reader(), MessageTraits<T>::table(),
+                                       alignof(T), detail::build_hash);
   } else {
     constexpr bool is_flat = std::is_trivially_copyable_v<T>;
-    detail::PlainType type{detail::plain_name<T>(), detail::version_of<T>, sizeof(T), alignof(T), is_flat, nullptr};
+    detail::PlainType type{
+        detail::plain_name<T>(), detail::version_of<T>, sizeof(T), alignof(T), is_flat, nullptr};
     if constexpr (!is_flat && detail::is_visited<T>) type.visit = &detail::visit_message<T>;
     return detail::make_plain_type(type, detail::build_hash);
   }

@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Residency: is every byte that a reader of a message may touch in shared memory? And if not, the repair.
+// Residency: is every byte that a reader of a message may touch in shared memory? And if not, the
+// repair.
 //
-// A std::vector that was filled before the loan began, or moved in from elsewhere, lies in memory that no other process
-// has. publish therefore asks check_residency() about every message, and hands foreign ones to make_resident(), which needs
-// no knowledge of layouts: it copies the message by its own copy constructor while the shared heap is on.
-// Called by publish; users see the outcome as PublishResult::adopted_bytes.
+// A std::vector that was filled before the loan began, or moved in from elsewhere, lies in memory
+// that no other process has. publish therefore asks check_residency() about every message, and
+// hands foreign ones to make_resident(), which needs no knowledge of layouts: it copies the message
+// by its own copy constructor while the shared heap is on. Called by publish; users see the outcome
+// as PublishResult::adopted_bytes.
 #pragma once
 
 #include <agnocast/export.hpp>
@@ -24,7 +26,8 @@
 
 namespace agnocast {
 
-/// The address ranges of this process's shared heap that may be published from: each window up to its frontier.
+/// The address ranges of this process's shared heap that may be published from: each window up to
+/// its frontier.
 class WindowSet {
  public:
   static constexpr std::size_t count_max = 8;
@@ -33,10 +36,12 @@ class WindowSet {
     std::uintptr_t end;    ///< one past the last
   };
 
-  /// Adds [begin, end). False, and nothing changed, if it is empty, overlaps another or is one too many. Keeps order.
+  /// Adds [begin, end). False, and nothing changed, if it is empty, overlaps another or is one too
+  /// many. Keeps order.
   AGNOCAST_PUBLIC bool add(std::uintptr_t begin, std::uintptr_t end) noexcept;
 
-  /// Whether all of [first, first + bytes) lies in one window. At most eight comparisons; usually one.
+  /// Whether all of [first, first + bytes) lies in one window. At most eight comparisons; usually
+  /// one.
   bool contains(const void* first, std::size_t bytes) const noexcept {
     const auto address = reinterpret_cast<std::uintptr_t>(first);
     for (std::size_t i = 0; i < count_; ++i) {
@@ -58,37 +63,43 @@ class WindowSet {
 struct Residency {
   static constexpr std::size_t path_bytes_max = 160;
 
-  /// Bytes of the ranges that a reader would touch and that lie outside the windows. A range is the message object, the
-  /// elements of one sequence (not its spare capacity), or the text of one string outside its object with its terminator.
-  /// Ranges are disjoint, so no byte counts twice; text inside a string object counts with what contains that object.
+  /// Bytes of the ranges that a reader would touch and that lie outside the windows. A range is the
+  /// message object, the elements of one sequence (not its spare capacity), or the text of one
+  /// string outside its object with its terminator. Ranges are disjoint, so no byte counts twice;
+  /// text inside a string object counts with what contains that object.
   std::uint64_t foreign_bytes = 0;
   /// How many such ranges.
   std::uint64_t foreign_count = 0;
-  /// Ranges whose address cannot be learnt: an opaque type, or a vector<bool> of an unknown standard library. Their bytes
-  /// are in foreign_bytes too, as far as known: of an opaque message only sizeof.
+  /// Ranges whose address cannot be learnt: an opaque type, or a vector<bool> of an unknown
+  /// standard library. Their bytes are in foreign_bytes too, as far as known: of an opaque message
+  /// only sizeof.
   std::uint64_t unseen_count = 0;
   /// Start of the first foreign range; null if it is unseen.
   const void* first_address = nullptr;
-  /// Where the first one is: "fields[1].name". "(message)" is the object itself. Shortened if too long; empty if resident.
+  /// Where the first one is: "fields[1].name". "(message)" is the object itself. Shortened if too
+  /// long; empty if resident.
   std::array<char, path_bytes_max> first_path;
 
   Residency() noexcept { first_path[0] = '\0'; }
   bool is_resident() const noexcept { return foreign_count == 0 && unseen_count == 0; }
 };
 
-/// Looks at every piece of memory of `message`, which must be a live object of that type that nobody changes meanwhile.
-/// Allocates nothing, calls nothing of the user's but for_each_pointer, throws nothing. Any thread.
-/// Cost: one range check per string and sequence; elements are walked only if they own memory themselves. So it grows with
-/// the number of strings and inner sequences, which the publisher built one by one, never with payload bytes.
-[[nodiscard]] AGNOCAST_PUBLIC Residency check_residency(const MessageType& type, const void* message,
+/// Looks at every piece of memory of `message`, which must be a live object of that type that
+/// nobody changes meanwhile. Allocates nothing, calls nothing of the user's but for_each_pointer,
+/// throws nothing. Any thread. Cost: one range check per string and sequence; elements are walked
+/// only if they own memory themselves. So it grows with the number of strings and inner sequences,
+/// which the publisher built one by one, never with payload bytes.
+[[nodiscard]] AGNOCAST_PUBLIC Residency check_residency(const MessageType& type,
+                                                        const void* message,
                                                         const WindowSet& windows) noexcept;
 
 namespace detail {
 class Walk;
 }
 
-/// What MessageTraits<T>::for_each_pointer is given. One call for each piece of memory; `label` (static text) names it in
-/// diagnoses. Objects inside objects (a vector of strings) need a call for the vector and one for each string.
+/// What MessageTraits<T>::for_each_pointer is given. One call for each piece of memory; `label`
+/// (static text) names it in diagnoses. Objects inside objects (a vector of strings) need a call
+/// for the vector and one for each string.
 class PointerVisitor {
  public:
   /// `bytes` bytes from `first`. Nothing to check if bytes is 0.
@@ -117,8 +128,9 @@ class PointerVisitor {
 /// How the library steers the heap hook. All three concern the calling thread or are safe from any.
 struct SharedHeap {
   void* context = nullptr;
-  /// From now on allocations of this thread come from the shared heap, until as many leave() as enter().
-  /// Both return the thread's running count of allocations that had to come from libc instead, for want of room.
+  /// From now on allocations of this thread come from the shared heap, until as many leave() as
+  /// enter(). Both return the thread's running count of allocations that had to come from libc
+  /// instead, for want of room.
   std::uint64_t (*enter)(void* context) noexcept = nullptr;
   std::uint64_t (*leave)(void* context) noexcept = nullptr;
   /// The windows as they are now; a scope may have opened another one.
@@ -129,12 +141,14 @@ struct SharedHeap {
 class SharedScope {
  public:
   /// `heap` must outlive this object.
-  explicit SharedScope(const SharedHeap& heap) noexcept : heap_(&heap), spilled_before_(heap.enter(heap.context)) {}
+  explicit SharedScope(const SharedHeap& heap) noexcept
+      : heap_(&heap), spilled_before_(heap.enter(heap.context)) {}
   ~SharedScope() { close(); }
   SharedScope(const SharedScope&) = delete;
   SharedScope& operator=(const SharedScope&) = delete;
 
-  /// Ends the scope; how many allocations in it were not from the shared heap. Later calls do nothing and return 0.
+  /// Ends the scope; how many allocations in it were not from the shared heap. Later calls do
+  /// nothing and return 0.
   std::uint64_t close() noexcept {
     if (heap_ == nullptr) return 0;
     const SharedHeap& heap = *std::exchange(heap_, nullptr);
@@ -146,15 +160,18 @@ class SharedScope {
   std::uint64_t spilled_before_;
 };
 
-/// Makes `message` resident, by adoption if it must: a copy is built in the shared heap, the original destroyed and
-/// `message` pointed at the copy. Returns adopted_bytes: Residency::foreign_bytes of the original, 0 if nothing was to do.
-/// The whole message is copied, resident parts too; adopted_bytes says what would have been enough.
+/// Makes `message` resident, by adoption if it must: a copy is built in the shared heap, the
+/// original destroyed and `message` pointed at the copy. Returns adopted_bytes:
+/// Residency::foreign_bytes of the original, 0 if nothing was to do. The whole message is copied,
+/// resident parts too; adopted_bytes says what would have been enough.
 ///
-/// On failure `message` is as before. Errors: heap_exhausted: the shared heap cannot hold it; user_code_threw: the copy
-/// constructor threw something other than bad_alloc. Throws nothing, whatever T does.
-/// Cost: check_residency, and if anything is foreign a copy, a second check and a destruction. Any thread.
+/// On failure `message` is as before. Errors: heap_exhausted: the shared heap cannot hold it;
+/// user_code_threw: the copy constructor threw something other than bad_alloc. Throws nothing,
+/// whatever T does. Cost: check_residency, and if anything is foreign a copy, a second check and a
+/// destruction. Any thread.
 template <class T>
-[[nodiscard]] Result<std::uint64_t> make_resident(std::unique_ptr<T>& message, const MessageType& type,
+[[nodiscard]] Result<std::uint64_t> make_resident(std::unique_ptr<T>& message,
+                                                  const MessageType& type,
                                                   const SharedHeap& heap) noexcept {
   static_assert(detail::require_message<T>());
   const Residency found = check_residency(type, message.get(), heap.windows(heap.context));
@@ -169,7 +186,8 @@ template <class T>
   } catch (...) {
     return fail(Errc::user_code_threw, "copy constructor of the message");
   }
-  // What is unseen cannot be looked at again, but then it is known that no allocation went elsewhere.
+  // What is unseen cannot be looked at again, but then it is known that no allocation went
+  // elsewhere.
   const std::uint64_t spilled_count = scope.close();
   const Residency now = check_residency(type, copy.get(), heap.windows(heap.context));
   if (now.foreign_count != 0 || (now.unseen_count != 0 && spilled_count != 0)) {

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Makes every message that rosidl generated (topics, and the two halves of services) a message of agnocast. Include it where
-// such types are published or subscribed; link the message package as for rclcpp, nothing more.
+// Makes every message that rosidl generated (topics, and the two halves of services) a message of
+// agnocast. Include it where such types are published or subscribed; link the message package as
+// for rclcpp, nothing more.
 //
 // Members of rosidl's tables are taken by name only: Humble, Jazzy and Lyrical each added some.
 #pragma once
@@ -40,41 +41,56 @@ struct BufferMark<Member, std::void_t<decltype(std::declval<const Member&>().is_
 inline std::uint32_t ros_element_bytes(std::uint8_t type_id) noexcept {
   namespace ros = rosidl_typesupport_introspection_cpp;
   switch (type_id) {
-    case ros::ROS_TYPE_BOOLEAN: return sizeof(bool);
+    case ros::ROS_TYPE_BOOLEAN:
+      return sizeof(bool);
     case ros::ROS_TYPE_CHAR:
     case ros::ROS_TYPE_OCTET:
     case ros::ROS_TYPE_UINT8:
-    case ros::ROS_TYPE_INT8: return 1;
+    case ros::ROS_TYPE_INT8:
+      return 1;
     case ros::ROS_TYPE_WCHAR:
     case ros::ROS_TYPE_UINT16:
-    case ros::ROS_TYPE_INT16: return 2;
+    case ros::ROS_TYPE_INT16:
+      return 2;
     case ros::ROS_TYPE_FLOAT:
     case ros::ROS_TYPE_UINT32:
-    case ros::ROS_TYPE_INT32: return 4;
+    case ros::ROS_TYPE_INT32:
+      return 4;
     case ros::ROS_TYPE_DOUBLE:
     case ros::ROS_TYPE_UINT64:
-    case ros::ROS_TYPE_INT64: return 8;
-    case ros::ROS_TYPE_LONG_DOUBLE: return sizeof(long double);
-    case ros::ROS_TYPE_STRING: return sizeof(std::string);
-    case ros::ROS_TYPE_WSTRING: return sizeof(std::u16string);
-    default: return 0;
+    case ros::ROS_TYPE_INT64:
+      return 8;
+    case ros::ROS_TYPE_LONG_DOUBLE:
+      return sizeof(long double);
+    case ros::ROS_TYPE_STRING:
+      return sizeof(std::string);
+    case ros::ROS_TYPE_WSTRING:
+      return sizeof(std::u16string);
+    default:
+      return 0;
   }
 }
 
 inline ElementKind ros_element_kind(std::uint8_t type_id) noexcept {
   namespace ros = rosidl_typesupport_introspection_cpp;
   switch (type_id) {
-    case ros::ROS_TYPE_BOOLEAN: return ElementKind::boolean;
-    case ros::ROS_TYPE_STRING: return ElementKind::string;
-    case ros::ROS_TYPE_WSTRING: return ElementKind::u16string;
-    case ros::ROS_TYPE_MESSAGE: return ElementKind::message;
-    default: return ElementKind::primitive;
+    case ros::ROS_TYPE_BOOLEAN:
+      return ElementKind::boolean;
+    case ros::ROS_TYPE_STRING:
+      return ElementKind::string;
+    case ros::ROS_TYPE_WSTRING:
+      return ElementKind::u16string;
+    case ros::ROS_TYPE_MESSAGE:
+      return ElementKind::message;
+    default:
+      return ElementKind::primitive;
   }
 }
 
 inline MessageTable read_ros_message(const void* table) {
   const RosMembers& members = *static_cast<const RosMembers*>(table);
-  return {members.message_namespace_, members.message_name_, members.size_of_, members.member_count_};
+  return {members.message_namespace_, members.message_name_, members.size_of_,
+          members.member_count_};
 }
 
 inline FieldTable read_ros_field(const void* table, std::size_t index) {
@@ -101,7 +117,8 @@ inline FieldTable read_ros_field(const void* table, std::size_t index) {
 }
 
 inline void construct_ros_message(const void* table, void* memory) {
-  static_cast<const RosMembers*>(table)->init_function(memory, rosidl_runtime_cpp::MessageInitialization::ALL);
+  static_cast<const RosMembers*>(table)->init_function(
+      memory, rosidl_runtime_cpp::MessageInitialization::ALL);
 }
 inline void destroy_ros_message(const void* table, void* memory) {
   static_cast<const RosMembers*>(table)->fini_function(memory);
@@ -115,7 +132,8 @@ struct MessageTraits<T, std::enable_if_t<rosidl_generator_traits::is_message<T>:
     return {&detail::read_ros_message, &detail::read_ros_field, &detail::construct_ros_message,
             &detail::destroy_ros_message};
   }
-  /// The introspection table, from the type support that is linked with the message package; null if there is none.
+  /// The introspection table, from the type support that is linked with the message package; null
+  /// if there is none.
   static const void* table() noexcept {
     const rosidl_message_type_support_t* support =
         rosidl_typesupport_introspection_cpp::get_message_type_support_handle<T>();

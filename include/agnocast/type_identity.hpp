@@ -2,10 +2,11 @@
 //
 // Type identity: when do two processes mean the same C++ type, byte for byte?
 //
-// A type is (name, layout hash). Publisher and subscription must agree in both, or they are not matched. The layout hash
-// covers what the type's own description says (members, offsets, sizes) and what changes layouts silently and is said
-// nowhere: the standard library, its ABI switches, its debug mode, the machine. This header holds the second half, because
-// only the user's own translation unit knows it; client/message_type.cpp holds the first.
+// A type is (name, layout hash). Publisher and subscription must agree in both, or they are not
+// matched. The layout hash covers what the type's own description says (members, offsets, sizes)
+// and what changes layouts silently and is said nowhere: the standard library, its ABI switches,
+// its debug mode, the machine. This header holds the second half, because only the user's own
+// translation unit knows it; client/message_type.cpp holds the first.
 #pragma once
 
 #include <cfloat>
@@ -17,13 +18,15 @@
 #include <vector>
 
 #if defined(__GLIBCXX__) && (!defined(_GLIBCXX_USE_CXX11_ABI) || !_GLIBCXX_USE_CXX11_ABI)
-#error "agnocast: the old string ABI (_GLIBCXX_USE_CXX11_ABI=0) shares string buffers by a counter beside the text, \
+#error \
+    "agnocast: the old string ABI (_GLIBCXX_USE_CXX11_ABI=0) shares string buffers by a counter beside the text, \
 which subscribers could not write; compile with _GLIBCXX_USE_CXX11_ABI=1"
 #endif
 
 namespace agnocast {
 
-/// What is compared when a publisher meets a subscription. `name` belongs to the MessageType it came from.
+/// What is compared when a publisher meets a subscription. `name` belongs to the MessageType it
+/// came from.
 struct TypeIdentity {
   std::string_view name;
   std::uint64_t layout_hash = 0;
@@ -31,18 +34,23 @@ struct TypeIdentity {
   friend bool operator==(const TypeIdentity& a, const TypeIdentity& b) noexcept {
     return a.layout_hash == b.layout_hash && a.name == b.name;
   }
-  friend bool operator!=(const TypeIdentity& a, const TypeIdentity& b) noexcept { return !(a == b); }
+  friend bool operator!=(const TypeIdentity& a, const TypeIdentity& b) noexcept {
+    return !(a == b);
+  }
 };
 
-/// FNV-1a, 64 bits, over an unambiguous encoding: integers as eight bytes, texts with their length in front.
+/// FNV-1a, 64 bits, over an unambiguous encoding: integers as eight bytes, texts with their length
+/// in front.
 ///
-/// Why 64 bits are enough: the hash is compared only between types of the same name, so what must not collide are the few
-/// versions of one message that a machine ever has. A thousand versions collide with a chance of 2^-45 (n²/2 pairs over
-/// 2^64). It is no defence against a forger, who needs none: whoever may publish may write any bytes anyway.
+/// Why 64 bits are enough: the hash is compared only between types of the same name, so what must
+/// not collide are the few versions of one message that a machine ever has. A thousand versions
+/// collide with a chance of 2^-45 (n²/2 pairs over 2^64). It is no defence against a forger, who
+/// needs none: whoever may publish may write any bytes anyway.
 class LayoutHash {
  public:
   constexpr LayoutHash& add(std::uint64_t number) noexcept {
-    for (int shift = 0; shift < 64; shift += 8) add_byte(static_cast<unsigned char>(number >> shift));
+    for (int shift = 0; shift < 64; shift += 8)
+      add_byte(static_cast<unsigned char>(number >> shift));
     return *this;
   }
   constexpr LayoutHash& add(std::string_view text) noexcept {
@@ -50,7 +58,9 @@ class LayoutHash {
     for (char letter : text) add_byte(static_cast<unsigned char>(letter));
     return *this;
   }
-  constexpr void add_byte(unsigned char byte) noexcept { value_ = (value_ ^ byte) * 1099511628211U; }
+  constexpr void add_byte(unsigned char byte) noexcept {
+    value_ = (value_ ^ byte) * 1099511628211U;
+  }
   constexpr std::uint64_t value() const noexcept { return value_; }
 
  private:
@@ -61,7 +71,8 @@ namespace detail {
 
 constexpr std::uint64_t hash_of_build() noexcept {
   LayoutHash hash;
-  hash.add(std::string_view("agnocast layout 1"));  // the encoding itself: a new one is a new number
+  hash.add(
+      std::string_view("agnocast layout 1"));  // the encoding itself: a new one is a new number
 #if defined(_LIBCPP_VERSION)
   hash.add(std::string_view("libc++")).add(std::uint64_t{_LIBCPP_ABI_VERSION});
 #elif defined(__GLIBCXX__)

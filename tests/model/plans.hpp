@@ -99,6 +99,11 @@ inline constexpr QueuePlan mutant_plans[] = {
      .messages = 2,
      .sub = {none_planned, leaving(late(1), true)},
      .store_buffers = false},
+    {.name = "s1 late M=1 K=1 D=1, leaves and joins again, the publisher leaves",
+     .messages = 1,
+     .sub = {none_planned, leaving(late(1, true), true)},
+     .store_buffers = false,
+     .publisher_leaves = true},
 };
 
 // The proof proper.

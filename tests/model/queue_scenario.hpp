@@ -197,8 +197,10 @@ class QueueScenario {
     world.threads[daemon_main].pc = idle;
     for (std::uint32_t s = 0; s < 2; ++s) {
       const dataplane::LinkCore<MM>::Identity identity{
-          topic(),   words(),     {{sub_region0 + s}, se, 0}, 0, generation, first,
-          offered(), requested(s)};
+          topic(),   words(),      {{sub_region0 + s}, se, 0},
+          0,         generation,   first,
+          offered(), requested(s), 16,
+          16};
       new (world.state.sub[s]) SubscriptionPrivate(identity, {sub_region0 + s}, armed_offset());
       sub_private(world, s).last = 0;
       const SubscriptionPlan& sub = plan_.sub[s];
@@ -752,7 +754,7 @@ class QueueScenario {
           machine.fail("the announced publisher is not on the board");
           break;
         }
-        check_start(state, s, own.link.cursor(), from_start);
+        check_start(world, s, own.link.cursor(), from_start);
         own.last = own.link.cursor() - 1;
         thread.pc = plan.hangs ? hung : take;
         break;
@@ -869,7 +871,8 @@ class QueueScenario {
     state.held[s][state.held_count[s]++] = {taken->slot, taken->sequence};
   }
 
-  void check_start(const State& state, std::uint32_t s, std::uint64_t cursor, bool from_start) {
+  void check_start(const W& world, std::uint32_t s, std::uint64_t cursor, bool from_start) {
+    const State& state = world.state;
     if (from_start) {
       if (cursor != first + 1)
         machine.fail("a subscription that was there first misses the beginning");
@@ -880,6 +883,11 @@ class QueueScenario {
                                    : 0;
     const std::uint64_t earliest =
         std::max(first + 1, state.join_head[s] + 1 - std::min(back, state.join_head[s]));
+    // The head is monotone, so the one that the link was made with is at most the present one and at least the one of the request.
+    const std::uint64_t head_now = abi::sequence_of(peek(world, publisher_region, pe));
+    if (cursor > std::max(first + 1, head_now + 1 - std::min(back, head_now))) {
+      machine.fail("a late joiner does not get its history");
+    }
     if (cursor < earliest) machine.fail("a late joiner starts before it may");
   }
 

@@ -119,8 +119,16 @@ class Stage {
             first_sequence(), setup_.offered, slot_count, setup_.lazy_limit};
   }
   dataplane::LinkCore<M>::Identity link_identity() const {
-    return {topic(),          words(),        line(),          0, publisher_generation,
-            first_sequence(), setup_.offered, setup_.requested};
+    return {topic(),
+            words(),
+            line(),
+            0,
+            publisher_generation,
+            first_sequence(),
+            setup_.offered,
+            setup_.requested,
+            sizeof(Message),
+            alignof(Message)};
   }
 
   /// The child may write its own region only, the parent's side is read-only to it.
@@ -231,11 +239,13 @@ class SubscriberSide {
   explicit SubscriberSide(Stage& stage, bool in_publisher_process = false)
       : stage_(stage),
         in_publisher_process_(in_publisher_process),
+        reservation_(),
         link_(stage.link_identity()),
         heap_(stage.publisher_region()),
         sleep_(stage.subscriber_region(), armed_offset) {
-    if (!in_publisher_process &&
-        !heap_.add(stage.heap_base(), heap_bytes, reopen_read_only(stage.heap_fd()).value()))
+    if (in_publisher_process) return;
+    reservation_ = Mapping::reserve(stage.heap_base(), heap_bytes).value();
+    if (!heap_.add(0, stage.heap_base(), heap_bytes, reopen_read_only(stage.heap_fd()).value()))
       std::abort();
   }
 
@@ -282,6 +292,7 @@ class SubscriberSide {
 
   Stage& stage_;
   bool in_publisher_process_;
+  Mapping reservation_;
   dataplane::LinkCore<M> link_;
   PeerHeap heap_;
   dataplane::SleepCore<M> sleep_;
@@ -304,14 +315,17 @@ class Child {
     ::close(pair[1]);
     socket_.reset(pair[0]);
   }
-  ~Child() {
-    if (pid_ > 0) {
-      ::kill(pid_, SIGKILL);
-      ::waitpid(pid_, nullptr, 0);
-    }
-  }
+  ~Child() { end(); }
   Child(const Child&) = delete;
   Child& operator=(const Child&) = delete;
+
+  /// Kills it now.
+  void end() {
+    if (pid_ > 0) {
+      ::kill(pid_, SIGKILL);
+      ::waitpid(std::exchange(pid_, -1), nullptr, 0);
+    }
+  }
 
   /// The answer, or nothing when the child died of the command.
   std::optional<char> command(char what) {

@@ -166,7 +166,7 @@ class World {
     do {
       const LinkWords<M> line{subscriber_[s].base(), extent, 0};
       LinkCore<M> link({topic(), words(), line, 0, generation, first(), scenario_.offered,
-                        scenario_.requested[s]});
+                        scenario_.requested[s], sizeof(Payload), alignof(Payload)});
       {
         const std::lock_guard lock(control_);  // the daemon is one thread
         journal::BoardSteps<M>(topic()).add_subscription(s, ++own_generation,

@@ -16,10 +16,20 @@
 
 namespace agnocast::abi {
 
-//    0  epoch              u64  +1 after every membership change       [sync:join] seq_cst store at
-//    J3, acquire at P7 8  word               u64  generation | state of the topic
-//   64  publisher_high     u64  publisher indexes ever used             bound of every loop over
-//   them 72  subscription_high  u64  subscription indexes ever used
+//    0  magic  u64 · 8  fingerprint  u64 · 16  incarnation  u64    written once, before anybody sees it
+struct BoardHeader {
+  SharedWord magic;
+  SharedWord fingerprint;
+  SharedWord incarnation;  // of the daemon's tables; a board of another one is another system
+};
+inline constexpr std::uint64_t board_magic = 0x6472616f622e6761;  // "ag.board" in memory order
+static_assert(sizeof(BoardHeader) == 24 && sizeof(BoardHeader) <= page_bytes);
+
+//    0  epoch              u64  +1 after every membership change
+//                               [sync:join] seq_cst store at J3, acquire at P7
+//    8  word               u64  generation | state of the topic
+//   64  publisher_high     u64  publisher indexes ever used: bound of every loop over them
+//   72  subscription_high  u64  subscription indexes ever used
 struct TopicHeader {
   alignas(cache_line_bytes) SharedWord epoch;
   SharedWord word;
@@ -30,7 +40,7 @@ static_assert(sizeof(TopicHeader) == 128 && offsetof(TopicHeader, publisher_high
               offsetof(TopicHeader, subscription_high) == 72);
 
 //    0  word            u64  generation | state; written last, release  [sync:join]
-//    8  qos             u64
+//    8  qos             u64  packed
 //   16  client          u64  index of the process
 //   24  extent          u64  offset of its PublisherEndpoint in the client region, bytes
 //   32  slot_count      u64  N; only grows
@@ -50,8 +60,8 @@ static_assert(sizeof(PublisherEntry) == 64 && offsetof(PublisherEntry, qos) == 8
               offsetof(PublisherEntry, first_sequence) == 40 &&
               offsetof(PublisherEntry, final_head) == 48);
 
-//    0  word      u64  generation | state; written last, release        [sync:join]
-//    8  qos       u64
+//    0  word      u64  generation | state; written last, release  [sync:join]
+//    8  qos       u64  packed
 //   16  client    u64  index of the process
 //   24  extent    u64  offset of its subscription endpoint in the client region, bytes
 //   32  quota     u64  messages it may hold, per publisher
@@ -77,6 +87,10 @@ constexpr std::uint64_t subscription_entry_offset(std::uint64_t publishers,
 inline constexpr std::uint64_t topic_bytes =
     subscription_entry_offset(publisher_count_max, subscription_count_max);
 static_assert(topic_bytes == 65536);
+constexpr std::uint64_t topic_offset(std::uint64_t topic) noexcept {
+  return page_bytes + topic * topic_bytes;
+}
+inline constexpr std::uint64_t board_bytes = topic_offset(topic_count_max);
 static_assert(std::is_standard_layout_v<TopicHeader> && std::is_standard_layout_v<PublisherEntry>);
 
 }  // namespace agnocast::abi

@@ -3,7 +3,7 @@
 // Client region: one memfd per process, written by that process alone, mapped read-only by its
 // peers. Sparse; extents for endpoints are handed out by the daemon in whole pages.
 //
-//      0  header page      windows, activity, executors
+//      0  header page      windows, executors
 //   4096  extents …        publisher endpoints and subscription endpoints, in any order
 #pragma once
 
@@ -22,12 +22,11 @@ static_assert(SharedWord::is_always_lock_free && sizeof(SharedWord) == 8);
 // One message in a publisher's queue.   W = the publisher's process; everybody else maps them
 // read-only.
 //
-//    0  id         u64  0 free · sequence live · retired_mark|sequence   [sync:publish] release at
-//    P3; acquire at T3, seq_cst at T5 8  address    u64  inside one of the publisher's windows
-//    stable while id is live or a hold bit is set
-//   16  stamp_ns   u64  CLOCK_MONOTONIC at commit                        orders several publishers;
-//   a hint, never trusted 24  size       u64  sizeof the message object, bytes readers check
-//   address + size against the window
+//    0  id        u64  0 free · sequence live · retired_mark|sequence
+//                      [sync:publish] release at P3; acquire at T3, seq_cst at T5
+//    8  address   u64  inside a window; stable while id is live or a hold bit is set
+//   16  stamp_ns  u64  CLOCK_MONOTONIC at commit; orders several publishers, a hint, never trusted
+//   24  size      u64  sizeof the message object; readers check address + size
 struct alignas(32) QueueSlot {
   SharedWord id;
   SharedWord address;
@@ -37,15 +36,15 @@ struct alignas(32) QueueSlot {
 static_assert(sizeof(QueueSlot) == 32 && offsetof(QueueSlot, address) == 8 &&
               offsetof(QueueSlot, stamp_ns) == 16 && offsetof(QueueSlot, size) == 24);
 
-// Publisher endpoint, an extent of its process's client region.   W = that process.
+// Publisher endpoint, an extent of its process's client region.   W = that process; the daemon writes
+// the initial head, and what recovery rolls back once the process is dead.
 //
-//    0  head        u64  sequence<<16 | slot of the newest message        [sync:publish] COMMIT:
-//    release at P5, acquire at T1
-//   64  intent      op, sequence, slot                                    read by the daemon after
-//   the owner's death
-//  128  order[R]    u64  sequence<<16 | slot, at sequence mod R           [sync:publish] release at
-//  P4, acquire at T2 …    slot[N]     QueueSlot                                             at 128
-//  + R×8
+//    0  head      u64  sequence<<16 | slot of the newest message
+//                      [sync:publish] COMMIT: release at P5, acquire at T1
+//   64  intent         op, sequence, slot; read by the daemon after the owner's death
+//  128  order[R]  u64  sequence<<16 | slot, at sequence mod R
+//                      [sync:publish] release at P4, acquire at T2
+//    …  slot[N]        QueueSlot, from 128 + R×8
 struct PublisherEndpoint {
   alignas(cache_line_bytes) SharedWord head;
   alignas(cache_line_bytes) SharedWord intent_op;
@@ -67,11 +66,12 @@ constexpr std::uint64_t slot_offset(std::uint64_t ring, std::uint64_t index) noe
 // How one subscription stands towards one publisher; link[j] for the publisher with board index j.
 // W = the subscriber's process.
 //
-//    0  publisher_generation  u64  0 = not linked                         [sync:link] seq_cst at
-//    J6, acquire at P9 8  cursor                u64  next sequence number wanted [sync:direct-free]
-//    release at T7, acquire at P9
-//   16  hold[6]               u64  bit i = "I hold slot i", slots 0…383   [sync:hold] seq_cst at
-//   T4, release at L1, acquire at P9
+//    0  publisher_generation  u64  0 = not linked
+//                                  [sync:link] seq_cst at J6, acquire at P9
+//    8  cursor                u64  next sequence number wanted
+//                                  [sync:direct-free] release at T7, acquire at P9
+//   16  hold[6]               u64  bit i = "I hold slot i", slots 0…383
+//                                  [sync:hold] seq_cst at T4, release at L1, acquire at P9
 struct alignas(cache_line_bytes) LinkLine {
   SharedWord publisher_generation;
   SharedWord cursor;
@@ -94,8 +94,8 @@ constexpr std::uint64_t far_hold_offset(std::uint64_t publisher_count, std::uint
 
 // One executor's sleep word.   W = the process that sleeps.
 //
-//    0  armed   u64  generation; odd = asleep or about to sleep           [sync:sleep] relaxed +
-//    fence at S1/S2, relaxed at P8
+//    0  armed  u64  generation; odd = asleep or about to sleep
+//                   [sync:sleep] relaxed + fence at S1/S2, relaxed at P8
 struct alignas(cache_line_bytes) ExecutorLine {
   SharedWord armed;
 };
@@ -104,9 +104,10 @@ static_assert(sizeof(ExecutorLine) == 64);
 // A heap window as its owner sees it. Peers take base and length from the daemon's announcement and
 // only the frontier from here.
 //
-//    0  base      u64  address        8  length  u64 bytes
+//    0  base      u64  address
+//    8  length    u64  bytes
 //   16  frontier  u64  bytes from base that are in use, a multiple of the page; only grows
-//   [sync:frontier] release, acquire at T6
+//                      [sync:frontier] release, acquire at T6
 struct alignas(32) WindowEntry {
   SharedWord base;
   SharedWord length;
@@ -115,27 +116,32 @@ struct alignas(32) WindowEntry {
 };
 static_assert(sizeof(WindowEntry) == 32 && offsetof(WindowEntry, frontier) == 16);
 
-// First page of a client region.   W = its process, but for magic and fingerprint, which the daemon
-// writes before it hands it out.
+// First page of a client region.   W = its process, but for magic, fingerprint and generation, which
+// the daemon writes before it hands the region out.
 //
-//     0  magic        u64      8  fingerprint  u64     16  client generation  u64
-//    64  activity     u64  +1 per publish of this process; one line to re-check instead of all
-//    heads
-//   128  window[8]    WindowEntry
-//   512  executor[32] ExecutorLine
+//     0  magic         u64
+//     8  fingerprint   u64
+//    16  generation    u64  of the client
+//   128  window[8]     WindowEntry
+//   512  executor[32]  ExecutorLine
 struct ClientRegionHeader {
   SharedWord magic;
   SharedWord fingerprint;
   SharedWord generation;
-  alignas(cache_line_bytes) SharedWord activity;
-  alignas(cache_line_bytes) WindowEntry window[window_count_max];
+  alignas(2 * cache_line_bytes) WindowEntry window[window_count_max];
   alignas(cache_line_bytes) std::byte reserved[128];
   ExecutorLine executor[executor_count_max];
 };
-static_assert(offsetof(ClientRegionHeader, activity) == 64 &&
-              offsetof(ClientRegionHeader, window) == 128 &&
+inline constexpr std::uint64_t client_region_magic = 0x67657263742e6761;  // "ag.tcreg" in memory order
+static_assert(offsetof(ClientRegionHeader, window) == 128 &&
               offsetof(ClientRegionHeader, executor) == 512);
 static_assert(sizeof(ClientRegionHeader) <= page_bytes);
 static_assert(std::is_standard_layout_v<ClientRegionHeader>);
+
+// What an endpoint gets of its process's region: whole pages, enough for the largest geometry.
+constexpr std::uint64_t whole_pages(std::uint64_t bytes) noexcept { return (bytes + page_bytes - 1) / page_bytes * page_bytes; }
+inline constexpr std::uint64_t publisher_extent_bytes = whole_pages(slot_offset(ring_count, slot_count_max));
+inline constexpr std::uint64_t subscription_extent_bytes =
+    whole_pages(far_hold_offset(publisher_count_max, publisher_count_max, 0));
 
 }  // namespace agnocast::abi

@@ -43,6 +43,8 @@ inline constexpr std::uint32_t client_count_max = 2048;
 // Heap windows of one process: the first and its growth (each the configured length, 16 GiB by
 // default).
 inline constexpr std::uint32_t window_count_max = 8;
+// Where windows begin and how long they are: whole huge pages, so that the kernel can use them.
+inline constexpr std::uint64_t window_granule_bytes = 2 << 20;
 // Executors of one process: one line each in the first page of the client region beside the
 // windows.
 inline constexpr std::uint32_t executor_count_max = 32;

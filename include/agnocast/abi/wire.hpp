@@ -11,24 +11,25 @@
 //
 // docs/control-plane.md says what each message means and in which order they come.
 //
+// clang-format off
 //   client → daemon       body               answer              descriptors of the answer
-//   hello                 Hello              welcome             board (read), client region
-//   (write) open_window           WindowRequest      window_opened       window (write), window
-//   (read) open_executor         ExecutorRequest    executor_opened     eventfd, datagram socket
+//   hello                 Hello              welcome             board (read), region (write)
+//   open_window           WindowRequest      window_opened       window (write), window (read)
+//   open_executor         ExecutorRequest    executor_opened     eventfd, datagram socket
 //   create_publisher      CreateEndpoint     endpoint_created
 //   create_subscription   CreateEndpoint     endpoint_created
-//   leave                 Reference          done                the endpoint takes or publishes no
-//   more drained               Reference          done                (subscription) nothing held,
-//   line zeroed unlinked              Unlinked           –                   rule RU: nothing of it
-//   is mapped or linked any more any request may be answered by `refused`
+//   leave                 Reference          done                takes or publishes no more
+//   drained               Reference          done                nothing held, lines zeroed
+//   unlinked              Unlinked           –                   rule RU: not mapped any more
+//   any request may be answered by `refused`
 //
 //   daemon → client, unasked
-//   announce              Announcement       client region (read), windows (read), doorbells: as
-//   the body says window_announced      WindowAnnounced    window (read) forget Reference –    a
-//   subscription is over: detach it, then say unlinked orphaned              Orphaned           –
-//   a publisher is gone: drain it, then say unlinked kick                  Reference          –
-//   make a pass over this publisher's queue notice                Notice             – incompatible
-//   QoS, type mismatch, …
+//   announce              Announcement       region (read), windows (read), bells: see the body
+//   window_announced      WindowAnnounced    window (read)
+//   forget                Reference          a subscription is over: detach it, say unlinked
+//   orphaned              Orphaned           a publisher is gone: drain it, then say unlinked
+//   kick                  Reference          make a pass over this publisher's queue
+//   notice                Notice             incompatible QoS, type mismatch, …
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
@@ -189,7 +190,7 @@ struct Announcement {
       from_start;  // publisher: it joined after the subscription, so nothing of it may be missed
   std::uint32_t window_count;    // publisher
   std::uint32_t doorbell_count;  // subscription: 1 datagram socket, 2 eventfd (same user), then
-                                 // datagram socket
+                                 // datagram socket, 0 nobody listens any more
   std::uint32_t reserved;
   struct Window {
     std::uint64_t base;

@@ -62,7 +62,8 @@ struct Pair {
   PublisherWords<M> words() { return {publisher.base(), extent}; }
   LinkWords<M> line(std::uint64_t s) { return {subscriber[s].base(), extent, 0}; }
   LinkCore<M> link(std::uint64_t s) {
-    return LinkCore<M>({topic(), words(), line(s), 0, generation, first(), offered, requested});
+    return LinkCore<M>(
+        {topic(), words(), line(s), 0, generation, first(), offered, requested, 0, 8});
   }
   Pair() {
     words().head().store(abi::pack_entry(first(), 0));
@@ -119,7 +120,8 @@ TEST(Dataplane, TakesOnlyFromTheAnnouncedWindowWhateverThePublisherWrites) {
           case 3:
             pair.words()
                 .slot_address(random() % 100)
-                .store(random() % 2 == 0 ? nasty(random) : 0xfff00 + random() % 0x100400);
+                .store(random() % 2 == 0 ? nasty(random)
+                                         : (0xfff00 + random() % 0x100400) & ~std::uint64_t{7});
             break;
           case 4:
             pair.words()
@@ -135,7 +137,8 @@ TEST(Dataplane, TakesOnlyFromTheAnnouncedWindowWhateverThePublisherWrites) {
         const std::uint64_t sequence = link.cursor();
         const std::uint64_t slot = random() % 64;
         pair.words().slot_address(slot).store(random() % 2 == 0 ? nasty(random)
-                                                                : 0xfff00 + random() % 0x100400);
+                                                                : (0xfff00 + random() % 0x100400) &
+                                                                      ~std::uint64_t{7});
         pair.words().slot_size(slot).store(random() % 2 == 0 ? nasty(random) : random() % 0x2000);
         pair.words().slot_id(slot).store(sequence);
         pair.words().order(sequence).store(abi::pack_entry(sequence, slot));

@@ -1,0 +1,203 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <base/packet_socket.hpp>
+#include <base/unix_address.hpp>
+
+#include <sys/stat.h>
+#include <sys/uio.h>
+
+#include <cerrno>
+#include <cstring>
+
+#ifndef SO_PASSRIGHTS
+#define SO_PASSRIGHTS 83  // Linux 6.16; another number on parisc and sparc, which we do not support
+#endif
+
+namespace agnocast {
+namespace {
+
+constexpr std::size_t descriptor_count_max = abi::wire::descriptor_count_max;
+// Room for both kinds of ancillary data at once. Padding lets the kernel deliver a few descriptors
+// more than descriptor_count_max here; take_control() closes them.
+constexpr std::size_t control_bytes =
+    CMSG_SPACE(sizeof(int) * descriptor_count_max) + CMSG_SPACE(sizeof(ucred));
+
+int flags_of(Wait wait) noexcept { return wait == Wait::no ? MSG_DONTWAIT : 0; }
+
+// Every descriptor in the control data gets its owner here, wanted or not.
+void take_control(msghdr& message, Packet& packet) noexcept {
+  for (cmsghdr* part = CMSG_FIRSTHDR(&message); part != nullptr;
+       part = CMSG_NXTHDR(&message, part)) {
+    if (part->cmsg_level != SOL_SOCKET || part->cmsg_len < CMSG_LEN(0)) continue;
+    const std::size_t bytes = part->cmsg_len - CMSG_LEN(0);
+    const unsigned char* const data = CMSG_DATA(part);
+    if (part->cmsg_type == SCM_RIGHTS) {
+      for (std::size_t at = 0; at + sizeof(int) <= bytes; at += sizeof(int)) {
+        int number = -1;
+        std::memcpy(&number, data + at, sizeof number);
+        UniqueFd fd(number);
+        if (packet.descriptor_count < descriptor_count_max) {
+          packet.descriptors[packet.descriptor_count++] = std::move(fd);
+        } else {
+          packet.descriptors_lost = true;
+        }
+      }
+    } else if (part->cmsg_type == SCM_CREDENTIALS && bytes >= sizeof(ucred)) {
+      std::memcpy(&packet.credentials.emplace(), data, sizeof(ucred));
+    }
+  }
+}
+
+Result<void> pass_credentials(int fd, bool wanted) noexcept {
+  const int value = wanted ? 1 : 0;
+  if (::setsockopt(fd, SOL_SOCKET, SO_PASSCRED, &value, sizeof value) != 0)
+    return fail(Errc::os_failure, "asking for the credentials of a sender", errno);
+  return {};
+}
+
+}  // namespace
+
+Result<PacketSocket> PacketSocket::connect(std::string_view path) noexcept {
+  const auto address = unix_address(path);
+  if (!address) return tl::unexpected(address.error());
+  UniqueFd fd(::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0));
+  if (!fd) return fail(Errc::os_failure, "making a socket", errno);
+  // A signal while we wait for room in the listener's queue: nothing has happened yet, ask again.
+  int status = 0;
+  do {
+    status = ::connect(fd.get(), address->get(), UnixAddress::size());
+  } while (status != 0 && errno == EINTR);
+  if (status == 0) return PacketSocket(std::move(fd));
+  switch (errno) {
+    case ENOENT:
+    case ECONNREFUSED:
+      return fail(Errc::daemon_not_running, "connecting to a socket", errno);
+    case EACCES:
+    case EPERM:
+      return fail(Errc::permission_denied, "connecting to a socket", errno);
+    default:
+      return fail(Errc::os_failure, "connecting to a socket", errno);
+  }
+}
+
+Result<std::pair<PacketSocket, PacketSocket>> PacketSocket::pair() noexcept {
+  int ends[2];
+  if (::socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends) != 0)
+    return fail(Errc::os_failure, "making a pair of sockets", errno);
+  return std::pair(PacketSocket(UniqueFd(ends[0])), PacketSocket(UniqueFd(ends[1])));
+}
+
+Result<Sent> PacketSocket::send(std::span<const std::byte> bytes, std::span<const int> fds,
+                                Wait wait) const noexcept {
+  if (bytes.empty()) return fail(Errc::invalid_argument, "a packet to send is empty");
+  if (fds.size() > descriptor_count_max)
+    return fail(Errc::invalid_argument, "a packet to send has too many descriptors");
+
+  iovec data{const_cast<std::byte*>(bytes.data()), bytes.size()};
+  msghdr message{};
+  message.msg_iov = &data;
+  message.msg_iovlen = 1;
+  alignas(cmsghdr) std::byte control[control_bytes]{};
+  if (!fds.empty()) {
+    message.msg_control = control;
+    message.msg_controllen = CMSG_SPACE(fds.size_bytes());
+    cmsghdr* part = CMSG_FIRSTHDR(&message);
+    part->cmsg_level = SOL_SOCKET;
+    part->cmsg_type = SCM_RIGHTS;
+    part->cmsg_len = CMSG_LEN(fds.size_bytes());
+    std::memcpy(CMSG_DATA(part), fds.data(), fds.size_bytes());
+  }
+  ssize_t status = 0;
+  do {
+    status = ::sendmsg(fd_.get(), &message, MSG_NOSIGNAL | flags_of(wait));
+  } while (status < 0 && errno == EINTR);
+  if (status >= 0) return Sent::sent;  // SEQPACKET: all of it
+  switch (errno) {
+    case EAGAIN:
+      return Sent::would_block;
+    case EPIPE:
+    case ECONNRESET:
+    case ENOTCONN:
+      return Sent::peer_gone;
+    default:
+      return fail(Errc::os_failure, "sending a packet", errno);
+  }
+}
+
+Result<Packet> PacketSocket::receive(std::span<std::byte> buffer, Wait wait) const noexcept {
+  Packet packet;
+  iovec data{buffer.data(), buffer.size()};
+  alignas(cmsghdr) std::byte control[control_bytes];
+  msghdr message{};
+  ssize_t status = 0;
+  // A peer that closes without having read everything leaves ECONNRESET *in front of* the packets
+  // it had sent. The kernel reports it once; what it sent is still owed to the caller.
+  bool reset_seen = false;
+  for (;;) {
+    message = {};
+    message.msg_iov = &data;
+    message.msg_iovlen = 1;
+    message.msg_control = control;
+    message.msg_controllen = sizeof control;
+    status = ::recvmsg(fd_.get(), &message, MSG_CMSG_CLOEXEC | flags_of(wait));
+    if (status >= 0) break;
+    if (errno == EINTR) continue;
+    if (errno == EAGAIN) return packet;
+    if (errno != ECONNRESET) return fail(Errc::os_failure, "receiving a packet", errno);
+    if (std::exchange(reset_seen, true)) {
+      packet.kind = Packet::Kind::end;
+      return packet;
+    }
+  }
+  take_control(message, packet);
+  packet.descriptors_lost = packet.descriptors_lost || (message.msg_flags & MSG_CTRUNC) != 0;
+  packet.truncated = (message.msg_flags & MSG_TRUNC) != 0;
+  packet.bytes = static_cast<std::size_t>(status);
+  packet.kind = status == 0 && !packet.truncated ? Packet::Kind::end : Packet::Kind::data;
+  return packet;
+}
+
+Result<void> PacketSocket::want_credentials(bool wanted) const noexcept {
+  return pass_credentials(fd_.get(), wanted);
+}
+
+Result<PacketListener> PacketListener::listen(std::string_view path) noexcept {
+  const auto address = unix_address(path);
+  if (!address) return tl::unexpected(address.error());
+  UniqueFd fd(::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
+  if (!fd) return fail(Errc::os_failure, "making a socket", errno);
+  // bind() gives the entry the mode of the socket's own inode, less the umask: never open to more
+  // people than the caller says, not even for a moment.
+  if (::fchmod(fd.get(), 0600) != 0)
+    return fail(Errc::os_failure, "restricting a socket to its owner", errno);
+  if (::bind(fd.get(), address->get(), UnixAddress::size()) != 0) {
+    if (errno == EADDRINUSE) return fail(Errc::already_running, "binding a socket", errno);
+    if (errno == EACCES || errno == EPERM)
+      return fail(Errc::permission_denied, "binding a socket", errno);
+    return fail(Errc::os_failure, "binding a socket", errno);
+  }
+  if (::listen(fd.get(), SOMAXCONN) != 0)
+    return fail(Errc::os_failure, "listening at a socket", errno);
+  return PacketListener(std::move(fd));
+}
+
+Result<std::optional<PacketSocket>> PacketListener::accept() const noexcept {
+  for (;;) {
+    UniqueFd fd(::accept4(fd_.get(), nullptr, nullptr, SOCK_CLOEXEC | SOCK_NONBLOCK));
+    if (fd) return std::optional(PacketSocket(std::move(fd)));
+    if (errno == EAGAIN) return std::optional<PacketSocket>();
+    if (errno != EINTR && errno != ECONNABORTED)
+      return fail(Errc::os_failure, "accepting a connection", errno);
+  }
+}
+
+Result<void> PacketListener::want_credentials(bool wanted) const noexcept {
+  return pass_credentials(fd_.get(), wanted);
+}
+
+bool refuse_descriptors(int socket) noexcept {
+  const int wanted = 0;
+  return ::setsockopt(socket, SOL_SOCKET, SO_PASSRIGHTS, &wanted, sizeof wanted) == 0;
+}
+
+}  // namespace agnocast

@@ -1,0 +1,23 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Text of others, made fit to be shown: in log lines and in messages to people. And what somebody
+// probably meant who misspelt one of a few words.
+#pragma once
+
+#include <cstddef>
+#include <span>
+#include <string>
+#include <string_view>
+
+namespace agnocast {
+
+/// `text` in printable ASCII without quotes and backslashes of its own: \n, \t, \\, \", and \xNN
+/// for the rest. Text longer than `length_max` bytes is cut before escaping and ends in "...".
+std::string escaped(std::string_view text, std::size_t length_max = 256);
+/// The same between quotes.
+std::string in_quotes(std::string_view text, std::size_t length_max = 256);
+
+/// The word that is spelt most alike; empty when none is near (more than a third of it differs).
+std::string_view nearest(std::string_view wanted, std::span<const std::string_view> words);
+
+}  // namespace agnocast

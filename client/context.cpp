@@ -1,0 +1,713 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <client/context.hpp>
+
+#include <agnocast/abi/fingerprint.hpp>
+
+#include <poll.h>
+#include <pthread.h>
+#include <signal.h>
+#include <sys/epoll.h>
+#include <sys/eventfd.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <utility>
+
+namespace agnocast {
+
+namespace wire = abi::wire;
+using wire::Kind;
+using wire::Opcode;
+
+namespace {
+
+// Passes over an idle publisher: soon after the last publish, then ever more rarely
+// (docs/protocol.md, who runs a pass).
+constexpr int timer_first_ms = 100;
+constexpr int timer_last_ms = 1000;
+
+std::string socket_path() {
+  if (const char* named = std::getenv("AGNOCAST_SOCKET"); named != nullptr && *named != '\0')
+    return named;
+  constexpr const char* system_socket = "/run/agnocast/agnocastd.sock";
+  if (::access(system_socket, F_OK) == 0) return system_socket;
+  if (const char* runtime = std::getenv("XDG_RUNTIME_DIR"); runtime != nullptr && *runtime == '/') {
+    return std::string(runtime) + "/agnocast/agnocastd.sock";
+  }
+  return system_socket;
+}
+
+std::uint64_t domain_id() noexcept {
+  const char* text = std::getenv("ROS_DOMAIN_ID");
+  return text != nullptr ? std::strtoull(text, nullptr, 10) : 0;
+}
+
+std::string process_name() {
+  char name[16] = "";
+  ::pthread_getname_np(::pthread_self(), name, sizeof name);
+  return name;
+}
+
+/// What lies inside [base, base + bytes), as /proc/self/maps tells it.
+std::string what_lies_in(std::uint64_t base, std::uint64_t bytes) {
+  std::FILE* const maps = std::fopen("/proc/self/maps", "re");
+  if (maps == nullptr) return {};
+  char line[512];
+  std::string found;
+  while (found.empty() && std::fgets(line, sizeof line, maps) != nullptr) {
+    unsigned long long begin = 0, end = 0;
+    if (std::sscanf(line, "%llx-%llx", &begin, &end) == 2 && end > base && begin < base + bytes)
+      found = line;
+  }
+  std::fclose(maps);
+  while (!found.empty() && found.back() == '\n') found.pop_back();
+  return found;
+}
+
+}  // namespace
+
+Context& Context::instance() noexcept {
+  static Context* const context =
+      new Context;  // immortal: messages in statics outlive every static of ours
+  return *context;
+}
+
+bool Context::is_connected() const noexcept {
+  return pid_.load(std::memory_order_acquire) == ::getpid();
+}
+
+std::string Context::detail() const {
+  const std::lock_guard lock(connecting_);
+  return detail_;
+}
+
+// --- connecting ---
+
+Result<void> Context::connect() {
+  const std::lock_guard lock(connecting_);
+  const int pid = pid_.load(std::memory_order_acquire);
+  if (pid != 0) {
+    if (pid != ::getpid())
+      return fail(Errc::shut_down, "this process is a forked child of one that uses agnocast");
+    if (ended_.load(std::memory_order_acquire))
+      return fail(Errc::daemon_not_running, "the connection to agnocastd has ended");
+    return {};
+  }
+  const std::string path = socket_path();
+  detail_ = path;
+  if (Result<void> said = say_hello(path); !said) {
+    connection_.reset();
+    region_ = {};
+    arena_.reset();
+    board_.reset();
+    return said;
+  }
+  pid_.store(::getpid(), std::memory_order_release);
+  // The control thread takes no signals: those are the application's.
+  sigset_t all, before;
+  ::sigfillset(&all);
+  ::pthread_sigmask(SIG_SETMASK, &all, &before);
+  thread_ = std::thread([this] { serve(); });
+  ::pthread_sigmask(SIG_SETMASK, &before, nullptr);
+  ::pthread_setname_np(thread_.native_handle(), "agnocast-ctl");
+  return {};
+}
+
+Result<void> Context::say_hello(const std::string& path) {
+  Result<PacketSocket> socket = PacketSocket::connect(path);
+  if (!socket) return tl::unexpected<Failure>(socket.error());
+  connection_ = std::make_unique<Connection>(std::move(*socket));
+
+  wire::Hello hello{};
+  hello.fingerprint = abi::fingerprint();
+  hello.domain = domain_id();
+  write_name(hello.process_name, process_name());
+  connection_->post(Opcode::hello, hello, 1);
+  Incoming packet;
+  if (Result<void> first = connection_->receive_first(packet); !first) return first;
+  wire::Welcome welcome{};
+  if (packet.header().opcode != Opcode::welcome || !packet.read(welcome) ||
+      packet.packet.descriptor_count != 2) {
+    return fail(Errc::protocol_violation, "the welcome of agnocastd");
+  }
+  if (welcome.fingerprint != abi::fingerprint())
+    return fail(Errc::layout_mismatch, "the welcome of agnocastd");
+  client_ = welcome.client;
+  client_generation_ = welcome.client_generation;
+  if (Result<void> reserved = reserve_arena(welcome.arena_base, welcome.arena_bytes); !reserved)
+    return reserved;
+
+  const auto fds = packet.packet.fds();
+  Result<Mapping> board = Mapping::map(fds[0].get(), abi::board_bytes, Mapping::Access::read);
+  if (!board) return tl::unexpected<Failure>(board.error());
+  board_ = std::move(*board);
+  Result<SparseRegion> region = SparseRegion::make(std::move(fds[1]), welcome.client_region_bytes,
+                                                   Mapping::Access::read_write);
+  if (!region) return tl::unexpected<Failure>(region.error());
+  region_ = std::move(*region);
+  if (Result<void> opened = region_.open(0, abi::page_bytes); !opened) return opened;
+
+  epoll_.reset(::epoll_create1(EPOLL_CLOEXEC));
+  wake_.reset(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
+  if (!epoll_ || !wake_) return fail(Errc::os_failure, "preparing the control thread", errno);
+  for (const int fd : {connection_->fd(), wake_.get()}) {
+    epoll_event event{};
+    event.events = EPOLLIN;
+    event.data.fd = fd;
+    if (::epoll_ctl(epoll_.get(), EPOLL_CTL_ADD, fd, &event) != 0)
+      return fail(Errc::os_failure, "preparing the control thread", errno);
+  }
+  return {};
+}
+
+Result<void> Context::reserve_arena(std::uint64_t base, std::uint64_t bytes) {
+  Result<Mapping> arena = Mapping::reserve(base, bytes);
+  if (!arena) {
+    const int why = arena.error().os_errno;
+    if (why == EEXIST) {
+      detail_ = what_lies_in(base, bytes);
+      return fail(Errc::arena_occupied, "reserving the addresses of all shared heaps", why);
+    }
+    if (why == EAGAIN)
+      return fail(Errc::lock_limit, "reserving the addresses of all shared heaps", why);
+    return tl::unexpected<Failure>(arena.error());
+  }
+  arena_ = std::move(*arena);
+  return {};
+}
+
+void Context::wake_control() noexcept {
+  const std::uint64_t one = 1;
+  [[maybe_unused]] const ssize_t written =
+      ::write(wake_.get(), &one, sizeof one);  // full: it is awake anyway
+}
+
+// --- creating and destroying ---
+
+Result<void> Context::open_heap() {
+  const std::lock_guard lock(connecting_);
+  if (heap_is_open_.load(std::memory_order_relaxed)) return {};
+  Result<Heap> found = Heap::find();
+  if (!found) return tl::unexpected<Failure>(found.error());
+  Result<void> attached;
+  wire::WindowRequest request{};
+  request.window = 0;
+  Result<void> opened =
+      connection_->request(Opcode::open_window, request, [&](Incoming& packet) -> Result<void> {
+        wire::WindowOpened window{};
+        if (!packet.read(window) || packet.packet.descriptor_count != 2)
+          return fail(Errc::protocol_violation, "a heap window");
+        const auto fds = packet.packet.fds();
+        return found->attach(region_.base(), window.base, window.bytes, fds[0].get(), fds[1].get(),
+                             Heap::Scope::loan,
+                             []() noexcept { Context::instance().wake_control(); });
+      });
+  if (!opened) return opened;
+  heap_ = *found;
+  heap_is_open_.store(true, std::memory_order_release);
+  return {};
+}
+
+// Ahead of need: malloc never waits for the daemon. While the answer is on its way, or when it is a
+// refusal, the heap does with what it has.
+void Context::ask_for_window() {
+  if (!heap_is_open_.load(std::memory_order_acquire) || window_asked_ ||
+      window_count_ == abi::window_count_max)
+    return;
+  if (!heap_->wants_window()) return;
+  window_asked_ = true;
+  wire::WindowRequest request{};
+  request.window = window_count_;
+  connection_->request_later(Opcode::open_window, request, [this](Result<Incoming*> answer) {
+    wire::WindowOpened opened{};
+    // Refused (quota, arena): not asked again, or a full heap would ask for ever.
+    if (!answer || !(*answer)->read(opened) || (*answer)->packet.descriptor_count != 2) return;
+    const auto fds = (*answer)->packet.fds();
+    if (!heap_->add_window(region_.base(), opened.window, opened.base, opened.bytes, fds[0].get(),
+                           fds[1].get()))
+      return;
+    ++window_count_;
+    window_asked_ = false;
+  });
+}
+
+namespace {
+
+Result<wire::CreateEndpoint> describe(const EndpointRequest& request,
+                                      std::uint64_t executor) noexcept {
+  wire::CreateEndpoint body{};
+  body.qos = abi::pack_qos(request.qos);
+  body.layout_hash = request.layout_hash;
+  body.executor = executor;
+  body.quota = request.quota;
+  if (!write_name(body.topic, request.topic))
+    return fail(Errc::invalid_name, "a topic name of more than 255 letters");
+  if (!write_name(body.type, request.type))
+    return fail(Errc::invalid_name, "a type name of more than 255 letters");
+  if (!write_name(body.node, request.node))
+    return fail(Errc::invalid_name, "a node name of more than 255 letters");
+  return body;
+}
+
+}  // namespace
+
+Result<std::shared_ptr<PublisherEndpoint>> Context::create_publisher(
+    const EndpointRequest& request, void (*destroy_message)(void*) noexcept) {
+  if (Result<void> connected = connect(); !connected)
+    return tl::unexpected<Failure>(connected.error());
+  if (Result<void> heap = open_heap(); !heap) return tl::unexpected<Failure>(heap.error());
+  const Result<wire::CreateEndpoint> body = describe(request, 0);
+  if (!body) return tl::unexpected<Failure>(body.error());
+  std::shared_ptr<PublisherEndpoint> publisher;
+  Result<void> created =
+      connection_->request(Opcode::create_publisher, *body, [&](Incoming& packet) -> Result<void> {
+        wire::EndpointCreated made{};
+        if (!packet.read(made) || made.topic >= abi::topic_count_max ||
+            made.index >= abi::publisher_count_max) {
+          return fail(Errc::protocol_violation, "a new publisher");
+        }
+        if (Result<void> opened = region_.open(made.extent, abi::publisher_extent_bytes); !opened)
+          return opened;
+        const PublisherEndpoint::Core::Identity core{{board_.base(), abi::topic_offset(made.topic)},
+                                                     {region_.base(), made.extent},
+                                                     made.index,
+                                                     made.generation,
+                                                     made.first_sequence,
+                                                     request.qos,
+                                                     made.slot_count,
+                                                     0};
+        publisher = std::make_shared<PublisherEndpoint>(
+            PublisherEndpoint::Identity{core, made.topic, destroy_message,
+                                        []() noexcept { Context::instance().wake_control(); }});
+        const std::lock_guard lock(endpoints_);
+        publishers_[{made.topic, made.index}] = publisher;
+        return {};
+      });
+  if (!created) return tl::unexpected<Failure>(created.error());
+  return publisher;
+}
+
+Result<std::shared_ptr<SubscriptionEndpoint>> Context::create_subscription(
+    const EndpointRequest& request, std::shared_ptr<Sleeper> sleeper) {
+  if (Result<void> connected = connect(); !connected)
+    return tl::unexpected<Failure>(connected.error());
+  const Result<wire::CreateEndpoint> body = describe(request, sleeper->index());
+  if (!body) return tl::unexpected<Failure>(body.error());
+  std::shared_ptr<SubscriptionEndpoint> subscription;
+  Result<void> created = connection_->request(
+      Opcode::create_subscription, *body, [&](Incoming& packet) -> Result<void> {
+        wire::EndpointCreated made{};
+        if (!packet.read(made) || made.topic >= abi::topic_count_max ||
+            made.index >= abi::subscription_count_max) {
+          return fail(Errc::protocol_violation, "a new subscription");
+        }
+        if (Result<void> opened = region_.open(made.extent, abi::subscription_extent_bytes);
+            !opened)
+          return opened;
+        subscription = std::make_shared<SubscriptionEndpoint>(
+            SubscriptionEndpoint::Identity{{board_.base(), abi::topic_offset(made.topic)},
+                                           made.topic,
+                                           made.index,
+                                           made.generation,
+                                           region_.base(),
+                                           made.extent,
+                                           request.qos,
+                                           request.quota, request.message_bytes,
+                                           request.message_alignment},
+            sleeper);
+        const std::lock_guard lock(endpoints_);
+        subscriptions_[{made.topic, made.index}] = subscription;
+        return {};
+      });
+  if (!created) return tl::unexpected<Failure>(created.error());
+  return subscription;
+}
+
+Result<std::shared_ptr<Sleeper>> Context::create_sleeper() {
+  if (Result<void> connected = connect(); !connected)
+    return tl::unexpected<Failure>(connected.error());
+  wire::ExecutorRequest request{};
+  {
+    const std::lock_guard lock(endpoints_);
+    if (next_sleeper_ == abi::executor_count_max)
+      return fail(Errc::limit_reached, "executors of one process");
+    request.executor = next_sleeper_++;
+  }
+  std::shared_ptr<Sleeper> sleeper;
+  Result<void> opened =
+      connection_->request(Opcode::open_executor, request, [&](Incoming& packet) -> Result<void> {
+        if (packet.header().opcode != Opcode::executor_opened ||
+            packet.packet.descriptor_count != 2) {
+          return fail(Errc::protocol_violation, "a new executor");
+        }
+        const auto fds = packet.packet.fds();
+        sleeper = std::make_shared<Sleeper>(region_.base(), request.executor,
+                                            DoorbellReceiver(std::move(fds[0]), std::move(fds[1])));
+        return {};
+      });
+  if (!opened) return tl::unexpected<Failure>(opened.error());
+  return sleeper;
+}
+
+Result<std::shared_ptr<Sleeper>> Context::idle_sleeper() {
+  const std::lock_guard lock(idle_making_);
+  if (idle_sleeper_ == nullptr) {
+    auto made = create_sleeper();
+    if (!made) return made;
+    idle_sleeper_ = std::move(*made);
+  }
+  return idle_sleeper_;
+}
+
+namespace {
+
+wire::Reference reference(Kind kind, std::uint32_t topic, std::uint64_t index,
+                          std::uint64_t generation) noexcept {
+  wire::Reference body{};
+  body.kind = kind;
+  body.topic = topic;
+  body.index = index;
+  body.generation = generation;
+  return body;
+}
+
+}  // namespace
+
+void Context::destroy(const std::shared_ptr<PublisherEndpoint>& publisher) noexcept {
+  if (!is_connected()) return;
+  const auto& identity = publisher->identity();
+  // A daemon that does not answer learns it from the end of the process.
+  (void)connection_->request(
+      Opcode::leave,
+      reference(Kind::publisher, publisher->topic_index(), identity.index, identity.generation),
+      [](Incoming&) -> Result<void> { return {}; });
+  wake_control();
+}
+
+void Context::destroy(const std::shared_ptr<SubscriptionEndpoint>& subscription) noexcept {
+  if (!is_connected()) return;
+  const auto& identity = subscription->identity();
+  subscription->close();
+  (void)connection_->request(
+      Opcode::leave,
+      reference(Kind::subscription, identity.topic_index, identity.index, identity.generation),
+      [](Incoming&) -> Result<void> { return {}; });
+  wake_control();
+}
+
+void Context::release(const Received& received) noexcept {
+  if (received.link->release(received.taken.slot)) wake_control();
+}
+
+// --- control thread ---
+
+void Context::serve() noexcept {
+  int timeout = timer_last_ms;
+  bool was_reclaimable = false;
+  for (;;) {
+    try {
+      if (!serve_once(timeout)) break;
+      const auto all = publishers();
+      const bool reclaimable = std::any_of(all.begin(), all.end(), [](const auto& publisher) {
+        return publisher->has_reclaimable();
+      });
+      if (!reclaimable) {
+        timeout = timer_last_ms;
+      } else {
+        timeout = was_reclaimable ? std::min(timeout * 2, timer_last_ms) : timer_first_ms;
+      }
+      was_reclaimable = reclaimable;
+    } catch (const std::bad_alloc&) {
+      // Out of memory in the control thread: nothing is half done that the next round would not do
+      // again.
+      timeout = timer_last_ms;
+    }
+  }
+  connection_ended();
+}
+
+bool Context::serve_once(int timeout_ms) {
+  epoll_event events[4];
+  const int count = ::epoll_wait(epoll_.get(), events, 4, timeout_ms);
+  if (count < 0 && errno != EINTR) return false;
+  for (int i = 0; i < count; ++i) {
+    if (events[i].data.fd == wake_.get()) {
+      std::uint64_t ignored = 0;
+      [[maybe_unused]] const ssize_t got = ::read(wake_.get(), &ignored, sizeof ignored);
+      continue;
+    }
+    for (;;) {
+      Incoming packet;
+      bool unasked = false;
+      const Result<bool> alive = connection_->receive(packet, unasked);
+      if (!alive || !*alive) return false;
+      if (!unasked) break;
+      handle(packet);
+    }
+  }
+  run_errands();
+  connection_->flush();
+  return true;
+}
+
+void Context::connection_ended() noexcept {
+  ended_.store(true, std::memory_order_release);
+  connection_->fail_all();
+  // What is in shared memory goes on without the daemon: publishers still need their passes.
+  for (;;) {
+    pollfd wake{wake_.get(), POLLIN, 0};
+    ::poll(&wake, 1, timer_first_ms);
+    std::uint64_t ignored = 0;
+    [[maybe_unused]] const ssize_t got = ::read(wake_.get(), &ignored, sizeof ignored);
+    try {
+      for (const auto& publisher : publishers()) publisher->run_errands();
+    } catch (const std::bad_alloc&) {  // next time
+    }
+  }
+}
+
+// Passes destroy messages, and destructors are user code: they run without our locks.
+std::vector<std::shared_ptr<PublisherEndpoint>> Context::publishers() const {
+  const std::lock_guard lock(endpoints_);
+  std::vector<std::shared_ptr<PublisherEndpoint>> all;
+  all.reserve(publishers_.size());
+  for (const auto& [key, publisher] : publishers_) all.push_back(publisher);
+  return all;
+}
+
+void Context::handle(Incoming& packet) {
+  switch (packet.header().opcode) {
+    case Opcode::announce:
+      on_announce(packet);
+      break;
+    case Opcode::window_announced:
+      on_window(packet);
+      break;
+    case Opcode::forget:
+      on_forget(packet);
+      break;
+    case Opcode::orphaned:
+      on_orphaned(packet);
+      break;
+    case Opcode::kick:
+      on_kick(packet);
+      break;
+    default:
+      break;  // a newer daemon may say more than we know
+  }
+}
+
+std::shared_ptr<Peer> Context::use(KnownPeer& known) {
+  known.users->fetch_add(1, std::memory_order_relaxed);
+  // The peer itself stays in the table; only the number of its users is shared.
+  return {known.peer.get(), [users = known.users](Peer*) {
+            if (users->fetch_sub(1, std::memory_order_acq_rel) == 1)
+              Context::instance().wake_control();
+          }};
+}
+
+std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
+                                       std::span<UniqueFd> fds, std::size_t& used) {
+  used = 1 + announcement.window_count;
+  if (announcement.window_count > abi::window_count_max || fds.size() < used) return nullptr;
+  const bool own =
+      announcement.client == client_ && announcement.client_generation == client_generation_;
+  KnownPeer& known = peers_[{announcement.client, announcement.client_generation}];
+  if (known.peer == nullptr) {
+    if (own) {
+      known.peer = std::make_unique<Peer>(client_, client_generation_, region_.base());
+    } else {
+      Result<SparseRegion> region =
+          SparseRegion::make(std::move(fds[0]), std::uint64_t{1} << 30, Mapping::Access::read);
+      if (!region || !region->open(0, abi::page_bytes)) {
+        peers_.erase({announcement.client, announcement.client_generation});
+        return nullptr;
+      }
+      known.peer = std::make_unique<Peer>(announcement.client, announcement.client_generation,
+                                          std::move(*region));
+    }
+    known.users = std::make_shared<std::atomic<std::uint64_t>>(0);
+  }
+  for (std::uint32_t i = 0; i < announcement.window_count; ++i) {
+    const auto& window = announcement.window[i];
+    const std::uint64_t arena = reinterpret_cast<std::uint64_t>(arena_.base());
+    const bool inside = window.base >= arena && window.bytes <= arena_.bytes() &&
+                        window.base - arena <= arena_.bytes() - window.bytes;
+    if (!inside) return nullptr;
+    Result<void> added =
+        own ? known.peer->heap().add_own(i, window.base, window.bytes)
+            : known.peer->heap().add(i, window.base, window.bytes, std::move(fds[1 + i]));
+    if (!added) return nullptr;
+  }
+  const std::uint64_t bytes = announcement.kind == Kind::publisher ? abi::publisher_extent_bytes
+                                                                   : abi::subscription_extent_bytes;
+  if (!known.peer->open(announcement.extent, bytes)) return nullptr;
+  return use(known);
+}
+
+void Context::on_announce(Incoming& packet) {
+  wire::Announcement announcement{};
+  if (!packet.read(announcement)) return;
+  std::size_t used = 0;
+  const auto fds = packet.packet.fds();
+  std::shared_ptr<Peer> peer = peer_of(announcement, fds, used);
+  const EndpointKey own{announcement.topic, announcement.own_index};
+  bool linked = false;
+  if (peer != nullptr && announcement.kind == Kind::publisher) {
+    std::shared_ptr<SubscriptionEndpoint> subscription;
+    {
+      const std::lock_guard lock(endpoints_);
+      if (const auto found = subscriptions_.find(own); found != subscriptions_.end())
+        subscription = found->second;
+    }
+    if (subscription != nullptr &&
+        subscription->identity().generation == announcement.own_generation) {
+      linked =
+          subscription
+              ->add_publisher({announcement.index, announcement.generation, announcement.extent,
+                               announcement.first_sequence, abi::unpack_qos(announcement.qos),
+                               announcement.from_start != 0},
+                              std::move(peer))
+              .has_value();
+    }
+  } else if (peer != nullptr && announcement.kind == Kind::subscription &&
+             announcement.doorbell_count >= 1 && announcement.doorbell_count <= 2 &&
+             fds.size() >= used + announcement.doorbell_count) {
+    std::shared_ptr<PublisherEndpoint> publisher;
+    {
+      const std::lock_guard lock(endpoints_);
+      if (const auto found = publishers_.find(own); found != publishers_.end())
+        publisher = found->second;
+    }
+    if (publisher != nullptr && publisher->identity().generation == announcement.own_generation) {
+      const bool both = announcement.doorbell_count == 2;
+      Doorbell bell = both ? Doorbell(std::move(fds[used + 1]), std::move(fds[used]))
+                           : Doorbell(std::move(fds[used]));
+      publisher->attach(
+          {announcement.index, announcement.generation, announcement.extent, announcement.executor},
+          std::move(peer), std::move(bell));
+      linked = true;
+    }
+  }
+  if (!linked)
+    say_unlinked(announcement.kind, announcement.topic, announcement.index,
+                 announcement.generation);
+}
+
+void Context::on_window(Incoming& packet) {
+  wire::WindowAnnounced announced{};
+  if (!packet.read(announced) || packet.packet.descriptor_count != 1) return;
+  const auto found = peers_.find({announced.client, announced.client_generation});
+  if (found == peers_.end())
+    return;  // unmapped meanwhile: the next announcement brings all windows
+  const bool own = announced.client == client_ && announced.client_generation == client_generation_;
+  PeerHeap& heap = found->second.peer->heap();
+  (void)(own ? heap.add_own(announced.window, announced.base, announced.bytes)
+             : heap.add(announced.window, announced.base, announced.bytes,
+                        std::move(packet.packet.fds()[0])));
+  // A taker may have found a message there already and left it.
+  const std::lock_guard lock(endpoints_);
+  for (const auto& [key, subscription] : subscriptions_) subscription->sleeper().wake();
+}
+
+void Context::on_forget(Incoming& packet) {
+  wire::Reference over{};
+  if (!packet.read(over) || over.kind != Kind::subscription) return;
+  for (const auto& publisher : publishers()) {
+    if (publisher->topic_index() == over.topic) publisher->detach(over.index, over.generation);
+  }
+  say_unlinked(Kind::subscription, over.topic, over.index, over.generation);
+}
+
+void Context::on_orphaned(Incoming& packet) {
+  wire::Orphaned gone{};
+  if (!packet.read(gone)) return;
+  const std::lock_guard lock(endpoints_);
+  for (const auto& [key, subscription] : subscriptions_) {
+    if (key.first == gone.topic) subscription->orphan(gone.index, gone.generation);
+  }
+}
+
+void Context::on_kick(Incoming& packet) {
+  wire::Reference whose{};
+  if (!packet.read(whose)) return;
+  for (const auto& publisher : publishers()) {
+    if (publisher->topic_index() == whose.topic && publisher->identity().index == whose.index)
+      publisher->run_errands();
+  }
+}
+
+void Context::say_unlinked(Kind kind, std::uint32_t topic, std::uint64_t index,
+                           std::uint64_t generation) {
+  wire::Unlinked body{};
+  body.kind = kind;
+  body.topic = topic;
+  body.index = index;
+  body.generation = generation;
+  body.seen = connection_->seen();
+  connection_->post(Opcode::unlinked, body);
+}
+
+void Context::run_errands() {
+  for (const auto& publisher : publishers()) {
+    publisher->run_errands();
+    if (!publisher->is_over()) continue;
+    publisher->detach_all();
+    const auto& identity = publisher->identity();
+    {
+      const std::lock_guard lock(endpoints_);
+      publishers_.erase({publisher->topic_index(), identity.index});
+    }
+    connection_->post(Opcode::drained, reference(Kind::publisher, publisher->topic_index(),
+                                                 identity.index, identity.generation));
+  }
+  collect_subscriptions();
+  collect_peers();
+  ask_for_window();
+}
+
+void Context::collect_subscriptions() {
+  const std::lock_guard lock(endpoints_);
+  for (auto it = subscriptions_.begin(); it != subscriptions_.end();) {
+    const std::shared_ptr<SubscriptionEndpoint>& subscription = it->second;
+    for (const auto& link : subscription->collect_unlinked()) {
+      // `unlinked` speaks for the whole process: not while another subscription of ours is linked
+      // to the same publisher.
+      const bool still =
+          std::any_of(subscriptions_.begin(), subscriptions_.end(), [&](const auto& other) {
+            return other.first.first == it->first.first &&
+                   other.second->is_linked_to(link->publisher(), link->generation());
+          });
+      if (!still)
+        say_unlinked(Kind::publisher, it->first.first, link->publisher(), link->generation());
+    }
+    if (subscription->is_empty()) {
+      connection_->post(Opcode::drained,
+                        reference(Kind::subscription, it->first.first, it->first.second,
+                                  subscription->identity().generation));
+      it = subscriptions_.erase(it);
+    } else {
+      ++it;
+    }
+  }
+}
+
+void Context::collect_peers() {
+  for (auto it = peers_.begin(); it != peers_.end();) {
+    if (it->second.users->load(std::memory_order_acquire) != 0) {
+      ++it;
+      continue;
+    }
+    const auto [client, generation] = it->first;
+    it = peers_.erase(it);  // unmapped here, said after
+    if (client != client_ || generation != client_generation_)
+      say_unlinked(Kind::region, 0, client, generation);
+  }
+}
+
+}  // namespace agnocast

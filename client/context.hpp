@@ -1,0 +1,148 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Context: this process's membership: connection, client region, heap, peers, and every endpoint.
+// Made by the first endpoint, never destroyed (messages in statics stay valid), dead in a forked
+// child.
+//
+// One control thread serves it: it handles what the daemon says in order, makes the passes that
+// publishers leave to it, unlinks what is over, unmaps peers that nobody uses, and opens the next
+// heap window. User threads reach shared memory directly and the daemon only to create and destroy
+// endpoints.
+#pragma once
+
+#include <agnocast/residency.hpp>
+#include <agnocast/result.hpp>
+#include <base/doorbell.hpp>
+#include <base/mapping.hpp>
+#include <client/connection.hpp>
+#include <client/heap.hpp>
+#include <client/peer.hpp>
+#include <client/publisher_endpoint.hpp>
+#include <client/sleeper.hpp>
+#include <client/sparse_region.hpp>
+#include <client/subscription_endpoint.hpp>
+
+#include <atomic>
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <thread>
+#include <vector>
+
+namespace agnocast {
+
+/// What an endpoint is asked for with. Names are fully qualified.
+struct EndpointRequest {
+  std::string_view topic;
+  std::string_view type;
+  std::string_view node;
+  std::uint64_t layout_hash = 0;
+  abi::Qos qos;
+  std::uint64_t quota = 0;  // subscriptions: messages held at once, per publisher
+  std::uint64_t message_bytes = 0;  // sizeof the message object; 0 = any
+  std::uint64_t message_alignment = 1;
+};
+
+class Context {
+ public:
+  /// The one of this process. Any thread.
+  static Context& instance() noexcept;
+
+  /// Any of the following connects first if need be. Errors of all: daemon_not_running,
+  /// layout_mismatch, arena_occupied, lock_limit, permission_denied, quota_exceeded, limit_reached,
+  /// shut_down (forked child), os_failure, and what is named.
+
+  /// Errors also: hook_missing, hook_ineffective, type_mismatch, invalid_name, depth_refused.
+  [[nodiscard]] Result<std::shared_ptr<PublisherEndpoint>> create_publisher(
+      const EndpointRequest& request, void (*destroy_message)(void*) noexcept);
+  /// Errors also: type_mismatch, invalid_name, depth_refused.
+  [[nodiscard]] Result<std::shared_ptr<SubscriptionEndpoint>> create_subscription(
+      const EndpointRequest& request, std::shared_ptr<Sleeper> sleeper);
+  [[nodiscard]] Result<std::shared_ptr<Sleeper>> create_sleeper();
+  /// For subscriptions that are only asked: it never arms, so nobody rings it. One for the process.
+  [[nodiscard]] Result<std::shared_ptr<Sleeper>> idle_sleeper();
+
+  /// The endpoint publishes no more; messages that somebody still reads stay until they are
+  /// released.
+  void destroy(const std::shared_ptr<PublisherEndpoint>& publisher) noexcept;
+  /// The subscription takes no more; messages held stay valid.
+  void destroy(const std::shared_ptr<SubscriptionEndpoint>& subscription) noexcept;
+  /// The last copy of a received message is gone. No system call unless a closing link ends with
+  /// it. Any thread.
+  void release(const Received& received) noexcept;
+
+  /// How publish adopts foreign memory. Only after a publisher was created.
+  SharedHeap shared_heap() const noexcept { return heap_->shared_heap(); }
+  /// False in a forked child, and before the first endpoint.
+  bool is_connected() const noexcept;
+  /// What the last failed connect found, for people: e.g. the line of /proc/self/maps that is in
+  /// the way.
+  std::string detail() const;
+  void wake_control() noexcept;
+
+ private:
+  struct KnownPeer {
+    std::unique_ptr<Peer> peer;
+    std::shared_ptr<std::atomic<std::uint64_t>> users;
+  };
+  using EndpointKey = std::pair<std::uint32_t, std::uint64_t>;  // topic, index
+
+  Context() = default;
+  Result<void> connect();
+  Result<void> say_hello(const std::string& path);
+  Result<void> reserve_arena(std::uint64_t base, std::uint64_t bytes);
+  Result<void> open_heap();
+
+  // control thread
+  void serve() noexcept;
+  bool serve_once(int timeout_ms);
+  void handle(Incoming& packet);
+  void on_announce(Incoming& packet);
+  void on_window(Incoming& packet);
+  void on_forget(Incoming& packet);
+  void on_orphaned(Incoming& packet);
+  void on_kick(Incoming& packet);
+  std::vector<std::shared_ptr<PublisherEndpoint>> publishers() const;
+  void run_errands();
+  void collect_subscriptions();
+  void collect_peers();
+  void ask_for_window();
+  std::shared_ptr<Peer> use(KnownPeer& known);
+  std::shared_ptr<Peer> peer_of(const abi::wire::Announcement& announcement,
+                                std::span<UniqueFd> fds, std::size_t& used);
+  void say_unlinked(abi::wire::Kind kind, std::uint32_t topic, std::uint64_t index,
+                    std::uint64_t generation);
+  void connection_ended() noexcept;
+
+  mutable std::mutex connecting_;
+  std::atomic<int> pid_{0};  // of the process that connected; 0 = nobody yet
+  std::string detail_;
+  std::unique_ptr<Connection> connection_;
+  Mapping board_, arena_;
+  SparseRegion region_;
+  std::uint64_t client_ = 0, client_generation_ = 0;
+  std::optional<Heap> heap_;
+  std::atomic<bool> heap_is_open_{false};
+  std::uint64_t window_count_ = 1;  // control thread only, as the next
+  bool window_asked_ = false;
+
+  UniqueFd epoll_, wake_;
+  std::thread thread_;
+  std::atomic<bool> ended_{false};
+
+  mutable std::mutex endpoints_;
+  std::map<EndpointKey, std::shared_ptr<PublisherEndpoint>> publishers_;
+  std::map<EndpointKey, std::shared_ptr<SubscriptionEndpoint>> subscriptions_;
+  std::uint64_t next_sleeper_ = 0;
+  std::mutex idle_making_;
+  std::shared_ptr<Sleeper> idle_sleeper_;
+
+  std::map<std::pair<std::uint64_t, std::uint64_t>, KnownPeer>
+      peers_;  // by client and generation; control thread only
+};
+
+}  // namespace agnocast

@@ -1,0 +1,47 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Heap: this process's shared heap, through the heap hook. Found by name at run time: a process
+// without the hook can subscribe, not publish.
+#pragma once
+
+#include <agnocast/abi/heaphook.h>
+#include <agnocast/residency.hpp>
+#include <agnocast/result.hpp>
+
+#include <cstddef>
+#include <cstdint>
+
+namespace agnocast {
+
+class Heap {
+ public:
+  enum class Scope : std::uint8_t { loan, all };
+
+  /// Looks for the hook. Errors: hook_missing (none in this process, or one of another version).
+  [[nodiscard]] static Result<Heap> find() noexcept;
+
+  /// The first window. `client_region`: where the frontier is stored; `grown`: called after it was,
+  /// without locks of ours, must not allocate. Errors: hook_missing, hook_ineffective (malloc or
+  /// new are not the hook's: somebody else replaced them), arena_occupied, lock_limit, os_failure.
+  [[nodiscard]] Result<void> attach(std::byte* client_region, std::uint64_t base,
+                                    std::uint64_t length, int write_fd, int read_fd, Scope scope,
+                                    void (*grown)() noexcept) noexcept;
+  /// The next window.
+  [[nodiscard]] Result<void> add_window(std::byte* client_region, std::uint64_t window,
+                                        std::uint64_t base, std::uint64_t length, int write_fd,
+                                        int read_fd) noexcept;
+  /// True when the newest window is used to three quarters, or a request did not fit.
+  bool wants_window() const noexcept;
+  std::uint64_t used_bytes() const noexcept;
+
+  /// What make_resident needs: scopes and windows of this heap.
+  SharedHeap shared_heap() const noexcept;
+  const agnocast_heaphook_table& hook() const noexcept { return *hook_; }
+
+ private:
+  explicit Heap(const agnocast_heaphook_table* hook) noexcept : hook_(hook) {}
+
+  const agnocast_heaphook_table* hook_;
+};
+
+}  // namespace agnocast

@@ -1,0 +1,174 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <client/publisher_endpoint.hpp>
+
+#include <time.h>
+
+#include <algorithm>
+#include <utility>
+
+namespace agnocast {
+namespace {
+
+std::uint64_t monotonic_ns() noexcept {
+  timespec now{};
+  ::clock_gettime(CLOCK_MONOTONIC, &now);
+  return static_cast<std::uint64_t>(now.tv_sec) * 1'000'000'000 +
+         static_cast<std::uint64_t>(now.tv_nsec);
+}
+
+constexpr std::uint64_t armed_offset(std::uint64_t executor) noexcept {
+  return offsetof(abi::ClientRegionHeader, executor) + executor * sizeof(abi::ExecutorLine);
+}
+
+}  // namespace
+
+/// What one turn with the queue leaves to do outside the mutex.
+struct PublisherEndpoint::Work {
+  PublisherEndpoint& endpoint;
+  std::array<void*, destroy_at_once_max> destroy;
+  std::size_t destroy_count = 0;
+  std::uint64_t rung = 0;
+  bool wake_control = false;
+
+  void ring(std::uint64_t executor, std::uint64_t armed) noexcept {
+    Executor& sleeper = endpoint.executors_[executor];
+    if (rung++ < ring_at_once_max) {
+      sleeper.bell.ring();
+    } else {
+      sleeper.owed = armed;
+      wake_control = true;
+    }
+  }
+  void freed(std::uint64_t, std::uint64_t address) noexcept {
+    void* const message = reinterpret_cast<void*>(address);
+    if (destroy_count < destroy.size()) {
+      destroy[destroy_count++] = message;
+    } else if (endpoint.doomed_.size() == endpoint.doomed_.capacity()) {
+      endpoint.identity_.destroy(message);  // the control thread is far behind: rather here, under
+                                            // the mutex, than allocate
+    } else {
+      endpoint.doomed_.push_back(message);  // within its capacity: no allocation
+      wake_control = true;
+    }
+  }
+};
+
+PublisherEndpoint::PublisherEndpoint(const Identity& identity)
+    : identity_(identity), core_(std::make_unique<Core>(identity.core)) {
+  doomed_.reserve(abi::slot_count_max);
+}
+
+template <class Do>
+void PublisherEndpoint::with_queue(Do work) noexcept {
+  Work left{*this, {}, 0, 0, false};
+  {
+    const std::lock_guard lock(mutex_);
+    work(left);
+  }
+  for (std::size_t i = 0; i < left.destroy_count; ++i) identity_.destroy(left.destroy[i]);
+  if (left.wake_control) identity_.wake_control();
+}
+
+dataplane::PublishOutcome PublisherEndpoint::publish(void* message, std::uint64_t bytes) noexcept {
+  dataplane::PublishOutcome outcome = dataplane::PublishOutcome::no_slot;
+  with_queue([&](Work& work) {
+    // The stamp is taken under the mutex, so that it grows with the sequence.
+    outcome =
+        core_->publish({reinterpret_cast<std::uint64_t>(message), bytes, monotonic_ns()}, work);
+  });
+  return outcome;
+}
+
+std::size_t PublisherEndpoint::executor_of(const Peer& peer, std::uint64_t executor,
+                                           Doorbell bell) {
+  std::size_t free_place = executors_.size();
+  for (std::size_t i = 0; i < executors_.size(); ++i) {
+    Executor& known = executors_[i];
+    if (known.users == 0) {
+      free_place = std::min(free_place, i);
+    } else if (known.client == peer.client() && known.client_generation == peer.generation() &&
+               known.executor == executor) {
+      ++known.users;
+      return i;
+    }
+  }
+  if (free_place == executors_.size()) executors_.emplace_back();
+  executors_[free_place] = {peer.client(), peer.generation(), executor, 1, std::move(bell), 0,
+                            peer.region()};
+  return free_place;
+}
+
+void PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr<Peer> peer,
+                               Doorbell bell) {
+  with_queue([&](Work& work) {
+    attached_.reserve(attached_.size() + 1);
+    const std::size_t executor = executor_of(*peer, subscription.executor, std::move(bell));
+    core_->attach(subscription.index, subscription.generation, peer->region(), subscription.extent,
+                  armed_offset(subscription.executor), executor, work);
+    attached_.push_back({subscription.index, subscription.generation, executor, std::move(peer)});
+    core_->pass(work);
+  });
+}
+
+void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) noexcept {
+  std::shared_ptr<Peer> let_go;
+  with_queue([&](Work& work) {
+    const auto found =
+        std::find_if(attached_.begin(), attached_.end(), [&](const Attached& attached) {
+          return attached.index == index && attached.generation == generation;
+        });
+    if (found == attached_.end()) return;
+    core_->pass(work);  // learns that it is over while its line can still be read
+    core_->detach(index, generation);
+    if (--executors_[found->executor].users == 0) executors_[found->executor] = {};
+    let_go = std::move(found->peer);
+    attached_.erase(found);
+  });
+}
+
+void PublisherEndpoint::detach_all() noexcept {
+  std::vector<Attached> let_go;
+  const std::lock_guard lock(mutex_);
+  for (const Attached& attached : attached_) core_->detach(attached.index, attached.generation);
+  let_go.swap(attached_);
+  executors_.clear();
+}
+
+void PublisherEndpoint::run_errands() noexcept {
+  with_queue([&](Work& work) {
+    for (Executor& sleeper : executors_) {
+      const std::uint64_t owed = std::exchange(sleeper.owed, 0);
+      if (owed == 0 || sleeper.users == 0) continue;
+      // Another generation: it was awake meanwhile and has looked for itself.
+      if (SharedMemory::word(sleeper.region, armed_offset(sleeper.executor))
+              .load(std::memory_order_relaxed) == owed)
+        sleeper.bell.ring();
+    }
+    core_->pass(work);
+    while (!doomed_.empty() && work.destroy_count < work.destroy.size()) {
+      work.destroy[work.destroy_count++] = doomed_.back();
+      doomed_.pop_back();
+    }
+    work.wake_control = !doomed_.empty();  // more next time: destructors may be slow, others wait
+  });
+}
+
+bool PublisherEndpoint::has_reclaimable() const noexcept {
+  const std::lock_guard lock(mutex_);
+  return core_->has_reclaimable() || !doomed_.empty();
+}
+bool PublisherEndpoint::is_over() const noexcept {
+  const std::lock_guard lock(mutex_);
+  return core_->is_over() && core_->allocated_count() == 0 && doomed_.empty();
+}
+std::uint64_t PublisherEndpoint::allocated_count() const noexcept {
+  const std::lock_guard lock(mutex_);
+  return core_->allocated_count();
+}
+std::size_t PublisherEndpoint::subscription_count() const noexcept {
+  const std::lock_guard lock(mutex_);
+  return attached_.size();
+}
+
+}  // namespace agnocast

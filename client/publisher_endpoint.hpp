@@ -1,0 +1,117 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// PublisherEndpoint: an untyped publisher: its queue, the subscriptions it has mapped, and whom it
+// rings.
+//
+// publish() runs in user threads, pass() also in the control thread, under one private mutex. Two
+// things happen outside it: messages that may go are destroyed there (their destructors are user
+// code), and sleepers beyond the first two are rung by the control thread, so that a wide topic
+// does not cost its publisher one system call per sleeper.
+#pragma once
+
+#include <base/doorbell.hpp>
+#include <client/dataplane/publisher_core.hpp>
+#include <client/peer.hpp>
+
+#include <array>
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <mutex>
+#include <vector>
+
+namespace agnocast {
+
+class PublisherEndpoint {
+ public:
+  using Core = dataplane::PublisherCore<SharedMemory>;
+  struct Identity {
+    Core::Identity core;
+    std::uint32_t topic_index;
+    void (*destroy)(
+        void* message) noexcept;      // destructor and deallocation of the message type; static
+    void (*wake_control)() noexcept;  // asks the control thread to call run_errands(); static, any
+                                      // thread, no allocation
+  };
+  struct Subscription {
+    std::uint64_t index;
+    std::uint64_t generation;
+    std::uint64_t extent;
+    std::uint64_t executor;  // in its process
+  };
+
+  explicit PublisherEndpoint(const Identity& identity);
+  PublisherEndpoint(const PublisherEndpoint&) = delete;
+  PublisherEndpoint& operator=(const PublisherEndpoint&) = delete;
+  /// Only when the daemon has freed the index, or the process ends: what is still allocated is left
+  /// alone.
+  ~PublisherEndpoint() = default;
+
+  const Core::Identity& identity() const noexcept { return identity_.core; }
+  std::uint32_t topic_index() const noexcept { return identity_.topic_index; }
+
+  // --- user threads
+  // --------------------------------------------------------------------------------------------------------------
+
+  /// Commits `message`, an object of `bytes` in this process's shared heap. After `published` it
+  /// belongs to the queue; otherwise it stays the caller's. System calls: none while nobody sleeps,
+  /// one per sleeper for the first two, one more for all others.
+  dataplane::PublishOutcome publish(void* message, std::uint64_t bytes) noexcept;
+
+  // --- control thread
+  // ------------------------------------------------------------------------------------------------------------
+
+  /// An announced subscription; `bell` may be empty if the executor is known already. Allocates.
+  void attach(const Subscription& subscription, std::shared_ptr<Peer> peer, Doorbell bell);
+  /// It is over: looks at it no more and lets go of its region.
+  void detach(std::uint64_t index, std::uint64_t generation) noexcept;
+  /// Lets go of every region, at the very end.
+  void detach_all() noexcept;
+  /// One pass, and everything that publishes have left to do.
+  void run_errands() noexcept;
+  /// Something outside the history is allocated: a pass may free it.
+  bool has_reclaimable() const noexcept;
+  /// The daemon has freed it and nothing is left to destroy.
+  bool is_over() const noexcept;
+  std::uint64_t allocated_count() const noexcept;
+  std::size_t subscription_count() const noexcept;
+
+ private:
+  // Destroyed by the publishing thread itself; what is more waits for the control thread. A publish
+  // frees as many as it adds on average.
+  static constexpr std::size_t destroy_at_once_max = 16;
+  // protocol §4.2: sending to the first one or two sleepers at once costs 1–6 µs each, handing over
+  // the rest 2–3 µs for all.
+  static constexpr std::uint64_t ring_at_once_max = 2;
+
+  struct Executor {
+    std::uint64_t client = 0;
+    std::uint64_t client_generation = 0;
+    std::uint64_t executor = 0;
+    std::uint64_t users = 0;  // attached subscriptions; 0 = free
+    Doorbell bell;
+    std::uint64_t owed = 0;  // sleep generation that the control thread shall ring; 0 = none
+    std::byte* region = nullptr;
+  };
+  struct Attached {
+    std::uint64_t index;
+    std::uint64_t generation;
+    std::size_t executor;
+    std::shared_ptr<Peer> peer;
+  };
+  struct Work;
+
+  template <class Do>
+  void with_queue(Do work) noexcept;
+  std::size_t executor_of(const Peer& peer, std::uint64_t executor, Doorbell bell);
+
+  Identity identity_;
+  mutable std::mutex mutex_;
+  std::unique_ptr<Core> core_;
+  std::vector<Executor> executors_;
+  std::vector<Attached> attached_;
+  std::vector<void*>
+      doomed_;  // to be destroyed by the control thread; capacity for every slot from the start
+};
+
+}  // namespace agnocast

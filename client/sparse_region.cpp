@@ -1,0 +1,46 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <client/sparse_region.hpp>
+
+#include <sys/mman.h>
+
+#include <cerrno>
+#include <utility>
+
+namespace agnocast {
+
+Result<SparseRegion> SparseRegion::make(UniqueFd fd, std::uint64_t bytes,
+                                        Mapping::Access access) noexcept {
+  Result<Mapping> reservation = Mapping::reserve(0, bytes);
+  if (!reservation) {
+    if (reservation.error().os_errno == EAGAIN)
+      return fail(Errc::lock_limit, "reserving addresses for a region", EAGAIN);
+    return tl::unexpected<Failure>(reservation.error());
+  }
+  SparseRegion region;
+  region.fd_ = std::move(fd);
+  region.reservation_ = std::move(*reservation);
+  region.access_ = access;
+  return region;
+}
+
+Result<void> SparseRegion::open(std::uint64_t offset, std::uint64_t bytes) noexcept {
+  if (offset % abi::page_bytes != 0 || bytes > reservation_.bytes() ||
+      offset > reservation_.bytes() - bytes) {
+    return fail(Errc::invalid_argument, "a range outside its region");
+  }
+  const std::uint64_t whole = (bytes + abi::page_bytes - 1) & ~(abi::page_bytes - 1);
+  const int protection = access_ == Mapping::Access::read ? PROT_READ : PROT_READ | PROT_WRITE;
+  std::byte* const at = reservation_.base() + offset;
+  if (::mmap(at, whole, protection, MAP_SHARED | MAP_FIXED, fd_.get(),
+             static_cast<off_t>(offset)) == MAP_FAILED) {
+    return fail(Errc::os_failure, "mapping a part of a region", errno);
+  }
+  // A child of fork must not store into the parent's region, and another process's memory has no
+  // place in a core dump.
+  if (access_ == Mapping::Access::read_write) ::madvise(at, whole, MADV_DONTFORK);
+  if (access_ == Mapping::Access::read) ::madvise(at, whole, MADV_DONTDUMP);
+  return {};
+}
+
+}  // namespace agnocast

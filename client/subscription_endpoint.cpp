@@ -1,0 +1,154 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <client/subscription_endpoint.hpp>
+
+#include <algorithm>
+#include <utility>
+
+namespace agnocast {
+
+Result<void> SubscriptionEndpoint::add_publisher(const Publisher& publisher,
+                                                 std::shared_ptr<Peer> peer) {
+  const std::lock_guard lock(mutex_);
+  if (closed_) return fail(Errc::invalid_argument, "linking a subscription that is closed");
+  const Link::Core::Identity identity{self_.topic,
+                                      {peer->region(), publisher.extent},
+                                      {self_.region, self_.extent, publisher.index},
+                                      publisher.index,
+                                      publisher.generation,
+                                      publisher.first_sequence,
+                                      publisher.qos,
+                                      self_.qos,
+                                      self_.message_bytes,
+                                      self_.message_alignment};
+  auto link = std::make_shared<Link>(identity, std::move(peer));
+  if (!link->core_.link(publisher.from_start))
+    return fail(Errc::protocol_violation, "an announced publisher is not on the board");
+  links_.push_back(std::move(link));
+  sleeper_->wake();  // what was committed before the link existed could not ring for it
+  return {};
+}
+
+void SubscriptionEndpoint::orphan(std::uint64_t publisher, std::uint64_t generation) noexcept {
+  const std::lock_guard lock(mutex_);
+  for (const auto& link : links_) {
+    if (link->publisher() == publisher && link->generation() == generation)
+      link->core_.observe_publisher();
+  }
+  sleeper_->wake();
+}
+
+void SubscriptionEndpoint::close() noexcept {
+  const std::lock_guard lock(mutex_);
+  closed_ = true;
+  for (const auto& link : links_) link->closing_.store(true, std::memory_order_release);
+}
+
+std::vector<std::shared_ptr<Link>> SubscriptionEndpoint::collect_unlinked() {
+  const std::lock_guard lock(mutex_);
+  std::vector<std::shared_ptr<Link>> over;
+  for (const auto& link : links_) {
+    if (!closed_ && !link->core_.drained()) continue;
+    link->closing_.store(true, std::memory_order_release);
+    if (link->held_count() == 0) over.push_back(link);
+  }
+  for (const auto& link : over) {
+    link->core_.unlink();
+    lost_before_ += link->core_.lost();
+    malformed_before_ += link->core_.malformed();
+    links_.erase(std::find(links_.begin(), links_.end(), link));
+  }
+  return over;
+}
+
+bool SubscriptionEndpoint::is_linked_to(std::uint64_t publisher,
+                                        std::uint64_t generation) const noexcept {
+  const std::lock_guard lock(mutex_);
+  return std::any_of(links_.begin(), links_.end(), [&](const auto& link) {
+    return link->publisher() == publisher && link->generation() == generation;
+  });
+}
+
+bool SubscriptionEndpoint::is_empty() const noexcept {
+  const std::lock_guard lock(mutex_);
+  return closed_ && links_.empty();
+}
+
+std::shared_ptr<Link> SubscriptionEndpoint::oldest() const noexcept {
+  const std::shared_ptr<Link>* best = nullptr;
+  std::uint64_t best_stamp = 0;
+  for (const auto& link : links_) {
+    if (link->held_count() >= self_.quota) continue;
+    const auto stamp = link->core_.next_stamp();
+    if (!stamp || (best != nullptr && *stamp >= best_stamp)) continue;
+    best = &link;
+    best_stamp = *stamp;
+  }
+  return best != nullptr ? *best : nullptr;
+}
+
+// keep-last counts over all publishers, as the history of a DDS reader does.
+void SubscriptionEndpoint::drop_beyond_depth() noexcept {
+  if (links_.size() < 2 || self_.qos.keep_all) return;
+  std::uint64_t unread = 0;
+  for (const auto& link : links_) unread += link->core_.unread();
+  for (; unread > self_.qos.depth; --unread) {
+    Link* oldest_link = nullptr;
+    std::uint64_t oldest_stamp = 0;
+    for (const auto& link : links_) {
+      const auto stamp = link->core_.next_stamp();
+      if (!stamp || (oldest_link != nullptr && *stamp >= oldest_stamp)) continue;
+      oldest_link = link.get();
+      oldest_stamp = *stamp;
+    }
+    if (oldest_link == nullptr) return;
+    oldest_link->core_.skip();
+  }
+}
+
+std::optional<Received> SubscriptionEndpoint::take() noexcept {
+  const std::lock_guard lock(mutex_);
+  if (closed_) return std::nullopt;
+  drop_beyond_depth();
+  // A link whose candidate was gone when looked at closely is asked again; each round loses or
+  // takes something.
+  for (std::size_t round = 0; round <= links_.size(); ++round) {
+    const std::shared_ptr<Link> link = oldest();
+    if (link == nullptr) return std::nullopt;
+    if (const auto taken = link->core_.take(link->peer().heap())) {
+      link->held_.fetch_add(1, std::memory_order_relaxed);
+      // The last message of a publisher that is gone: its release is what the control thread waits
+      // for.
+      if (link->core_.drained()) link->closing_.store(true, std::memory_order_release);
+      return Received{*taken, link};
+    }
+  }
+  return std::nullopt;
+}
+
+bool SubscriptionEndpoint::has_news() const noexcept {
+  const std::lock_guard lock(mutex_);
+  return !closed_ && std::any_of(links_.begin(), links_.end(),
+                                 [](const auto& link) { return link->core_.has_news(); });
+}
+
+std::uint64_t SubscriptionEndpoint::lost() const noexcept {
+  const std::lock_guard lock(mutex_);
+  std::uint64_t sum = lost_before_;
+  for (const auto& link : links_) sum += link->core_.lost();
+  return sum;
+}
+
+std::uint64_t SubscriptionEndpoint::malformed() const noexcept {
+  const std::lock_guard lock(mutex_);
+  std::uint64_t sum = malformed_before_;
+  for (const auto& link : links_) sum += link->core_.malformed();
+  return sum;
+}
+
+std::size_t SubscriptionEndpoint::publisher_count() const noexcept {
+  const std::lock_guard lock(mutex_);
+  return links_.size();
+}
+
+}  // namespace agnocast

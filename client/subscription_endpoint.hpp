@@ -1,0 +1,142 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// SubscriptionEndpoint: an untyped subscription, its links to publishers, and what it has taken.
+//
+// Takes happen in user threads under one private mutex. The control thread adds links
+// (announcements), marks them orphaned, and collects those that are over. A held message keeps its
+// Link, and with it the mapping it lies in, so it outlives the subscription, its node and the
+// publisher's process.
+//
+//   announced → linked → (publisher gone) orphaned → drained → (nothing held) unlinked → UNLINKED
+//   to the daemon
+//                      → (subscription closed)     → (nothing held) unlinked
+#pragma once
+
+#include <agnocast/result.hpp>
+#include <client/dataplane/subscription_core.hpp>
+#include <client/peer.hpp>
+#include <client/sleeper.hpp>
+
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <utility>
+#include <vector>
+
+namespace agnocast {
+
+/// One subscription towards one publisher. Shared by the subscription and by every message it
+/// holds.
+class Link {
+ public:
+  using Core = dataplane::LinkCore<SharedMemory>;
+  Link(const Core::Identity& identity, std::shared_ptr<Peer> peer) noexcept
+      : core_(identity), identity_(identity), peer_(std::move(peer)) {}
+
+  std::uint64_t publisher() const noexcept { return identity_.index; }
+  std::uint64_t generation() const noexcept { return identity_.generation; }
+  std::uint64_t first_sequence() const noexcept { return identity_.first_sequence; }
+  Peer& peer() const noexcept { return *peer_; }
+
+  /// The last copy of a taken message is gone. Any thread; one locked instruction, no system call.
+  /// True when the link is closing and this was its last message: then the control thread has
+  /// something to do.
+  bool release(std::uint64_t slot) noexcept {
+    core_.release(slot);
+    return held_.fetch_sub(1, std::memory_order_acq_rel) == 1 &&
+           closing_.load(std::memory_order_acquire);
+  }
+  std::uint64_t held_count() const noexcept { return held_.load(std::memory_order_acquire); }
+
+ private:
+  friend class SubscriptionEndpoint;
+  Core core_;
+  Core::Identity identity_;
+  std::shared_ptr<Peer> peer_;
+  std::atomic<std::uint64_t> held_{0};
+  std::atomic<bool> closing_{false};
+};
+
+/// A message in the hands of this process. Whoever drops it calls link->release(taken.slot) exactly
+/// once.
+struct Received {
+  dataplane::Taken taken;
+  std::shared_ptr<Link> link;
+};
+
+class SubscriptionEndpoint {
+ public:
+  struct Identity {
+    dataplane::TopicWords<SharedMemory> topic;
+    std::uint32_t topic_index;
+    std::uint64_t index;
+    std::uint64_t generation;
+    std::byte* region;     // this process's client region
+    std::uint64_t extent;  // in it
+    abi::Qos qos;
+    std::uint64_t quota;  // messages held at once, per publisher
+    std::uint64_t message_bytes = 0;      // sizeof the message object; 0 = any
+    std::uint64_t message_alignment = 1;
+  };
+  struct Publisher {
+    std::uint64_t index;
+    std::uint64_t generation;
+    std::uint64_t extent;
+    std::uint64_t first_sequence;
+    abi::Qos qos;
+    bool from_start;
+  };
+
+  SubscriptionEndpoint(const Identity& identity, std::shared_ptr<Sleeper> sleeper) noexcept
+      : self_(identity), sleeper_(std::move(sleeper)) {}
+  SubscriptionEndpoint(const SubscriptionEndpoint&) = delete;
+  SubscriptionEndpoint& operator=(const SubscriptionEndpoint&) = delete;
+
+  const Identity& identity() const noexcept { return self_; }
+  const Sleeper& sleeper() const noexcept { return *sleeper_; }
+
+  // --- control thread
+  // ------------------------------------------------------------------------------------------------------------
+
+  /// An announced publisher. Errors: protocol_violation (it is not on the board; nothing is
+  /// linked).
+  [[nodiscard]] Result<void> add_publisher(const Publisher& publisher, std::shared_ptr<Peer> peer);
+  /// The daemon says that this publisher is gone: what it committed is still delivered.
+  void orphan(std::uint64_t publisher, std::uint64_t generation) noexcept;
+  /// The subscription takes no more.
+  void close() noexcept;
+  /// Links that are over and of which nothing is held: unlinked here; the caller tells the daemon.
+  std::vector<std::shared_ptr<Link>> collect_unlinked();
+  bool is_linked_to(std::uint64_t publisher, std::uint64_t generation) const noexcept;
+  /// True when close() was called and no link is left.
+  bool is_empty() const noexcept;
+
+  // --- user threads
+  // --------------------------------------------------------------------------------------------------------------
+
+  /// The oldest unread message over all publishers (per publisher in order; between publishers by
+  /// stamp), or nothing. Counts what falls out of the subscription's depth as lost. No system call
+  /// except after a publisher's heap has grown.
+  std::optional<Received> take() noexcept;
+  /// Is there anything to take? For the look between arming and sleeping.
+  bool has_news() const noexcept;
+  std::uint64_t lost() const noexcept;
+  std::uint64_t malformed() const noexcept;
+  std::size_t publisher_count() const noexcept;
+
+ private:
+  void drop_beyond_depth() noexcept;
+  std::shared_ptr<Link> oldest() const noexcept;
+
+  Identity self_;
+  std::shared_ptr<Sleeper> sleeper_;
+  mutable std::mutex mutex_;
+  std::vector<std::shared_ptr<Link>> links_;
+  std::uint64_t lost_before_ = 0;  // of links that are over
+  std::uint64_t malformed_before_ = 0;
+  bool closed_ = false;
+};
+
+}  // namespace agnocast

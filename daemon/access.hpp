@@ -1,0 +1,75 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Access: may this user publish on, or subscribe to, this topic? Pure; the rules are the [[access]]
+// tables of the configuration in the order of the file.
+//
+// The first rule whose topic pattern and domain match *and* that speaks of the action decides; when
+// none does, everybody may. So a restriction of everything is a last rule with topic = "**".
+//
+//   *    any characters but a slash        ?   one character but a slash
+//   **   any characters
+//
+// Nobody is exempt, root included: a rule says what it says.
+#pragma once
+
+#include <base/names.hpp>
+
+#include <sys/types.h>
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace agnocast::daemon {
+
+enum class Action : std::uint8_t { publish, subscribe };
+
+/// Who is meant by one list of a rule.
+struct Principals {
+  bool everybody = false;
+  std::vector<uid_t> uids;
+  std::vector<gid_t> gids;
+  std::vector<std::string> written;  // as in the file
+
+  bool contains(uid_t uid, std::span<const gid_t> groups) const noexcept;
+  friend bool operator==(const Principals&, const Principals&) = default;
+};
+
+struct AccessRule {
+  std::string topic;                    // pattern
+  std::optional<std::uint64_t> domain;  // any when absent
+  std::optional<Principals> publish;    // says nothing when absent
+  std::optional<Principals> subscribe;
+  std::uint32_t line = 0;  // of the file, for people; no part of the rule's meaning
+
+  friend bool operator==(const AccessRule& a, const AccessRule& b) {
+    return a.topic == b.topic && a.domain == b.domain && a.publish == b.publish &&
+           a.subscribe == b.subscribe;
+  }
+};
+
+struct Subject {
+  uid_t uid = 0;
+  std::vector<gid_t> groups;  // primary and supplementary
+};
+
+struct Decision {
+  bool allowed = true;
+  std::optional<std::size_t> rule;  // index of the one that decided; none: the default
+  std::uint32_t line = 0;           // of that rule
+};
+
+/// `topic` is a fully qualified name. Linear in the rules.
+Decision decide(std::span<const AccessRule> rules, const Subject& subject, std::uint64_t domain,
+                std::string_view topic, Action action) noexcept;
+
+/// Whether a fully qualified name matches a pattern; time is at most the product of both lengths.
+bool topic_matches(std::string_view pattern, std::string_view topic) noexcept;
+/// Nothing when `pattern` can match a fully qualified name.
+std::optional<NameProblem> check_topic_pattern(std::string_view pattern) noexcept;
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,74 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <daemon/address_plan.hpp>
+
+#include <agnocast/abi/limits.hpp>
+
+#include <algorithm>
+
+namespace agnocast::daemon {
+namespace {
+
+constexpr std::uint64_t gib = std::uint64_t{1} << 30;
+constexpr std::uint64_t default_base = 0x2000'0000'0000;
+constexpr std::uint64_t default_bytes = 8192 * gib;
+constexpr std::uint64_t default_window_bytes = 16 * gib;
+// Below it a window would not hold a handful of camera images.
+constexpr std::uint64_t least_window_bytes = gib / 16;
+
+constexpr std::uint64_t round_down(std::uint64_t value, std::uint64_t unit) noexcept {
+  return value / unit * unit;
+}
+
+}  // namespace
+
+std::optional<Arena> plan_arena(const ArenaWish& wish, unsigned address_bits,
+                                std::uint64_t memory_bytes) noexcept {
+  if (address_bits < 32 || address_bits > 56) return std::nullopt;
+  const std::uint64_t space = std::uint64_t{1} << address_bits;
+  Arena arena;
+  // With 47 bits the default fits: 32 + 8 of 128 TiB. Otherwise a quarter of the way up, a
+  // sixteenth long.
+  const bool wide = space >= 4 * default_base;
+  arena.base = wish.base != 0 ? wish.base : wide ? default_base : space / 4;
+  arena.bytes = wish.bytes != 0 ? wish.bytes : wide ? default_bytes : space / 16;
+  if (wish.window_bytes != 0) {
+    arena.window_bytes = wish.window_bytes;
+  } else {
+    // A quarter of the memory is more than one process should hold; and at least 64 processes must
+    // find a window.
+    arena.window_bytes = std::min({default_window_bytes, memory_bytes / 4, arena.bytes / 64});
+    arena.window_bytes =
+        std::max(round_down(arena.window_bytes, least_window_bytes), least_window_bytes);
+  }
+  if (arena.base % abi::window_granule_bytes != 0 || arena.bytes % abi::page_bytes != 0 ||
+      arena.window_bytes % abi::window_granule_bytes != 0)
+    return std::nullopt;
+  if (arena.window_bytes == 0 || arena.bytes < arena.window_bytes) return std::nullopt;
+  if (arena.base >= space || arena.bytes > space - arena.base) return std::nullopt;
+  return arena;
+}
+
+std::optional<std::uint64_t> AddressPlan::take() {
+  std::uint64_t lowest = 0;
+  for (const std::uint64_t window : used_) {
+    if (window != lowest) break;
+    ++lowest;
+  }
+  if (lowest >= count_) return std::nullopt;
+  used_.insert(lowest);
+  return arena_.base + lowest * arena_.window_bytes;
+}
+
+bool AddressPlan::adopt(std::uint64_t base) {
+  if (base < arena_.base || (base - arena_.base) % arena_.window_bytes != 0) return false;
+  const std::uint64_t window = (base - arena_.base) / arena_.window_bytes;
+  return window < count_ && used_.insert(window).second;
+}
+
+bool AddressPlan::give_back(std::uint64_t base) {
+  if (base < arena_.base || (base - arena_.base) % arena_.window_bytes != 0) return false;
+  return used_.erase((base - arena_.base) / arena_.window_bytes) == 1;
+}
+
+}  // namespace agnocast::daemon

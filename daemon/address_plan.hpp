@@ -1,0 +1,66 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Address plan: which process owns which fixed range of addresses. Pure numbers.
+//
+// The arena is one range that every client reserves without memory when it says hello; it is cut
+// into windows of equal length, and the lowest free one is given out. A window comes back only when
+// the announce set of its owner's region is empty (rule RU), which the registry knows; nothing here
+// infers it.
+//
+//   base                                                        base + bytes
+//   | window 0 | window 1 | window 2 | …                        |
+//
+// The default base 0x2000'0000'0000 (35 TiB) lies above where position-dependent programs and their
+// heaps are, below where Linux puts mappings and stacks (from 0x7fff… downwards), and in a gap of
+// the shadows of AddressSanitizer (below 0x1000'8000'0000 and at 0x7fff'8000). A machine with fewer
+// address bits gets a smaller arena further down.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <set>
+
+namespace agnocast::daemon {
+
+struct Arena {
+  std::uint64_t base = 0;
+  std::uint64_t bytes = 0;
+  std::uint64_t window_bytes = 0;
+};
+
+/// What the configuration wishes, zero where it leaves the choice.
+struct ArenaWish {
+  std::uint64_t base = 0;
+  std::uint64_t bytes = 0;
+  std::uint64_t window_bytes = 0;
+};
+
+/// The arena for a machine: `address_bits` of user addresses (47 on x86-64, 39 to 48 on AArch64)
+/// and `memory_bytes` of RAM. Nothing when the wish does not fit or is not of whole granules
+/// (abi::window_granule_bytes).
+std::optional<Arena> plan_arena(const ArenaWish& wish, unsigned address_bits,
+                                std::uint64_t memory_bytes) noexcept;
+
+class AddressPlan {
+ public:
+  explicit AddressPlan(const Arena& arena) noexcept
+      : arena_(arena), count_(arena.bytes / arena.window_bytes) {}
+
+  const Arena& arena() const noexcept { return arena_; }
+  std::uint64_t window_count() const noexcept { return count_; }
+  std::uint64_t used_count() const noexcept { return used_.size(); }
+
+  /// Base of the lowest free window, which is not free any more; nothing when all are given out.
+  std::optional<std::uint64_t> take();
+  /// Marks a window as given out: what the tables say when the daemon starts again.
+  bool adopt(std::uint64_t base);
+  /// The window at `base` is free again. False when it was not given out.
+  bool give_back(std::uint64_t base);
+
+ private:
+  Arena arena_;
+  std::uint64_t count_;
+  std::set<std::uint64_t> used_;  // numbers of the windows that are given out
+};
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,595 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <daemon/broker.hpp>
+
+#include <agnocast/abi/fingerprint.hpp>
+#include <base/check.hpp>
+#include <base/names.hpp>
+
+#include <fcntl.h>
+#include <sys/epoll.h>
+#include <sys/socket.h>
+
+#include <array>
+#include <cerrno>
+#include <cinttypes>
+#include <cstdio>
+#include <ctime>
+#include <type_traits>
+#include <utility>
+
+namespace agnocast::daemon {
+namespace {
+
+// Packets of one connection handled in a row; the others must not wait for a flood.
+constexpr unsigned packets_per_turn = 32;
+// How often a process without a connection is looked at.
+constexpr int detached_interval_ms = 250;
+
+std::uint64_t now_ms() noexcept {
+  timespec now{};
+  ::clock_gettime(CLOCK_MONOTONIC, &now);
+  return static_cast<std::uint64_t>(now.tv_sec) * 1000 +
+         static_cast<std::uint64_t>(now.tv_nsec) / 1'000'000;
+}
+
+std::string hexadecimal(std::uint64_t value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "0x%016" PRIx64, value);
+  return text;
+}
+
+// The enumerator's own word: what explain and the documentation list.
+const char* word_of(Errc code) noexcept {
+  switch (code) {
+    case Errc::ok:
+      return "ok";
+#define AGNOCAST_ERROR_WORD(name, sentence, remedy) \
+  case Errc::name:                                  \
+    return #name;
+      AGNOCAST_ERROR_TABLE(AGNOCAST_ERROR_WORD)
+#undef AGNOCAST_ERROR_WORD
+  }
+  return "?";
+}
+
+// To a connection that is not taken: it is closed afterwards, but not without a word.
+void send_refused(const PacketSocket& socket, Errc code, std::string_view text) noexcept {
+  auto packet = make_body<wire::Refused>(wire::Opcode::refused);
+  packet.code = static_cast<std::uint32_t>(code);
+  packet.text = name_of(text);
+  static_cast<void>(socket.send(packet_of(packet)));
+}
+
+const char* name_of_kind(Kind kind) noexcept {
+  return kind == Kind::publisher ? "publisher" : "subscription";
+}
+
+}  // namespace
+
+Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, Listener& listener,
+               Regions regions, std::uint64_t incarnation)
+    : options_(options),
+      log_(log),
+      dispatcher_(dispatcher),
+      listener_(listener),
+      regions_(std::move(regions)),
+      registry_(regions_.memory(), {options.config.limits.clients, options.config.limits.topics,
+                                    options.config.limits.publishers_per_topic,
+                                    options.config.limits.subscriptions_per_topic,
+                                    options.config.limits.slots_per_publisher}),
+      plan_(options.arena),
+      doorbells_(listener.bells_directory()),
+      membership_(registry_, regions_, doorbells_, *this),
+      by_client_(abi::client_count_max, nullptr),
+      spare_(::open("/dev/null", O_RDONLY | O_CLOEXEC)) {
+  registry_.create(incarnation);
+  regions_.sign_board(incarnation);
+  membership_.on_ended = [this](ClientIndex client) { on_ended(client); };
+}
+
+Broker::~Broker() {
+  dispatcher_.remove(listening_);
+  for (auto& [id, peer] : peers_) {
+    dispatcher_.remove(peer->connection);
+    dispatcher_.remove(peer->process);
+  }
+}
+
+Result<void> Broker::start() {
+  const auto token =
+      dispatcher_.add(listener_.socket().fd(), EPOLLIN, [this](std::uint32_t) { accept_all(); });
+  if (!token) return tl::unexpected(token.error());
+  listening_ = *token;
+  return {};
+}
+
+// --- connections
+
+void Broker::accept_all() {
+  for (;;) {
+    auto socket = listener_.socket().accept();
+    if (!socket) {
+      if (socket.error().os_errno == EMFILE || socket.error().os_errno == ENFILE) {
+        turn_away();
+      } else {
+        log_.write_limited("accept", LogLevel::warning, "connection not accepted",
+                           {{"errno", socket.error().os_errno}});
+      }
+      return;  // level-triggered: what waits is told again
+    }
+    if (!*socket) return;
+    accept(std::move(**socket));
+  }
+}
+
+void Broker::turn_away() {
+  spare_.reset();
+  {
+    auto socket = listener_.socket().accept();
+    if (socket && *socket)
+      send_refused(**socket, Errc::limit_reached, "the daemon has no descriptor left");
+  }
+  spare_.reset(::open("/dev/null", O_RDONLY | O_CLOEXEC));
+  log_.write_limited("descriptors", LogLevel::error, "connection refused",
+                     {{"why", "no descriptor left; raise LimitNOFILE"}});
+}
+
+void Broker::accept(PacketSocket socket) {
+  auto identity = identify_peer(socket.fd());
+  if (!identity) {
+    log_.write_limited("identify", LogLevel::warning, "connection refused",
+                       {{"why", identity.error().what}, {"errno", identity.error().os_errno}});
+    send_refused(socket, identity.error().code, identity.error().what);
+    return;
+  }
+  const std::uint32_t uid = identity->uid;
+  if (connections_[uid] >= options_.config.quota.clients) {
+    send_refused(
+        socket, Errc::quota_exceeded,
+        "this user may have " + std::to_string(options_.config.quota.clients) + " connections");
+    log_.write_limited("connections uid=" + std::to_string(uid), LogLevel::warning,
+                       "connection refused",
+                       {{"uid", uid},
+                        {"code", "quota_exceeded"},
+                        {"limit", "[quota] clients"},
+                        {"value", options_.config.quota.clients}});
+    return;
+  }
+  const PeerId id = ++last_peer_;
+  auto peer = std::make_unique<Peer>(Peer{id, Session(std::move(socket), std::move(*identity))});
+  if (peer->session.identity().pid > 0) {
+    peer->session.user_namespace = user_namespace_of(peer->session.identity().pid).value_or(0);
+  }
+  const auto connection = dispatcher_.add(peer->session.socket().fd(), EPOLLIN,
+                                          [this, id](std::uint32_t) { on_readable(id); });
+  const auto process = !connection
+                           ? connection
+                           : dispatcher_.add(peer->session.identity().process.fd(), EPOLLIN,
+                                             [this, id](std::uint32_t) { on_process_end(id); });
+  if (!process) {
+    if (connection) dispatcher_.remove(*connection);
+    send_refused(peer->session.socket(), process.error().code, process.error().what);
+    return;
+  }
+  peer->connection = *connection;
+  peer->process = *process;
+  ++connections_[uid];
+  peers_.emplace(id, std::move(peer));
+}
+
+void Broker::on_readable(PeerId id) {
+  std::array<std::byte, wire::packet_bytes_max> buffer;
+  for (unsigned turn = 0; turn < packets_per_turn; ++turn) {
+    const auto found = peers_.find(id);
+    if (found == peers_.end() || found->second->session.closed()) return;
+    Peer& peer = *found->second;
+    // A blocked writer is woken here as well: the handler does not tell the events apart.
+    if (peer.wants_writable && turn == 0) {
+      flush(peer);
+      if (peers_.find(id) == peers_.end() || peer.session.closed()) return;
+    }
+    auto packet = peer.session.socket().receive(buffer);
+    if (!packet) {
+      disconnect(peer, packet.error().what);
+      return;
+    }
+    if (packet->kind == Packet::Kind::nothing) return;
+    if (packet->kind == Packet::Kind::end) {
+      disconnect(peer, "closed by the process");
+      return;
+    }
+    if (packet->credentials && !peer.session.identity().confirmed)
+      confirm(peer.session.identity(), *packet->credentials);
+    const Envelope envelope{packet->descriptor_count, packet->truncated, packet->descriptors_lost};
+    serve(peer, decode({buffer.data(), packet->bytes}, envelope, peer.session.greeted()));
+  }
+}
+
+void Broker::on_process_end(PeerId id) {
+  const auto found = peers_.find(id);
+  if (found == peers_.end()) return;
+  reap_peer(*found->second, "process ended");
+}
+
+void Broker::flush(Peer& peer) {
+  switch (peer.session.flush()) {
+    case Session::Flushed::all:
+      if (peer.wants_writable) dispatcher_.change(peer.connection, EPOLLIN);
+      peer.wants_writable = false;
+      break;
+    case Session::Flushed::blocked:
+      if (!peer.wants_writable) dispatcher_.change(peer.connection, EPOLLIN | EPOLLOUT);
+      peer.wants_writable = true;
+      break;
+    case Session::Flushed::later:
+      flush_later_ = true;
+      break;
+    case Session::Flushed::over:
+      // Not here: the caller may be in the middle of an announcement. The connection is shut, and
+      // its end is read like any other.
+      log_.write_limited("output uid=" + std::to_string(peer.session.identity().uid),
+                         LogLevel::warning, "connection ended",
+                         {{"pid", peer.session.identity().pid},
+                          {"uid", peer.session.identity().uid},
+                          {"queued", peer.session.queued_count()},
+                          {"why", "the process does not read"}});
+      ::shutdown(peer.session.socket().fd(), SHUT_RDWR);
+      peer.session.drop_output();
+      break;
+  }
+}
+
+void Broker::disconnect(Peer& peer, std::string_view why) {
+  dispatcher_.remove(peer.connection);
+  peer.connection = 0;
+  peer.session.close();
+  if (!peer.session.greeted()) {
+    drop(peer.id);
+    return;
+  }
+  const ClientIndex client = *peer.session.client();
+  log_.write(LogLevel::debug, "connection ended",
+             {{"client", number(client)}, {"pid", peer.session.identity().pid}, {"why", why}});
+  // After exec, or when the library was shut down, nothing of the region is left in the process.
+  if (!maps_file(peer.session.identity().pid, regions_.region_file(client))) {
+    reap_peer(peer, "process let go of its region");
+    return;
+  }
+  peer.detached = true;
+  ++detached_count_;
+}
+
+void Broker::reap_peer(Peer& peer, std::string_view how) {
+  const PeerId id = peer.id;
+  if (!peer.session.greeted()) {
+    drop(id);
+    return;
+  }
+  const ClientIndex client = *peer.session.client();
+  if (peer.detached) --detached_count_;
+  by_client_[number(client)] = nullptr;
+  const pid_t pid = peer.session.identity().pid;
+  const std::uint32_t uid = peer.session.identity().uid;
+  drop(id);
+  const Reaped reaped = reap(client, registry_, regions_, doorbells_, membership_);
+  note(reaped.corrupt == 0 ? LogLevel::info : LogLevel::warning, uid, "client gone",
+       {{"client", number(client)},
+        {"pid", pid},
+        {"uid", uid},
+        {"how", how},
+        {"publishers", reaped.publishers},
+        {"subscriptions", reaped.subscriptions},
+        {"rolled_back", reaped.rolled_back},
+        {"rolled_forward", reaped.rolled_forward},
+        {"corrupt_intents", reaped.corrupt}});
+}
+
+void Broker::drop(PeerId id) {
+  const auto found = peers_.find(id);
+  AGNOCAST_CHECK(found != peers_.end());
+  Peer& peer = *found->second;
+  dispatcher_.remove(peer.connection);
+  dispatcher_.remove(peer.process);
+  const auto count = connections_.find(peer.session.identity().uid);
+  AGNOCAST_CHECK(count != connections_.end() && count->second > 0);
+  if (--count->second == 0) connections_.erase(count);
+  peers_.erase(found);
+}
+
+void Broker::tick() {
+  const std::uint64_t now = now_ms();
+  if (now - looked_ms_ < detached_interval_ms) return;  // however many events there are
+  looked_ms_ = now;
+  if (flush_later_) {
+    flush_later_ = false;
+    for (auto& [id, peer] : peers_) {
+      if (!peer->session.closed() && peer->session.has_output()) flush(*peer);
+    }
+  }
+  if (detached_count_ > 0) {
+    std::vector<PeerId> gone;
+    for (const auto& [id, peer] : peers_) {
+      if (peer->detached &&
+          !maps_file(peer->session.identity().pid, regions_.region_file(*peer->session.client())))
+        gone.push_back(id);
+    }
+    for (const PeerId id : gone) reap_peer(*peers_.at(id), "process let go of its region");
+  }
+  log_.flush();
+}
+
+int Broker::due_ms() const noexcept {
+  return detached_count_ > 0 || flush_later_ ? detached_interval_ms : 10'000;
+}
+
+// --- Post
+
+Session* Broker::session_of(ClientIndex client) {
+  Peer* const peer = by_client_[number(client)];
+  return peer == nullptr || peer->session.closed() ? nullptr : &peer->session;
+}
+
+void Broker::send(ClientIndex client, std::span<const std::byte> packet,
+                  std::vector<SharedFd> fds) {
+  Peer* const peer = by_client_[number(client)];
+  if (peer == nullptr || peer->session.closed()) return;
+  reply(*peer, packet, std::move(fds));
+}
+
+void Broker::reply(Peer& peer, std::span<const std::byte> packet, std::vector<SharedFd> fds) {
+  const bool waiting = peer.session.has_output();
+  peer.session.push(packet, std::move(fds));
+  // While something waits for the socket there is nothing to gain from another try.
+  if (!waiting || peer.session.queued_count() > Session::queue_count_max) flush(peer);
+}
+
+void Broker::note(LogLevel level, std::uint32_t uid, std::string_view event, Log::Fields fields) {
+  if (log_.is_written(LogLevel::debug)) {
+    log_.write(level, event, fields);
+  } else {
+    log_.write_limited(std::string(event) + " uid=" + std::to_string(uid), level, event, fields);
+  }
+}
+
+// --- requests
+
+tl::unexpected<Failure> Broker::refusal(Errc code, std::string text) {
+  detail_ = std::move(text);
+  return fail(code, "");
+}
+
+Result<void> Broker::check_limit(std::uint64_t used, std::uint64_t more, std::uint64_t limit,
+                                 std::string_view name) {
+  if (used <= limit && more <= limit - used) return {};
+  return refusal(Errc::quota_exceeded, std::string(name) + " is " + std::to_string(limit) +
+                                           ", this user has " + std::to_string(used) +
+                                           " and asks for " + std::to_string(more) + " more");
+}
+
+void Broker::refuse(Peer& peer, std::uint64_t request, Errc code, int os_errno,
+                    std::string_view text) {
+  auto packet = make_body<wire::Refused>(wire::Opcode::refused, request);
+  packet.code = static_cast<std::uint32_t>(code);
+  packet.os_errno = static_cast<std::uint32_t>(os_errno);
+  packet.text = name_of(text);
+  const std::uint32_t uid = peer.session.identity().uid;
+  log_.write_limited("refused uid=" + std::to_string(uid), LogLevel::warning, "request refused",
+                     {{"pid", peer.session.identity().pid},
+                      {"uid", uid},
+                      {"code", word_of(code)},
+                      {"errno", os_errno},
+                      {"why", text}});
+  reply(peer, packet_of(packet));
+}
+
+void Broker::serve(Peer& peer, const Request& request) {
+  detail_.clear();
+  Result<void> served;
+  std::uint64_t id = 0;
+  const auto handle = [&](const auto& body) {
+    using Body = std::decay_t<decltype(body)>;
+    if constexpr (std::is_same_v<Body, wire::Hello>) {
+      id = body.header.request;
+      served = hello(peer, body);
+    } else if constexpr (std::is_same_v<Body, wire::WindowRequest>) {
+      id = body.header.request;
+      served = open_window(peer, body);
+    } else if constexpr (std::is_same_v<Body, wire::ExecutorRequest>) {
+      id = body.header.request;
+      served = open_executor(peer, body);
+    } else if constexpr (std::is_same_v<Body, CreateRequest>) {
+      id = body.request;
+      served = create(peer, body);
+    } else if constexpr (std::is_same_v<Body, LeaveRequest>) {
+      id = body.reference.header.request;
+      served = membership_.leave(*peer.session.client(), body.reference);
+    } else if constexpr (std::is_same_v<Body, DrainedRequest>) {
+      id = body.reference.header.request;
+      served = membership_.drained(*peer.session.client(), body.reference);
+    } else if constexpr (std::is_same_v<Body, wire::Unlinked>) {
+      id = body.header.request;
+      served = membership_.unlinked(*peer.session.client(), body);
+    } else {
+      id = body.request;
+      served = refusal(body.code, body.text);
+    }
+  };
+  std::visit(handle, request);
+  if (served) return;
+  refuse(peer, id, served.error().code, served.error().os_errno,
+         detail_.empty() ? served.error().what : std::string_view(detail_));
+  const auto* const rejected = std::get_if<Rejected>(&request);
+  if (rejected != nullptr && rejected->ends_connection)
+    disconnect(peer, "a packet could not be parsed");
+}
+
+Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
+  Session& session = peer.session;
+  if (hello.fingerprint != abi::fingerprint())
+    return refusal(Errc::layout_mismatch,
+                   "the library has layout " + hexadecimal(hello.fingerprint) +
+                       ", the daemon has layout " + hexadecimal(abi::fingerprint()));
+  if (!session.identity().confirmed)
+    return refusal(Errc::permission_denied,
+                   "the process that connected is not the one that says hello");
+  std::string_view name;
+  AGNOCAST_CHECK(text_of(hello.process_name, name));
+  const auto client = registry_.add_client({session.identity().uid, session.identity().gid,
+                                            static_cast<std::uint32_t>(session.identity().pid),
+                                            hello.domain, name});
+  if (!client) return tl::unexpected(client.error());
+  const ClientRecord& record = registry_.client(*client);
+  if (auto opened = regions_.open_client(*client, record.generation); !opened) {
+    registry_.client_died(*client);
+    registry_.end_client(*client);
+    return opened;
+  }
+  session.greet(*client);
+  by_client_[number(*client)] = &peer;
+  auto packet = make_body<wire::Welcome>(wire::Opcode::welcome, hello.header.request);
+  packet.fingerprint = abi::fingerprint();
+  packet.incarnation = registry_.incarnation();
+  packet.client = number(*client);
+  packet.client_generation = record.generation;
+  packet.arena_base = options_.arena.base;
+  packet.arena_bytes = options_.arena.bytes;
+  packet.client_region_bytes = Registry::client_region_bytes;
+  reply(peer, packet_of(packet), {regions_.board_reader(), regions_.region_writer(*client)});
+  if (regions_.unlocked_count() > 0 && !std::exchange(said_unlocked_, true))
+    log_.write(LogLevel::info, "memory not locked", {{"why", "limit of locked memory"}});
+  log_.write(LogLevel::debug, "client registered",
+             {{"client", number(*client)},
+              {"generation", record.generation},
+              {"pid", session.identity().pid},
+              {"uid", session.identity().uid},
+              {"domain", hello.domain},
+              {"name", name}});
+  return {};
+}
+
+Result<void> Broker::open_window(Peer& peer, const wire::WindowRequest& request) {
+  const ClientIndex client = *peer.session.client();
+  const ClientRecord& record = registry_.client(client);
+  if (request.window > record.window_count)
+    return refusal(Errc::protocol_violation, "windows are opened one after the other");
+  Result<SharedFd> writer = SharedFd();
+  if (request.window < record.window_count) {
+    writer = regions_.window_writer(client, request.window);  // asked for again
+    if (!writer) return tl::unexpected(writer.error());
+  } else {
+    if (record.window_count >= options_.config.heap.windows_per_process)
+      return refusal(Errc::window_exhausted,
+                     "a process has at most " +
+                         std::to_string(options_.config.heap.windows_per_process) + " windows");
+    const std::uint64_t bytes = options_.arena.window_bytes;
+    if (auto allowed = check_limit(registry_.usage_of(record.uid).heap_bytes, bytes,
+                                   options_.config.quota.heap_bytes, "[quota] heap_bytes");
+        !allowed)
+      return allowed;
+    const auto base = plan_.take();
+    if (!base)
+      return refusal(Errc::limit_reached, "all " + std::to_string(plan_.window_count()) +
+                                              " windows of the arena are given out");
+    writer = regions_.open_window(client, bytes);
+    if (!writer) {
+      plan_.give_back(*base);
+      return tl::unexpected(writer.error());
+    }
+    registry_.open_window(client, {*base, bytes});
+    // Before the answer: the announcement is in a subscriber's socket before the first message lies
+    // in the window.
+    membership_.announce_window(client);
+    log_.write(LogLevel::debug, "window opened",
+               {{"client", number(client)},
+                {"pid", peer.session.identity().pid},
+                {"window", request.window},
+                {"base", hexadecimal(*base)},
+                {"bytes", bytes}});
+  }
+  auto packet = make_body<wire::WindowOpened>(wire::Opcode::window_opened, request.header.request);
+  packet.window = request.window;
+  packet.base = record.window[request.window].base;
+  packet.bytes = record.window[request.window].bytes;
+  reply(peer, packet_of(packet), {*writer, regions_.window_readers(client)[request.window]});
+  return {};
+}
+
+Result<void> Broker::open_executor(Peer& peer, const wire::ExecutorRequest& request) {
+  const ClientIndex client = *peer.session.client();
+  if (doorbells_.is_open(client, request.executor))
+    return refusal(Errc::protocol_violation, "the executor is open");
+  const std::uint32_t uid = registry_.client(client).uid;
+  if (auto allowed = check_limit(registry_.usage_of(uid).executors, 1,
+                                 options_.config.quota.executors, "[quota] executors");
+      !allowed)
+    return allowed;
+  auto bells = doorbells_.open(client, request.executor);
+  if (!bells) return tl::unexpected(bells.error());
+  registry_.open_executor(client, static_cast<std::uint32_t>(request.executor));
+  const auto packet = make_body<wire::Done>(wire::Opcode::executor_opened, request.header.request);
+  reply(peer, packet_of(packet), std::move(*bells));
+  return {};
+}
+
+Result<void> Broker::create(Peer& peer, const CreateRequest& request) {
+  const ClientIndex client = *peer.session.client();
+  const ClientRecord& record = registry_.client(client);
+  if (const auto problem = check_topic_name(request.topic))
+    return refusal(Errc::invalid_name,
+                   "topic " + printable(request.topic) + ": " + problem->text());
+  if (request.qos.depth > options_.config.limits.depth_max)
+    return refusal(Errc::depth_refused, "depth " + std::to_string(request.qos.depth) +
+                                            " is above depth_max " +
+                                            std::to_string(options_.config.limits.depth_max));
+  const bool publisher = request.kind == Kind::publisher;
+  Subject subject{record.uid, peer.session.identity().groups};
+  subject.groups.push_back(record.gid);
+  const Decision decision = decide(options_.config.access, subject, record.domain, request.topic,
+                                   publisher ? Action::publish : Action::subscribe);
+  if (!decision.allowed)
+    return refusal(Errc::permission_denied, "user " + std::to_string(record.uid) + " may not " +
+                                                (publisher ? "publish on " : "subscribe to ") +
+                                                request.topic + " (rule in line " +
+                                                std::to_string(decision.line) + ")");
+  const Usage usage = registry_.usage_of(record.uid);
+  auto allowed =
+      publisher
+          ? check_limit(usage.publishers, 1, options_.config.quota.publishers, "[quota] publishers")
+          : check_limit(usage.subscriptions, 1, options_.config.quota.subscriptions,
+                        "[quota] subscriptions");
+  if (!allowed) return allowed;
+  if (!publisher) {
+    allowed = check_limit(usage.held_messages, request.quota, options_.config.quota.held_messages,
+                          "[quota] held_messages");
+    if (!allowed) return allowed;
+  }
+  auto created = membership_.create(client, request);
+  if (created) {
+    log_.write(LogLevel::debug, "endpoint created",
+               {{"kind", name_of_kind(request.kind)},
+                {"topic", request.topic},
+                {"type", request.type},
+                {"client", number(client)},
+                {"pid", peer.session.identity().pid},
+                {"uid", record.uid}});
+  } else if (created.error().code == Errc::type_mismatch) {
+    const auto topic = registry_.find_topic(record.domain, request.topic);
+    AGNOCAST_CHECK(topic.has_value());
+    const std::string_view type = registry_.topic(*topic).type;
+    return refusal(Errc::type_mismatch,
+                   request.topic + (type == request.type ? " has the same type with another layout"
+                                                         : " has type " + printable(type)));
+  }
+  return created;
+}
+
+void Broker::on_ended(ClientIndex client) {
+  const ClientRecord& record = registry_.client(client);
+  for (std::uint64_t w = 0; w < record.window_count; ++w)
+    AGNOCAST_CHECK(plan_.give_back(record.window[w].base));
+  log_.write(LogLevel::debug, "client place free",
+             {{"client", number(client)}, {"generation", record.generation}});
+}
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,122 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Broker: builds and owns everything below, and turns events into operations.
+//
+//   listener readable     accept, identify, watch connection and process
+//   connection readable   decode, check rights and quotas, membership
+//   connection ended      keep (the process lives), or reap (it has no trace of its region)
+//   pidfd readable        reap
+//
+// One thread. The order of things inside one event is the protocol's; between events everything is
+// consistent, so the daemon may be killed at any time.
+#pragma once
+
+#include <daemon/access.hpp>
+#include <daemon/address_plan.hpp>
+#include <daemon/config.hpp>
+#include <daemon/dispatcher.hpp>
+#include <daemon/doorbells.hpp>
+#include <daemon/listener.hpp>
+#include <daemon/log.hpp>
+#include <daemon/membership.hpp>
+#include <daemon/reaper.hpp>
+#include <daemon/regions.hpp>
+#include <daemon/registry.hpp>
+#include <daemon/requests.hpp>
+#include <daemon/session.hpp>
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <unordered_map>
+#include <vector>
+
+namespace agnocast::daemon {
+
+struct BrokerOptions {
+  Arena arena;
+  Config config;
+};
+
+class Broker final : private Post {
+ public:
+  Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, Listener& listener,
+         Regions regions, std::uint64_t incarnation);
+  ~Broker() override;
+  Broker(const Broker&) = delete;
+  Broker& operator=(const Broker&) = delete;
+
+  /// Begins to serve. Errors: os_failure.
+  [[nodiscard]] Result<void> start();
+  /// What is to be done now and then; call it after at most due_ms() (-1: nothing is due).
+  void tick();
+  int due_ms() const noexcept;
+
+ private:
+  using PeerId = std::uint64_t;
+  struct Peer {
+    PeerId id;
+    Session session;
+    Dispatcher::Token connection = 0;
+    Dispatcher::Token process = 0;
+    bool wants_writable = false;
+    bool detached = false;  // without a connection, but alive and mapping its region
+  };
+
+  // Post
+  Session* session_of(ClientIndex client) override;
+  void send(ClientIndex client, std::span<const std::byte> packet,
+            std::vector<SharedFd> fds) override;
+
+  void accept_all();
+  void accept(PacketSocket socket);
+  /// Takes one waiting connection although no descriptor is left, and says why it is refused.
+  void turn_away();
+  void on_readable(PeerId id);
+  void on_process_end(PeerId id);
+  void flush(Peer& peer);
+  /// The connection is over; the process may live.
+  void disconnect(Peer& peer, std::string_view why);
+  void drop(PeerId id);
+  void reap_peer(Peer& peer, std::string_view how);
+
+  void serve(Peer& peer, const Request& request);
+  [[nodiscard]] Result<void> hello(Peer& peer, const wire::Hello& hello);
+  [[nodiscard]] Result<void> open_window(Peer& peer, const wire::WindowRequest& request);
+  [[nodiscard]] Result<void> open_executor(Peer& peer, const wire::ExecutorRequest& request);
+  [[nodiscard]] Result<void> create(Peer& peer, const CreateRequest& request);
+  void refuse(Peer& peer, std::uint64_t request, Errc code, int os_errno, std::string_view text);
+  void reply(Peer& peer, std::span<const std::byte> packet, std::vector<SharedFd> fds = {});
+  void on_ended(ClientIndex client);
+  /// A line that any client can cause: limited per user, unless somebody looks at everything.
+  void note(LogLevel level, std::uint32_t uid, std::string_view event, Log::Fields fields);
+
+  /// Why the last request was refused, when there is more to say than a static text.
+  [[nodiscard]] tl::unexpected<Failure> refusal(Errc code, std::string text);
+  [[nodiscard]] Result<void> check_limit(std::uint64_t used, std::uint64_t more,
+                                         std::uint64_t limit, std::string_view name);
+
+  BrokerOptions options_;
+  Log& log_;
+  Dispatcher& dispatcher_;
+  Listener& listener_;
+  Regions regions_;
+  Registry registry_;
+  AddressPlan plan_;
+  Doorbells doorbells_;
+  Membership membership_;
+  std::unordered_map<PeerId, std::unique_ptr<Peer>> peers_;
+  std::vector<Peer*> by_client_;
+  std::unordered_map<std::uint32_t, std::uint64_t> connections_;  // per uid
+  std::string detail_;
+  PeerId last_peer_ = 0;
+  std::uint64_t detached_count_ = 0;  // processes without a connection
+  bool flush_later_ = false;
+  bool said_unlocked_ = false;
+  std::uint64_t looked_ms_ = 0;  // when tick() last had a look
+  UniqueFd spare_;               // given up for a moment when no descriptor is left
+  Dispatcher::Token listening_ = 0;
+};
+
+}  // namespace agnocast::daemon

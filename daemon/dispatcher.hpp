@@ -1,0 +1,48 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Dispatcher: one epoll set, one thread, one handler per descriptor.
+//
+// A source is known by a token that is never used twice. Descriptor numbers are: a handler may
+// close one source and open another that gets the same number while an event of the old one still
+// waits in the batch; its token finds nobody, and the event is dropped.
+#pragma once
+
+#include <agnocast/result.hpp>
+#include <base/unique_fd.hpp>
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <unordered_map>
+
+namespace agnocast::daemon {
+
+class Dispatcher {
+ public:
+  using Token = std::uint64_t;
+  using Handler = std::function<void(std::uint32_t events)>;
+
+  [[nodiscard]] static Result<Dispatcher> create() noexcept;
+
+  /// Watches `fd`, which stays the caller's and must be removed before it is closed. Errors:
+  /// os_failure (ENOSPC: fs.epoll.max_user_watches).
+  [[nodiscard]] Result<Token> add(int fd, std::uint32_t events, Handler handler);
+  void change(Token token, std::uint32_t events) noexcept;
+  /// After this its handler is not called any more. A token that is not known is ignored.
+  void remove(Token token) noexcept;
+
+  /// Handles what there is; waits for it at most `timeout_ms` (-1: for ever). Errors: os_failure.
+  [[nodiscard]] Result<void> wait(int timeout_ms);
+
+ private:
+  struct Source {
+    int fd;
+    std::shared_ptr<const Handler> handler;  // survives its own removal while it runs
+  };
+
+  UniqueFd epoll_;
+  std::unordered_map<Token, Source> sources_;
+  Token last_token_ = 0;
+};
+
+}  // namespace agnocast::daemon

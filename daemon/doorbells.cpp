@@ -1,0 +1,66 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <daemon/doorbells.hpp>
+
+#include <fcntl.h>
+#include <unistd.h>
+
+#include <cerrno>
+
+namespace agnocast::daemon {
+namespace {
+
+// The receiver owns its descriptors; a packet needs its own.
+Result<SharedFd> duplicate(int fd) {
+  UniqueFd copy(::fcntl(fd, F_DUPFD_CLOEXEC, 0));
+  if (!copy) return fail(Errc::os_failure, "duplicating a descriptor", errno);
+  return share(std::move(copy));
+}
+
+}  // namespace
+
+Doorbells::~Doorbells() {
+  for (const auto& [key, bell] : bells_) ::unlink((directory_ + "/" + name_of(key)).c_str());
+}
+
+Result<std::vector<SharedFd>> Doorbells::open(ClientIndex client, std::uint64_t executor) {
+  const Key key{number(client), executor};
+  const std::string name = name_of(key);
+  auto receiver = make_doorbell(directory_, name);
+  if (!receiver) return tl::unexpected(receiver.error());
+  auto sender = connect_doorbell(directory_, name);
+  if (!sender) return tl::unexpected(sender.error());
+  auto eventfd = duplicate(receiver->eventfd());
+  if (!eventfd) return tl::unexpected(eventfd.error());
+  auto datagram = duplicate(receiver->datagram_fd());
+  if (!datagram) return tl::unexpected(datagram.error());
+  bells_[key] = Bell{*eventfd, Doorbell(std::move(*sender))};
+  return std::vector<SharedFd>{*eventfd, *datagram};
+}
+
+std::vector<SharedFd> Doorbells::for_publisher(ClientIndex client, std::uint64_t executor,
+                                               bool same_user) {
+  const Key key{number(client), executor};
+  const auto found = bells_.find(key);
+  if (found == bells_.end()) return {};
+  auto sender = connect_doorbell(directory_, name_of(key));
+  if (!sender) return {};
+  std::vector<SharedFd> fds;
+  if (same_user) fds.push_back(found->second.eventfd);
+  fds.push_back(share(std::move(*sender)));
+  return fds;
+}
+
+void Doorbells::ring(ClientIndex client, std::uint64_t executor) noexcept {
+  const auto found = bells_.find({number(client), executor});
+  if (found != bells_.end()) found->second.own.ring();
+}
+
+void Doorbells::close_client(ClientIndex client) noexcept {
+  const auto begin = bells_.lower_bound({number(client), 0});
+  const auto end = bells_.lower_bound({number(client) + 1, 0});
+  for (auto at = begin; at != end; ++at) ::unlink((directory_ + "/" + name_of(at->first)).c_str());
+  bells_.erase(begin, end);
+}
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,59 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Doorbells: the bells of all executors, as their maker keeps them.
+//
+// Of every executor the daemon keeps the eventfd, to pass it on to publishers of the same user, and
+// one datagram sender of its own. It rings by datagram only: an eventfd whose O_NONBLOCK its holder
+// has cleared would block whoever writes to it, and the daemon must not wait for anybody. For every
+// publisher process a sender of its own is connected when it is announced to, and not kept.
+#pragma once
+
+#include <agnocast/result.hpp>
+#include <base/doorbell.hpp>
+#include <daemon/shared_fd.hpp>
+#include <daemon/tables.hpp>
+
+#include <cstdint>
+#include <map>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace agnocast::daemon {
+
+class Doorbells {
+ public:
+  /// `directory` exists and only this process's user may enter it.
+  explicit Doorbells(std::string directory) : directory_(std::move(directory)) {}
+  /// Removes the bells' names; the directory is its maker's to remove.
+  ~Doorbells();
+  Doorbells(const Doorbells&) = delete;
+  Doorbells& operator=(const Doorbells&) = delete;
+
+  /// New bells: eventfd and bound socket, for the executor's process. Errors: os_failure.
+  [[nodiscard]] Result<std::vector<SharedFd>> open(ClientIndex client, std::uint64_t executor);
+  bool is_open(ClientIndex client, std::uint64_t executor) const {
+    return bells_.count({number(client), executor}) != 0;
+  }
+  /// What a publisher's process gets: (eventfd and) a datagram sender; nothing when nobody listens
+  /// any more.
+  std::vector<SharedFd> for_publisher(ClientIndex client, std::uint64_t executor, bool same_user);
+  void ring(ClientIndex client, std::uint64_t executor) noexcept;
+  /// The process is dead.
+  void close_client(ClientIndex client) noexcept;
+
+ private:
+  struct Bell {
+    SharedFd eventfd;
+    Doorbell own;
+  };
+  using Key = std::pair<std::uint32_t, std::uint64_t>;
+  static std::string name_of(const Key& key) {
+    return std::to_string(key.first) + "." + std::to_string(key.second);
+  }
+
+  std::string directory_;
+  std::map<Key, Bell> bells_;
+};
+
+}  // namespace agnocast::daemon

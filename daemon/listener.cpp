@@ -1,0 +1,153 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <daemon/listener.hpp>
+
+#include <dirent.h>
+#include <fcntl.h>
+#include <sys/file.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <memory>
+#include <system_error>
+
+namespace agnocast::daemon {
+namespace {
+
+// The longest name of a bell must fit into a socket's address behind its directory.
+constexpr std::size_t bells_length_max = 107 - (sizeof "/2047.31" - 1);
+
+std::string reason(int error) { return std::generic_category().message(error); }
+
+tl::unexpected<Complaint> complain(Errc code, std::string what) {
+  return tl::unexpected<Complaint>(Complaint{code, std::move(what)});
+}
+
+std::string parent_of(const std::string& path) {
+  const std::size_t slash = path.rfind('/');
+  if (slash == std::string::npos) return ".";
+  return slash == 0 ? "/" : path.substr(0, slash);
+}
+
+tl::expected<void, Complaint> make_directory(const std::string& directory) {
+  if (::mkdir(directory.c_str(), 0755) == 0) {
+    ::chmod(directory.c_str(), 0755);  // whatever the umask
+  } else if (errno != EEXIST) {
+    return complain(Errc::os_failure, "cannot make directory " + directory + ": " + reason(errno));
+  }
+  struct stat entry {};
+  if (::stat(directory.c_str(), &entry) != 0)
+    return complain(Errc::os_failure, "cannot use directory " + directory + ": " + reason(errno));
+  if (!S_ISDIR(entry.st_mode))
+    return complain(Errc::os_failure, "cannot use " + directory + ": it is not a directory");
+  if ((entry.st_mode & 0022) != 0 && (entry.st_mode & S_ISVTX) == 0)
+    return complain(Errc::permission_denied, "cannot use directory " + directory +
+                                                 ": others may write there and could replace the "
+                                                 "socket");
+  return {};
+}
+
+void clear_bells(const std::string& directory) noexcept {
+  const std::unique_ptr<DIR, int (*)(DIR*)> entries(::opendir(directory.c_str()), &::closedir);
+  if (entries == nullptr) return;
+  while (const dirent* const entry = ::readdir(entries.get())) {
+    if (entry->d_name[0] != '.') ::unlinkat(::dirfd(entries.get()), entry->d_name, 0);
+  }
+}
+
+tl::expected<void, Complaint> make_bells(const std::string& directory) {
+  if (::mkdir(directory.c_str(), 0700) != 0 && errno != EEXIST)
+    return complain(Errc::os_failure, "cannot make directory " + directory + ": " + reason(errno));
+  struct stat entry {};
+  if (::lstat(directory.c_str(), &entry) != 0)
+    return complain(Errc::os_failure, "cannot use directory " + directory + ": " + reason(errno));
+  if (!S_ISDIR(entry.st_mode) || entry.st_uid != ::geteuid())
+    return complain(Errc::permission_denied,
+                    "cannot use " + directory + ": it is not a directory of this user");
+  if (::chmod(directory.c_str(), 0700) != 0)
+    return complain(Errc::os_failure, "cannot use directory " + directory + ": " + reason(errno));
+  clear_bells(directory);
+  return {};
+}
+
+tl::expected<void, Complaint> clear_socket(const std::string& path) {
+  struct stat entry {};
+  if (::lstat(path.c_str(), &entry) != 0) {
+    if (errno == ENOENT) return {};
+    return complain(Errc::os_failure, "cannot use " + path + ": " + reason(errno));
+  }
+  if (!S_ISSOCK(entry.st_mode))
+    return complain(Errc::os_failure, "cannot use " + path + ": it exists and is not a socket");
+  const auto other = PacketSocket::connect(path);
+  if (other) return complain(Errc::already_running, "another agnocastd is running at " + path);
+  if (other.error().code != Errc::daemon_not_running)
+    return complain(Errc::os_failure, "cannot use " + path + ": something else has this socket (" +
+                                          reason(other.error().os_errno) + ")");
+  if (::unlink(path.c_str()) != 0 && errno != ENOENT)
+    return complain(Errc::os_failure,
+                    "cannot remove the stale socket " + path + ": " + reason(errno));
+  return {};
+}
+
+}  // namespace
+
+tl::expected<Listener, Complaint> Listener::open(const ListenerOptions& options) {
+  const std::string& path = options.path;
+  const std::string& directory = options.runtime_directory;
+  const std::string base = directory + "/" + path.substr(path.rfind('/') + 1);
+  if (path.empty() || path.size() > 107)
+    return complain(Errc::invalid_argument,
+                    "cannot use socket path " + path + ": it must have 1 to 107 bytes");
+  Listener listener;
+  listener.bells_ = base + ".bells";
+  if (listener.bells_.size() > bells_length_max)
+    return complain(Errc::invalid_argument, "cannot use runtime directory " + directory + ": " +
+                                                listener.bells_ + " must have at most " +
+                                                std::to_string(bells_length_max) + " bytes");
+  for (const std::string& wanted : {parent_of(path), directory}) {
+    if (auto made = make_directory(wanted); !made) return tl::unexpected(made.error());
+  }
+
+  const std::string lock_path = base + ".lock";
+  listener.lock_.reset(::open(lock_path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600));
+  if (!listener.lock_)
+    return complain(errno == EACCES || errno == EPERM ? Errc::permission_denied : Errc::os_failure,
+                    "cannot write in directory " + directory + ": " + reason(errno));
+  if (::flock(listener.lock_.get(), LOCK_EX | LOCK_NB) != 0) {
+    if (errno == EWOULDBLOCK)
+      return complain(Errc::already_running, "another agnocastd is running at " + path);
+    return complain(Errc::os_failure, "cannot lock " + lock_path + ": " + reason(errno));
+  }
+  if (auto cleared = clear_socket(path); !cleared) return tl::unexpected(cleared.error());
+  if (auto made = make_bells(listener.bells_); !made) return tl::unexpected(made.error());
+
+  auto socket = PacketListener::listen(path);
+  if (!socket) {
+    if (socket.error().code == Errc::already_running)
+      return complain(Errc::already_running, "another agnocastd is running at " + path);
+    return complain(socket.error().code,
+                    "cannot listen at " + path + ": " + reason(socket.error().os_errno));
+  }
+  listener.path_ = path;  // from here on there is something to remove
+  listener.socket_ = std::move(*socket);
+  if (auto wanted = listener.socket_.want_credentials(true); !wanted)
+    return complain(Errc::os_failure,
+                    "cannot listen at " + path + ": " + reason(wanted.error().os_errno));
+  if (options.group && ::lchown(path.c_str(), static_cast<uid_t>(-1), *options.group) != 0)
+    return complain(Errc::permission_denied, "cannot give " + path + " to group " +
+                                                 std::to_string(*options.group) + ": " +
+                                                 reason(errno));
+  if (::chmod(path.c_str(), options.mode) != 0)
+    return complain(Errc::os_failure, "cannot set the mode of " + path + ": " + reason(errno));
+  return listener;
+}
+
+Listener::~Listener() {
+  if (path_.empty()) return;
+  ::unlink(path_.c_str());
+  clear_bells(bells_);
+  ::rmdir(bells_.c_str());
+}
+
+}  // namespace agnocast::daemon

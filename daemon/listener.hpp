@@ -1,0 +1,70 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Listener: the place where clients find the daemon, and proof that there is only one.
+//
+//   SOCKET             where clients connect
+//   RUN/NAME.lock      held with flock as long as the daemon runs; NAME is the socket's last part
+//   RUN/NAME.bells/    names of the doorbells, for the daemon's user alone
+//
+// RUN is the socket's directory unless the configuration names another one.
+//
+// The lock decides who may clear away what a former life left; a socket that still answers although
+// nobody has the lock belongs to somebody else and is left alone. A clean end removes socket and
+// bells; the lock file stays (removing it would let two others each lock a file of that name).
+//
+// Every complaint is one sentence for people, with the path in it.
+#pragma once
+
+#include <agnocast/error.hpp>
+#include <base/packet_socket.hpp>
+#include <base/unique_fd.hpp>
+
+#include <tl/expected.hpp>
+
+#include <sys/types.h>
+
+#include <optional>
+#include <string>
+#include <utility>
+
+namespace agnocast::daemon {
+
+struct Complaint {
+  Errc code = Errc::os_failure;
+  std::string what;  // "cannot …: why"
+};
+
+struct ListenerOptions {
+  std::string path;
+  std::string runtime_directory;
+  mode_t mode = 0660;
+  std::optional<gid_t> group;
+};
+
+class Listener {
+ public:
+  [[nodiscard]] static tl::expected<Listener, Complaint> open(const ListenerOptions& options);
+
+  Listener(Listener&& other) noexcept
+      : path_(std::exchange(other.path_, {})),
+        bells_(std::exchange(other.bells_, {})),
+        lock_(std::move(other.lock_)),
+        socket_(std::move(other.socket_)) {}
+  Listener& operator=(Listener&&) = delete;
+  /// Removes socket and bells.
+  ~Listener();
+
+  const PacketListener& socket() const noexcept { return socket_; }
+  const std::string& path() const noexcept { return path_; }
+  const std::string& bells_directory() const noexcept { return bells_; }
+
+ private:
+  Listener() = default;
+
+  std::string path_;  // empty: nothing to remove
+  std::string bells_;
+  UniqueFd lock_;
+  PacketListener socket_;
+};
+
+}  // namespace agnocast::daemon

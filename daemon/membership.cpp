@@ -1,0 +1,522 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <daemon/membership.hpp>
+
+#include <base/check.hpp>
+
+#include <algorithm>
+
+namespace agnocast::daemon {
+namespace {
+
+Announced subject_of(const EndpointRef& ref) noexcept {
+  return {ref.kind, number(ref.topic), ref.index};
+}
+Announced region_of(ClientIndex client) noexcept { return {Kind::region, 0, number(client)}; }
+
+wire::Reference reference_to(const EndpointRef& ref, std::uint64_t generation,
+                             wire::Opcode opcode) noexcept {
+  auto packet = make_body<wire::Reference>(opcode);
+  packet.kind = ref.kind;
+  packet.topic = number(ref.topic);
+  packet.index = ref.index;
+  packet.generation = generation;
+  return packet;
+}
+
+EndpointRef ref_of(const wire::Reference& reference) noexcept {
+  return {reference.kind, static_cast<TopicIndex>(reference.topic),
+          static_cast<std::uint32_t>(reference.index)};
+}
+
+bool matches(const PublisherRecord& publisher, const SubscriptionRecord& subscription) noexcept {
+  return abi::qos_match(abi::unpack_qos(publisher.qos), abi::unpack_qos(subscription.qos));
+}
+
+}  // namespace
+
+template <class Function>
+void Membership::for_each_told(const AnnounceSet& set, Function function) const {
+  for (std::uint32_t i = 0; i < registry_.client_high(); ++i) {
+    if (set.contains(i)) function(static_cast<ClientIndex>(i));
+  }
+}
+
+// --- create
+
+Result<void> Membership::create(ClientIndex client, const CreateRequest& request) {
+  const std::uint64_t domain = registry_.client(client).domain;
+  auto topic = registry_.find_topic(domain, request.topic);
+  if (topic) {
+    const TopicRecord& record = registry_.topic(*topic);
+    if (record.type != request.type || record.layout_hash != request.layout_hash) {
+      notice_types(client, *topic, request);
+      return fail(Errc::type_mismatch, "the topic has another type");
+    }
+  } else {
+    const auto added =
+        registry_.add_topic({domain, request.topic, request.type, request.layout_hash});
+    if (!added) return tl::unexpected(added.error());
+    topic = *added;
+  }
+  auto created = request.kind == Kind::publisher ? create_publisher(client, *topic, request)
+                                                 : create_subscription(client, *topic, request);
+  if (!created) settle_topic(*topic);
+  return created;
+}
+
+Result<void> Membership::create_publisher(ClientIndex client, TopicIndex topic,
+                                          const CreateRequest& request) {
+  const auto plan = registry_.plan_publisher(client, topic, request.qos);
+  if (!plan) return tl::unexpected(plan.error());
+  const auto ready = regions_.renew(client, plan->extent, abi::publisher_extent_bytes,
+                                    abi::slot_offset(abi::ring_count, plan->slot_count));
+  if (!ready) return ready;
+  // Nobody looks there yet; the add that follows publishes it.
+  const dataplane::PublisherWords<SharedMemory> words{regions_.region(client), plan->extent};
+  words.head().store(abi::pack_entry(plan->first_sequence, 0), std::memory_order_release);
+  if (plan->slot_count > abi::near_slot_count) {
+    // Its readers will use the hold words behind their link lines.
+    Result<void> backed;
+    registry_.for_each_subscription(topic, [&](std::uint32_t, const SubscriptionRecord& record) {
+      if (backed && regions_.is_open(record.client))
+        backed = regions_.back(record.client, record.extent, abi::subscription_extent_bytes);
+    });
+    if (!backed) return backed;
+  }
+  registry_.add_publisher(client, topic, request.qos, *plan, request.node);
+
+  auto answer = make_body<wire::EndpointCreated>(wire::Opcode::endpoint_created, request.request);
+  answer.topic = number(topic);
+  answer.index = plan->index;
+  answer.generation = plan->generation;
+  answer.extent = plan->extent;
+  answer.slot_count = plan->slot_count;
+  answer.first_sequence = plan->first_sequence;
+  post_.send(client, packet_of(answer), {});
+
+  const PublisherRecord& publisher = registry_.publisher(topic, plan->index);
+  registry_.for_each_subscription(topic, [&](std::uint32_t i, const SubscriptionRecord& record) {
+    if (record.state == EndpointState::active && matches(publisher, record))
+      announce_publisher(topic, plan->index, i, true);
+  });
+  registry_.for_each_subscription(topic, [&](std::uint32_t i, const SubscriptionRecord& record) {
+    if (record.state == EndpointState::active && matches(publisher, record))
+      announce_subscription(topic, i, plan->index);
+  });
+  notice_mismatches({Kind::publisher, topic, plan->index});
+  return {};
+}
+
+Result<void> Membership::create_subscription(ClientIndex client, TopicIndex topic,
+                                             const CreateRequest& request) {
+  if (!doorbells_.is_open(client, request.executor))
+    return fail(Errc::invalid_argument, "the executor of the subscription is not open");
+  const auto plan = registry_.plan_subscription(client, topic, request.qos, request.quota);
+  if (!plan) return tl::unexpected(plan.error());
+  if (auto ready = make_ready(topic, *plan, client, plan->extent); !ready) return ready;
+  // Publishers can keep what this one may ask for before it is a member (docs/protocol.md, slots).
+  for (const SlotRaise& raise : plan->raises) registry_.raise_slots(topic, raise);
+  registry_.add_subscription(client, topic, request.qos, request.quota, request.executor, *plan,
+                             request.node);
+
+  auto answer = make_body<wire::EndpointCreated>(wire::Opcode::endpoint_created, request.request);
+  answer.topic = number(topic);
+  answer.index = plan->index;
+  answer.generation = plan->generation;
+  answer.extent = plan->extent;
+  post_.send(client, packet_of(answer), {});
+
+  const SubscriptionRecord& subscription = registry_.subscription(topic, plan->index);
+  registry_.for_each_publisher(topic, [&](std::uint32_t i, const PublisherRecord& record) {
+    if (record.state == EndpointState::active && matches(record, subscription))
+      announce_publisher(topic, i, plan->index, false);
+  });
+  registry_.for_each_publisher(topic, [&](std::uint32_t i, const PublisherRecord& record) {
+    if (record.state == EndpointState::active && matches(record, subscription))
+      announce_subscription(topic, plan->index, i);
+  });
+  notice_mismatches({Kind::subscription, topic, plan->index});
+  return {};
+}
+
+Result<void> Membership::make_ready(TopicIndex topic, const SubscriptionPlan& plan,
+                                    ClientIndex client, std::uint64_t extent) {
+  bool far = registry_.uses_far_slots(topic);
+  for (const SlotRaise& raise : plan.raises) far = far || raise.slot_count > abi::near_slot_count;
+  const std::uint64_t near_bytes = abi::far_hold_offset(abi::publisher_count_max, 0, 0);
+  auto ready = regions_.renew(client, extent, abi::subscription_extent_bytes,
+                              far ? abi::subscription_extent_bytes : near_bytes);
+  for (const SlotRaise& raise : plan.raises) {
+    const PublisherRecord& publisher = registry_.publisher(topic, raise.index);
+    if (ready && regions_.is_open(publisher.client))
+      ready = regions_.back(publisher.client, publisher.extent,
+                            abi::slot_offset(abi::ring_count, raise.slot_count));
+  }
+  if (far) {
+    registry_.for_each_subscription(topic, [&](std::uint32_t, const SubscriptionRecord& record) {
+      if (ready && regions_.is_open(record.client))
+        ready = regions_.back(record.client, record.extent, abi::subscription_extent_bytes);
+    });
+  }
+  return ready;
+}
+
+// --- announcements
+
+void Membership::announce_publisher(TopicIndex topic, std::uint32_t index,
+                                    std::uint32_t subscription, bool from_start) {
+  const PublisherRecord& publisher = registry_.publisher(topic, index);
+  const SubscriptionRecord& member = registry_.subscription(topic, subscription);
+  auto packet = make_body<wire::Announcement>(wire::Opcode::announce);
+  packet.kind = Kind::publisher;
+  packet.topic = number(topic);
+  packet.own_index = subscription;
+  packet.own_generation = member.generation;
+  packet.index = index;
+  packet.generation = publisher.generation;
+  packet.client = number(publisher.client);
+  packet.client_generation = registry_.client(publisher.client).generation;
+  packet.extent = publisher.extent;
+  packet.qos = publisher.qos;
+  packet.first_sequence = abi::first_sequence_of(publisher.generation);
+  packet.from_start = from_start ? 1 : 0;
+  std::vector<SharedFd> fds{regions_.region_reader(publisher.client)};
+  const ClientRecord& owner = registry_.client(publisher.client);
+  for (const SharedFd& reader : regions_.window_readers(publisher.client)) {
+    const WindowRecord& window = owner.window[packet.window_count];
+    packet.window[packet.window_count++] = {window.base, window.bytes};
+    fds.push_back(reader);
+  }
+  announce({Kind::publisher, topic, index}, member.client, packet, std::move(fds));
+}
+
+void Membership::announce_subscription(TopicIndex topic, std::uint32_t index,
+                                       std::uint32_t publisher) {
+  const SubscriptionRecord& subscription = registry_.subscription(topic, index);
+  const PublisherRecord& member = registry_.publisher(topic, publisher);
+  Session* const to = post_.session_of(member.client);
+  if (to == nullptr) return;
+  auto packet = make_body<wire::Announcement>(wire::Opcode::announce);
+  packet.kind = Kind::subscription;
+  packet.topic = number(topic);
+  packet.own_index = publisher;
+  packet.own_generation = member.generation;
+  packet.index = index;
+  packet.generation = subscription.generation;
+  packet.client = number(subscription.client);
+  packet.client_generation = registry_.client(subscription.client).generation;
+  packet.extent = subscription.extent;
+  packet.qos = subscription.qos;
+  packet.executor = subscription.executor;
+  const Session* const owner = post_.session_of(subscription.client);
+  const bool same_user =
+      registry_.client(subscription.client).uid == registry_.client(member.client).uid &&
+      owner != nullptr && owner->user_namespace != 0 && owner->user_namespace == to->user_namespace;
+  const auto bells =
+      doorbells_.for_publisher(subscription.client, subscription.executor, same_user);
+  packet.doorbell_count = static_cast<std::uint32_t>(bells.size());
+  std::vector<SharedFd> fds{regions_.region_reader(subscription.client)};
+  fds.insert(fds.end(), bells.begin(), bells.end());
+  announce({Kind::subscription, topic, index}, member.client, packet, std::move(fds));
+}
+
+void Membership::announce(const EndpointRef& ref, ClientIndex to, const wire::Announcement& packet,
+                          std::vector<SharedFd> fds) {
+  Session* const session = post_.session_of(to);
+  if (session == nullptr || !regions_.is_open(registry_.owner_of(ref))) return;
+  registry_.tell(ref, to);
+  // The number of the packet that is about to be handed in.
+  session->announcements().announced(subject_of(ref), session->packet_count() + 1);
+  session->announcements().announced(region_of(registry_.owner_of(ref)),
+                                     session->packet_count() + 1);
+  post_.send(to, packet_of(packet), std::move(fds));
+}
+
+void Membership::announce_window(ClientIndex owner) {
+  const ClientRecord& record = registry_.client(owner);
+  auto packet = make_body<wire::WindowAnnounced>(wire::Opcode::window_announced);
+  packet.client = number(owner);
+  packet.client_generation = record.generation;
+  packet.window = record.window_count - 1;
+  packet.base = record.window[packet.window].base;
+  packet.bytes = record.window[packet.window].bytes;
+  const SharedFd reader = regions_.window_readers(owner).back();
+  for_each_told(record.told, [&](ClientIndex to) {
+    Session* const session = post_.session_of(to);
+    if (session == nullptr) return;
+    session->announcements().announced(region_of(owner), session->packet_count() + 1);
+    post_.send(to, packet_of(packet), {reader});
+  });
+}
+
+// --- notices
+
+void Membership::notice(const EndpointRef& ref, Errc code, const std::string& text) {
+  auto packet = make_body<wire::Notice>(wire::Opcode::notice);
+  packet.code = static_cast<std::uint32_t>(code);
+  packet.kind = ref.kind;
+  packet.topic = number(ref.topic);
+  packet.index = ref.index;
+  packet.generation = registry_.generation_of(ref);
+  packet.text = name_of(text);
+  post_.send(registry_.owner_of(ref), packet_of(packet), {});
+}
+
+void Membership::notice_mismatches(const EndpointRef& ref) {
+  const auto compare = [&](std::uint32_t p, std::uint32_t s) {
+    const PublisherRecord& publisher = registry_.publisher(ref.topic, p);
+    const SubscriptionRecord& subscription = registry_.subscription(ref.topic, s);
+    if (publisher.state != EndpointState::active || subscription.state != EndpointState::active ||
+        matches(publisher, subscription))
+      return;
+    const abi::Qos offered = abi::unpack_qos(publisher.qos);
+    const abi::Qos requested = abi::unpack_qos(subscription.qos);
+    const std::string text = requested.reliable && !offered.reliable
+                                 ? "reliable is requested, best effort is offered"
+                                 : "transient_local is requested, volatile is offered";
+    notice({Kind::publisher, ref.topic, p}, Errc::qos_incompatible, text);
+    notice({Kind::subscription, ref.topic, s}, Errc::qos_incompatible, text);
+  };
+  if (ref.kind == Kind::publisher) {
+    registry_.for_each_subscription(
+        ref.topic, [&](std::uint32_t s, const SubscriptionRecord&) { compare(ref.index, s); });
+  } else {
+    registry_.for_each_publisher(
+        ref.topic, [&](std::uint32_t p, const PublisherRecord&) { compare(p, ref.index); });
+  }
+}
+
+void Membership::notice_types(ClientIndex client, TopicIndex topic, const CreateRequest& request) {
+  if (!type_notices_.insert({number(client), number(topic)}).second) return;
+  const std::string text = request.type == registry_.topic(topic).type
+                               ? "another process uses the same type with another layout"
+                               : "another process uses type " + printable(request.type);
+  registry_.for_each_publisher(topic, [&](std::uint32_t i, const PublisherRecord& record) {
+    if (record.state == EndpointState::active)
+      notice({Kind::publisher, topic, i}, Errc::type_mismatch, text);
+  });
+  registry_.for_each_subscription(topic, [&](std::uint32_t i, const SubscriptionRecord& record) {
+    if (record.state == EndpointState::active)
+      notice({Kind::subscription, topic, i}, Errc::type_mismatch, text);
+  });
+}
+
+// --- leave
+
+bool Membership::is_own(ClientIndex client, const wire::Reference& reference) const {
+  const EndpointRef ref = ref_of(reference);
+  if (!registry_.was_used(ref)) return false;
+  const EndpointState state = ref.kind == Kind::publisher
+                                  ? registry_.publisher(ref.topic, ref.index).state
+                                  : registry_.subscription(ref.topic, ref.index).state;
+  return state != EndpointState::free && registry_.owner_of(ref) == client &&
+         registry_.generation_of(ref) == reference.generation;
+}
+
+Result<void> Membership::leave(ClientIndex client, const wire::Reference& reference) {
+  if (!is_own(client, reference))
+    return fail(Errc::protocol_violation, "this is not an endpoint of the process");
+  const EndpointRef ref = ref_of(reference);
+  if (ref.kind == Kind::publisher) {
+    const PublisherRecord& record = registry_.publisher(ref.topic, ref.index);
+    if (record.state != EndpointState::active)
+      return fail(Errc::protocol_violation, "the publisher has left before");
+    const dataplane::PublisherWords<SharedMemory> words{regions_.region(client), record.extent};
+    // What the process wrote; readers check it like any other value of a publisher.
+    orphan(ref, words.head().load(std::memory_order_acquire));
+  } else {
+    if (registry_.subscription(ref.topic, ref.index).state != EndpointState::active)
+      return fail(Errc::protocol_violation, "the subscription has left before");
+    registry_.change_subscription(ref.topic, ref.index, EndpointState::leaving);
+    kick_publishers_of(ref);
+  }
+  const auto answer = make_body<wire::Done>(wire::Opcode::done, reference.header.request);
+  post_.send(client, packet_of(answer), {});
+  settle(ref);
+  return {};
+}
+
+Result<void> Membership::drained(ClientIndex client, const wire::Reference& reference) {
+  if (!is_own(client, reference))
+    return fail(Errc::protocol_violation, "this is not an endpoint of the process");
+  const EndpointRef ref = ref_of(reference);
+  const bool publisher = ref.kind == Kind::publisher;
+  const EndpointState expected = publisher ? EndpointState::over : EndpointState::leaving;
+  const EndpointState state = publisher ? registry_.publisher(ref.topic, ref.index).state
+                                        : registry_.subscription(ref.topic, ref.index).state;
+  if (state != expected)
+    return fail(Errc::protocol_violation, publisher ? "the publisher's word is not free yet"
+                                                    : "the subscription has not left");
+  const auto answer = make_body<wire::Done>(wire::Opcode::done, reference.header.request);
+  if (publisher) {
+    registry_.end_publisher(ref.topic, ref.index, EndpointState::free);
+    post_.send(client, packet_of(answer), {});
+    bool last = true;
+    registry_.for_each_publisher(ref.topic, [&](std::uint32_t, const PublisherRecord& record) {
+      last = last && record.client != client;
+    });
+    // What it had attached is detached with it.
+    if (last) {
+      registry_.for_each_subscription(ref.topic, [&](std::uint32_t i, const SubscriptionRecord&) {
+        let_go({Kind::subscription, ref.topic, i}, client);
+      });
+    }
+  } else {
+    registry_.change_subscription(ref.topic, ref.index, EndpointState::over);
+    post_.send(client, packet_of(answer), {});
+    registry_.for_each_publisher(ref.topic, [&](std::uint32_t p, const PublisherRecord& record) {
+      bool other = false;
+      registry_.for_each_subscription(
+          ref.topic, [&](std::uint32_t s, const SubscriptionRecord& subscription) {
+            other = other || (s != ref.index && subscription.client == client &&
+                              (subscription.state == EndpointState::active ||
+                               subscription.state == EndpointState::leaving) &&
+                              matches(record, subscription));
+          });
+      if (!other) let_go({Kind::publisher, ref.topic, p}, client);
+    });
+    forget_subscription(ref);
+    settle(ref);
+  }
+  settle_topic(ref.topic);
+  return {};
+}
+
+Result<void> Membership::unlinked(ClientIndex client, const wire::Unlinked& statement) {
+  Session* const session = post_.session_of(client);
+  AGNOCAST_CHECK(session != nullptr);
+  if (statement.seen > session->packet_count())
+    return fail(Errc::protocol_violation, "more packets were seen than were sent");
+  if (statement.kind == Kind::region) {
+    const ClientIndex owner{static_cast<std::uint32_t>(statement.index)};
+    if (number(owner) >= registry_.client_high() ||
+        registry_.client(owner).state == ClientState::free ||
+        registry_.client(owner).generation != statement.generation)
+      return {};  // late: it is over
+    if (session->announcements().is_void(region_of(owner), statement.seen)) return {};
+    for (const EndpointRef& ref : registry_.endpoints_of(owner)) {
+      if (registry_.told_of(ref).contains(number(client)))
+        return fail(Errc::protocol_violation, "something of this region is linked");
+    }
+    session->announcements().forget(region_of(owner));
+    registry_.let_go_of_region(owner, client);
+    settle_client(owner);
+    return {};
+  }
+  const EndpointRef ref{statement.kind, static_cast<TopicIndex>(statement.topic),
+                        static_cast<std::uint32_t>(statement.index)};
+  if (!registry_.was_used(ref) || registry_.generation_of(ref) != statement.generation ||
+      session->announcements().is_void(subject_of(ref), statement.seen))
+    return {};
+  session->announcements().forget(subject_of(ref));
+  let_go(ref, client);
+  return {};
+}
+
+// --- what happens to others
+
+void Membership::orphan(const EndpointRef& ref, std::uint64_t final_head) {
+  registry_.orphan_publisher(ref.topic, ref.index, final_head);
+  auto packet = make_body<wire::Orphaned>(wire::Opcode::orphaned);
+  packet.topic = number(ref.topic);
+  packet.index = ref.index;
+  packet.generation = registry_.generation_of(ref);
+  packet.final_head = final_head;
+  registry_.for_each_subscription(ref.topic, [&](std::uint32_t, const SubscriptionRecord& record) {
+    if (record.state == EndpointState::active) doorbells_.ring(record.client, record.executor);
+  });
+  for_each_told(registry_.told_of(ref),
+                [&](ClientIndex to) { post_.send(to, packet_of(packet), {}); });
+}
+
+void Membership::bury_subscription(const EndpointRef& ref) {
+  registry_.change_subscription(ref.topic, ref.index, EndpointState::dead);
+  forget_subscription(ref);
+  kick_publishers_of(ref);
+}
+
+void Membership::forget_subscription(const EndpointRef& ref) {
+  const auto packet = reference_to(ref, registry_.generation_of(ref), wire::Opcode::forget);
+  for_each_told(registry_.told_of(ref),
+                [&](ClientIndex to) { post_.send(to, packet_of(packet), {}); });
+}
+
+void Membership::kick(TopicIndex topic, std::uint32_t publisher) {
+  const EndpointRef ref{Kind::publisher, topic, publisher};
+  const auto packet = reference_to(ref, registry_.generation_of(ref), wire::Opcode::kick);
+  post_.send(registry_.owner_of(ref), packet_of(packet), {});
+}
+
+void Membership::kick_publishers_of(const EndpointRef& subscription) {
+  const AnnounceSet& told = registry_.told_of(subscription);
+  registry_.for_each_publisher(subscription.topic,
+                               [&](std::uint32_t i, const PublisherRecord& record) {
+                                 if (told.contains(number(record.client)))
+                                   kick(subscription.topic, i);
+                               });
+}
+
+// --- rule RU
+
+void Membership::let_go(const EndpointRef& ref, ClientIndex by) {
+  registry_.let_go(ref, by);
+  settle(ref);
+}
+
+void Membership::settle(const EndpointRef& ref) {
+  if (!registry_.told_of(ref).reusable()) return;
+  const ClientIndex owner = registry_.owner_of(ref);
+  const bool owner_dead = !registry_.is_alive(owner);
+  if (ref.kind == Kind::publisher) {
+    const EndpointState state = registry_.publisher(ref.topic, ref.index).state;
+    if (state != EndpointState::orphan && state != EndpointState::over) return;
+    if (owner_dead) {
+      registry_.end_publisher(ref.topic, ref.index, EndpointState::free);
+    } else if (state == EndpointState::orphan) {
+      // Its process still has messages to destroy in that extent, and says when it is done.
+      registry_.end_publisher(ref.topic, ref.index, EndpointState::over);
+      kick(ref.topic, ref.index);
+      return;
+    }
+  } else {
+    const EndpointState state = registry_.subscription(ref.topic, ref.index).state;
+    if (state != EndpointState::over && state != EndpointState::dead) return;
+    registry_.free_subscription(ref.topic, ref.index);
+  }
+  settle_topic(ref.topic);
+  settle_client(owner);
+}
+
+void Membership::settle_topic(TopicIndex topic) {
+  if (registry_.topic(topic).state != TopicState::used || !registry_.topic_is_empty(topic)) return;
+  registry_.free_topic(topic);
+  std::erase_if(type_notices_, [&](const auto& entry) { return entry.second == number(topic); });
+}
+
+void Membership::settle_client(ClientIndex client) {
+  if (!registry_.can_end(client)) return;
+  registry_.end_client(client);
+  if (on_ended) on_ended(client);
+}
+
+void Membership::forget_client(ClientIndex client) {
+  registry_.client_forgotten(client);
+  std::erase_if(type_notices_, [&](const auto& entry) { return entry.first == number(client); });
+}
+
+void Membership::settle_all() {
+  for (std::uint32_t t = 0; t < registry_.topic_high(); ++t) {
+    const TopicIndex topic{t};
+    for (std::uint32_t i = 0; i < registry_.topic(topic).publisher_high; ++i) {
+      if (registry_.topic(topic).state == TopicState::used) settle({Kind::publisher, topic, i});
+    }
+    for (std::uint32_t i = 0; i < registry_.topic(topic).subscription_high; ++i) {
+      if (registry_.topic(topic).state == TopicState::used) settle({Kind::subscription, topic, i});
+    }
+  }
+  for (std::uint32_t c = 0; c < registry_.client_high(); ++c)
+    settle_client(static_cast<ClientIndex>(c));
+}
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,111 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Membership: who joins and leaves which topic, and who has to hear of it. docs/control-plane.md.
+//
+// Every operation has the same shape: check what the sender may say, let the registry decide and
+// journal, then answer, then announce. An announcement is journaled before it is sent (rule RU, a),
+// and only processes that are connected are told: to whom nothing was sent, nothing must be
+// unlinked.
+//
+// settle() is the other half of rule RU: called for whatever somebody has let go of, it frees what
+// nobody has any more, and then what that made free: endpoint, topic, process.
+#pragma once
+
+#include <daemon/doorbells.hpp>
+#include <daemon/regions.hpp>
+#include <daemon/registry.hpp>
+#include <daemon/requests.hpp>
+#include <daemon/session.hpp>
+
+#include <cstdint>
+#include <functional>
+#include <set>
+#include <span>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace agnocast::daemon {
+
+/// How the daemon speaks to processes. What is for a process without a connection is dropped.
+class Post {
+ public:
+  virtual ~Post() = default;
+  virtual Session* session_of(ClientIndex client) = 0;
+  virtual void send(ClientIndex client, std::span<const std::byte> packet,
+                    std::vector<SharedFd> fds) = 0;
+};
+
+template <class Body>
+std::span<const std::byte> packet_of(const Body& body) noexcept {
+  return std::as_bytes(std::span(&body, 1));
+}
+template <class Body>
+Body make_body(wire::Opcode opcode, std::uint64_t request = 0) noexcept {
+  Body body{};
+  body.header = {opcode, sizeof(Body), request};
+  return body;
+}
+
+class Membership {
+ public:
+  Membership(Registry& registry, Regions& regions, Doorbells& doorbells, Post& post) noexcept
+      : registry_(registry), regions_(regions), doorbells_(doorbells), post_(post) {}
+
+  /// Called with a process that is over: everything of it may be used again.
+  std::function<void(ClientIndex)> on_ended;
+
+  /// Creates an endpoint, answers and announces. Rights and quotas were checked. A failure is
+  /// answered by the caller: type_mismatch, limit_reached, invalid_argument, os_failure.
+  [[nodiscard]] Result<void> create(ClientIndex client, const CreateRequest& request);
+  /// Errors: protocol_violation.
+  [[nodiscard]] Result<void> leave(ClientIndex client, const wire::Reference& reference);
+  [[nodiscard]] Result<void> drained(ClientIndex client, const wire::Reference& reference);
+  [[nodiscard]] Result<void> unlinked(ClientIndex client, const wire::Unlinked& statement);
+  /// Tells every process that has the region of `owner` about its newest window.
+  void announce_window(ClientIndex owner);
+
+  // --- for the reaper
+  /// A subscription whose process is dead.
+  void bury_subscription(const EndpointRef& ref);
+  /// Nobody publishes there any more: board, then everybody is rung and told.
+  void orphan(const EndpointRef& ref, std::uint64_t final_head);
+  /// Frees what nobody has any more, everywhere: after a process was forgotten.
+  void settle_all();
+  void forget_client(ClientIndex client);
+
+ private:
+  [[nodiscard]] Result<void> create_publisher(ClientIndex client, TopicIndex topic,
+                                              const CreateRequest& request);
+  [[nodiscard]] Result<void> create_subscription(ClientIndex client, TopicIndex topic,
+                                                 const CreateRequest& request);
+  [[nodiscard]] Result<void> make_ready(TopicIndex topic, const SubscriptionPlan& plan,
+                                        ClientIndex client, std::uint64_t extent);
+  void announce_publisher(TopicIndex topic, std::uint32_t index, std::uint32_t subscription,
+                          bool from_start);
+  void announce_subscription(TopicIndex topic, std::uint32_t index, std::uint32_t publisher);
+  void announce(const EndpointRef& ref, ClientIndex to, const wire::Announcement& packet,
+                std::vector<SharedFd> fds);
+  void notice_mismatches(const EndpointRef& ref);
+  void notice(const EndpointRef& ref, Errc code, const std::string& text);
+  void notice_types(ClientIndex client, TopicIndex topic, const CreateRequest& request);
+  void kick(TopicIndex topic, std::uint32_t publisher);
+  void kick_publishers_of(const EndpointRef& subscription);
+  void forget_subscription(const EndpointRef& ref);
+  void let_go(const EndpointRef& ref, ClientIndex by);
+  void settle(const EndpointRef& ref);
+  void settle_topic(TopicIndex topic);
+  void settle_client(ClientIndex client);
+  bool is_own(ClientIndex client, const wire::Reference& reference) const;
+  template <class Function>
+  void for_each_told(const AnnounceSet& set, Function function) const;
+
+  Registry& registry_;
+  Regions& regions_;
+  Doorbells& doorbells_;
+  Post& post_;
+  // Whose wrong types the members of a topic have been told about; once is enough.
+  std::set<std::pair<std::uint32_t, std::uint32_t>> type_notices_;
+};
+
+}  // namespace agnocast::daemon

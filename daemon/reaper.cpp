@@ -1,0 +1,90 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <daemon/reaper.hpp>
+
+#include <base/check.hpp>
+#include <journal/recovery.hpp>
+
+#include <sys/sysmacros.h>
+
+#include <cinttypes>
+#include <cstdio>
+#include <memory>
+#include <vector>
+
+namespace agnocast::daemon {
+namespace {
+
+void count(journal::IntentDecision decision, Reaped& reaped) noexcept {
+  switch (decision) {
+    case journal::IntentDecision::nothing:
+      break;
+    case journal::IntentDecision::roll_back:
+      ++reaped.rolled_back;
+      break;
+    case journal::IntentDecision::roll_forward:
+      ++reaped.rolled_forward;
+      break;
+    case journal::IntentDecision::corrupt:
+      ++reaped.corrupt;
+      break;
+  }
+}
+
+}  // namespace
+
+Reaped reap(ClientIndex client, Registry& registry, Regions& regions, Doorbells& doorbells,
+            Membership& membership) {
+  Reaped reaped;
+  registry.client_died(client);
+  const std::vector<EndpointRef> endpoints = registry.endpoints_of(client);  // they go one by one
+  for (const EndpointRef& ref : endpoints) {
+    if (ref.kind != Kind::subscription) continue;
+    const EndpointState state = registry.subscription(ref.topic, ref.index).state;
+    if (state != EndpointState::active && state != EndpointState::leaving) continue;
+    membership.bury_subscription(ref);
+    ++reaped.subscriptions;
+  }
+  for (const EndpointRef& ref : endpoints) {
+    if (ref.kind != Kind::publisher) continue;
+    const PublisherRecord& record = registry.publisher(ref.topic, ref.index);
+    if (record.state != EndpointState::active) continue;
+    const dataplane::PublisherWords<SharedMemory> words{regions.region(client), record.extent};
+    std::uint64_t final_head = 0;
+    count(journal::recover_queue(words, record.slot_count, final_head), reaped);
+    membership.orphan(ref, final_head);
+    ++reaped.publishers;
+  }
+  membership.forget_client(client);
+  doorbells.close_client(client);
+  // Others keep what they map; nobody new is told of it.
+  regions.close_client(client);
+  membership.settle_all();
+  return reaped;
+}
+
+bool maps_file(pid_t pid, const Regions::FileId& file) noexcept {
+  if (pid <= 0) return true;
+  char path[64];
+  std::snprintf(path, sizeof path, "/proc/%ld/maps", static_cast<long>(pid));
+  const std::unique_ptr<std::FILE, int (*)(std::FILE*)> maps(std::fopen(path, "re"), &std::fclose);
+  if (maps == nullptr) return true;
+  // address-address rights offset major:minor inode path
+  char line[512];
+  bool whole_before = true;
+  while (std::fgets(line, sizeof line, maps.get()) != nullptr) {
+    const bool starts_here = whole_before;
+    whole_before = false;
+    for (const char* at = line; *at != '\0'; ++at) whole_before = whole_before || *at == '\n';
+    unsigned device_major = 0, device_minor = 0;
+    std::uint64_t inode = 0;
+    if (starts_here &&
+        std::sscanf(line, "%*x-%*x %*s %*x %x:%x %" SCNu64, &device_major, &device_minor, &inode) ==
+            3 &&
+        inode == file.inode && makedev(device_major, device_minor) == file.device)
+      return true;
+  }
+  return std::ferror(maps.get()) != 0;
+}
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,41 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Reaper: what happens after the end of a process.
+//
+// A dead process leaves (a) holds on other people's messages, (b) at most one open intent per
+// publisher, (c) a region and windows that others still map. They are undone in exactly this order,
+// and a window may be used again only when everybody who was told about it has let go (rule RU):
+//
+//     journal the death → its subscriptions dead → its intents back or forward, its publishers
+//     orphans, everybody rung and told → it leaves all announce sets → what became free is freed
+//
+// Every step may be repeated. The reaper never trusts a value that the dead process wrote, and
+// never takes the end of a connection for a death: only the pidfd says it, or a process that has no
+// trace of its region any more (after exec).
+#pragma once
+
+#include <daemon/membership.hpp>
+
+#include <sys/types.h>
+
+#include <cstdint>
+
+namespace agnocast::daemon {
+
+/// What a death left to repair, for the log.
+struct Reaped {
+  std::uint64_t subscriptions = 0;
+  std::uint64_t publishers = 0;
+  std::uint64_t rolled_back = 0;
+  std::uint64_t rolled_forward = 0;
+  std::uint64_t corrupt = 0;
+};
+
+/// `client` is alive in the tables and its process stores no more.
+Reaped reap(ClientIndex client, Registry& registry, Regions& regions, Doorbells& doorbells,
+            Membership& membership);
+
+/// Whether the process has a mapping of this file. True as well when it cannot be known.
+bool maps_file(pid_t pid, const Regions::FileId& file) noexcept;
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,132 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <daemon/regions.hpp>
+
+#include <agnocast/abi/fingerprint.hpp>
+#include <base/memfd.hpp>
+
+#include <fcntl.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+
+#include <cerrno>
+#include <string>
+
+namespace agnocast::daemon {
+namespace {
+
+constexpr std::uint64_t journal_bytes = journal::RedoLog::bytes + tables_bytes;
+static_assert(journal::RedoLog::bytes % abi::page_bytes == 0, "the tables begin with a page");
+
+}  // namespace
+
+Result<Regions> Regions::create() {
+  Regions regions;
+  auto board = make_memfd("agnocast-board", abi::board_bytes);
+  if (!board) return tl::unexpected(board.error());
+  auto reader = reopen_read_only(board->get());
+  if (!reader) return tl::unexpected(reader.error());
+  auto board_mapping = Mapping::map(board->get(), abi::board_bytes, Mapping::Access::read_write);
+  if (!board_mapping) return tl::unexpected(board_mapping.error());
+  auto journal = make_memfd("agnocast-journal", journal_bytes);
+  if (!journal) return tl::unexpected(journal.error());
+  auto journal_mapping = Mapping::map(journal->get(), journal_bytes, Mapping::Access::read_write);
+  if (!journal_mapping) return tl::unexpected(journal_mapping.error());
+  regions.board_fd_ = std::move(*board);
+  regions.board_reader_ = share(std::move(*reader));
+  regions.board_ = std::move(*board_mapping);
+  regions.journal_fd_ = std::move(*journal);
+  regions.journal_ = std::move(*journal_mapping);
+  return regions;
+}
+
+Registry::Memory Regions::memory() const noexcept {
+  return {journal_.base(), journal_.base() + journal::RedoLog::bytes, board_.base()};
+}
+
+void Regions::sign_board(std::uint64_t incarnation) noexcept {
+  auto* const header = reinterpret_cast<abi::BoardHeader*>(board_.base());
+  header->fingerprint.store(abi::fingerprint(), std::memory_order_relaxed);
+  header->incarnation.store(incarnation, std::memory_order_relaxed);
+  header->magic.store(abi::board_magic, std::memory_order_release);
+  lock(board_.base(), abi::page_bytes);
+}
+
+Result<void> Regions::open_client(ClientIndex client, std::uint64_t generation) {
+  close_client(client);
+  auto writer = make_memfd("agnocast-region", Registry::client_region_bytes);
+  if (!writer) return tl::unexpected(writer.error());
+  auto reader = reopen_read_only(writer->get());
+  if (!reader) return tl::unexpected(reader.error());
+  auto mapping =
+      Mapping::map(writer->get(), Registry::client_region_bytes, Mapping::Access::read_write);
+  if (!mapping) return tl::unexpected(mapping.error());
+  // A writable mapping is not left out of core dumps by Mapping; this one is other people's memory.
+  ::madvise(mapping->base(), mapping->bytes(), MADV_DONTDUMP);
+  struct stat file {};
+  if (::fstat(writer->get(), &file) != 0)
+    return fail(Errc::os_failure, "looking at a memfd", errno);
+  ClientMemory& memory = clients_[number(client)];
+  memory.file = {file.st_dev, file.st_ino};
+  memory.region = std::move(*mapping);
+  memory.region_writer = share(std::move(*writer));
+  memory.region_reader = share(std::move(*reader));
+  if (auto backed = back(client, 0, abi::page_bytes); !backed) {
+    close_client(client);
+    return backed;
+  }
+  auto* const header = reinterpret_cast<abi::ClientRegionHeader*>(memory.region.base());
+  header->fingerprint.store(abi::fingerprint(), std::memory_order_relaxed);
+  header->generation.store(generation, std::memory_order_relaxed);
+  header->magic.store(abi::client_region_magic, std::memory_order_release);
+  return {};
+}
+
+Result<void> Regions::back(ClientIndex client, std::uint64_t offset, std::uint64_t bytes) {
+  const ClientMemory& memory = of(client);
+  int status = 0;
+  do {
+    status = ::fallocate(memory.region_writer->get(), 0, static_cast<off_t>(offset),
+                         static_cast<off_t>(bytes));
+  } while (status != 0 && errno == EINTR);
+  if (status != 0) return fail(Errc::os_failure, "backing an extent with memory", errno);
+  lock(memory.region.base() + offset, bytes);
+  return {};
+}
+
+Result<void> Regions::renew(ClientIndex client, std::uint64_t offset, std::uint64_t extent_bytes,
+                            std::uint64_t backed_bytes) {
+  // A hole reads as zero, whatever kind of endpoint was here, and the parts that are backed later
+  // are zero then.
+  if (::fallocate(of(client).region_writer->get(), FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE,
+                  static_cast<off_t>(offset), static_cast<off_t>(extent_bytes)) != 0)
+    return fail(Errc::os_failure, "clearing an extent", errno);
+  return back(client, offset, backed_bytes);
+}
+
+Result<SharedFd> Regions::open_window(ClientIndex client, std::uint64_t bytes) {
+  auto writer = make_memfd("agnocast-heap", bytes);
+  if (!writer) return tl::unexpected(writer.error());
+  auto reader = reopen_read_only(writer->get());
+  if (!reader) return tl::unexpected(reader.error());
+  clients_[number(client)].window_readers.push_back(share(std::move(*reader)));
+  return share(std::move(*writer));
+}
+
+Result<SharedFd> Regions::window_writer(ClientIndex client, std::uint64_t window) const {
+  const std::string path =
+      "/proc/self/fd/" + std::to_string(of(client).window_readers[window]->get());
+  UniqueFd writer(::open(path.c_str(), O_RDWR | O_CLOEXEC));
+  if (!writer) return fail(Errc::os_failure, "re-opening a window", errno);
+  return share(std::move(writer));
+}
+
+void Regions::close_client(ClientIndex client) noexcept {
+  clients_[number(client)] = ClientMemory();
+}
+
+void Regions::lock(std::byte* at, std::uint64_t bytes) noexcept {
+  if (::mlock(at, bytes) != 0) ++unlocked_count_;
+}
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,97 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Regions: the memory that the daemon makes. Board and tables once, a client region and heap
+// windows per process.
+//
+// A process gets a writable descriptor of its own region and windows; everybody else one that was
+// opened for reading. The daemon keeps its own writable mapping of every client region: to prepare
+// extents before they are given out, and to repair the queues of a dead process. Extents are backed
+// by memory before they are used and locked where the limit allows, so that nobody meets SIGBUS or
+// a page fault from disk; what the limit refuses is counted, not reported.
+//
+// Whose region it is and when it goes is the registry's business; nothing here decides.
+#pragma once
+
+#include <agnocast/result.hpp>
+#include <base/mapping.hpp>
+#include <daemon/registry.hpp>
+#include <daemon/shared_fd.hpp>
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+namespace agnocast::daemon {
+
+class Regions {
+ public:
+  /// Board and tables, empty. Errors: os_failure with errno.
+  [[nodiscard]] static Result<Regions> create();
+
+  Registry::Memory memory() const noexcept;
+  /// Says on the board what it is. Once, before anybody is given it.
+  void sign_board(std::uint64_t incarnation) noexcept;
+  const SharedFd& board_reader() const noexcept { return board_reader_; }
+
+  /// A fresh region for the process in this place; what was there before is gone. Errors:
+  /// os_failure.
+  [[nodiscard]] Result<void> open_client(ClientIndex client, std::uint64_t generation);
+  const SharedFd& region_writer(ClientIndex client) const noexcept {
+    return of(client).region_writer;
+  }
+  const SharedFd& region_reader(ClientIndex client) const noexcept {
+    return of(client).region_reader;
+  }
+  bool is_open(ClientIndex client) const noexcept { return static_cast<bool>(of(client).region); }
+  /// The daemon's own mapping.
+  std::byte* region(ClientIndex client) const noexcept { return of(client).region.base(); }
+  /// Device and inode by which the region shows in /proc/PID/maps.
+  struct FileId {
+    std::uint64_t device = 0;
+    std::uint64_t inode = 0;
+  };
+  FileId region_file(ClientIndex client) const noexcept { return of(client).file; }
+
+  /// Backs [offset, offset + bytes) of the region with memory. Errors: os_failure (ENOSPC, ENOMEM).
+  [[nodiscard]] Result<void> back(ClientIndex client, std::uint64_t offset, std::uint64_t bytes);
+  /// An extent as if never used, all zero: [offset, offset + extent_bytes), of which the first
+  /// backed_bytes are backed. Errors: os_failure.
+  [[nodiscard]] Result<void> renew(ClientIndex client, std::uint64_t offset,
+                                   std::uint64_t extent_bytes, std::uint64_t backed_bytes);
+
+  /// A heap window; keeps what readers need. Yields the writable descriptor, which is its owner's
+  /// alone. Errors: os_failure.
+  [[nodiscard]] Result<SharedFd> open_window(ClientIndex client, std::uint64_t bytes);
+  /// The writable descriptor once more: its owner did not get the answer. Errors: os_failure.
+  [[nodiscard]] Result<SharedFd> window_writer(ClientIndex client, std::uint64_t window) const;
+  const std::vector<SharedFd>& window_readers(ClientIndex client) const noexcept {
+    return of(client).window_readers;
+  }
+
+  /// The process is dead and recovered, or never came to life: drops every descriptor and mapping.
+  void close_client(ClientIndex client) noexcept;
+
+  /// mlock calls that the limit of locked memory refused.
+  std::uint64_t unlocked_count() const noexcept { return unlocked_count_; }
+
+ private:
+  struct ClientMemory {
+    SharedFd region_writer;
+    SharedFd region_reader;
+    Mapping region;
+    FileId file;
+    std::vector<SharedFd> window_readers;
+  };
+
+  Regions() : clients_(abi::client_count_max) {}
+  const ClientMemory& of(ClientIndex client) const noexcept { return clients_[number(client)]; }
+  void lock(std::byte* at, std::uint64_t bytes) noexcept;
+
+  UniqueFd board_fd_, journal_fd_;
+  SharedFd board_reader_;
+  Mapping board_, journal_;
+  std::vector<ClientMemory> clients_;
+  std::uint64_t unlocked_count_ = 0;
+};
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,254 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Registry: what exists and who knows of it. Pure state, no descriptor in it, no packet, no clock.
+//
+// Every change goes one way: a record is committed to the redo log, apply() carries it out on the
+// tables and on the board, the log notes that it is applied. apply() is idempotent, so a daemon
+// that died in between does it again when it starts. A creation has two halves: plan_*() says what
+// it would be (index, generation, extent), the shell makes the memory ready, add_*() makes it so;
+// between the two nothing else may change.
+//
+// The rules about *when* something may change lie in membership.cpp and reaper.cpp; here are the
+// facts that they ask for. What is kept beside the tables (names to topics, endpoints and extents
+// of a process) is derived from them and made anew by open().
+//
+// Callers pass indexes that they have checked: an index out of range is a mistake of ours.
+#pragma once
+
+#include <agnocast/abi/words.hpp>
+#include <agnocast/result.hpp>
+#include <daemon/tables.hpp>
+#include <journal/board_steps.hpp>
+#include <journal/redo_log.hpp>
+
+#include <cstddef>
+#include <cstdint>
+#include <map>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <unordered_map>
+#include <vector>
+
+namespace agnocast::daemon {
+
+using Kind = abi::wire::Kind;
+
+/// A place for an endpoint; with the record's generation it names one.
+struct EndpointRef {
+  Kind kind = Kind::publisher;
+  TopicIndex topic{};
+  std::uint32_t index = 0;
+  friend bool operator==(const EndpointRef&, const EndpointRef&) = default;
+};
+
+struct NewClient {
+  std::uint32_t uid = 0;
+  std::uint32_t gid = 0;
+  std::uint32_t pid = 0;
+  std::uint64_t domain = 0;
+  std::string_view name;
+};
+
+struct NewTopic {
+  std::uint64_t domain = 0;
+  std::string_view name;
+  std::string_view type;
+  std::uint64_t layout_hash = 0;
+};
+
+struct PublisherPlan {
+  std::uint32_t index = 0;
+  std::uint64_t generation = 0;
+  std::uint64_t extent = 0;
+  std::uint64_t slot_count = 0;
+  std::uint64_t first_sequence = 0;
+};
+
+/// A publisher that must be able to keep more messages before a deeper subscription may join.
+struct SlotRaise {
+  std::uint32_t index = 0;
+  std::uint64_t slot_count = 0;
+};
+
+struct SubscriptionPlan {
+  std::uint32_t index = 0;
+  std::uint64_t generation = 0;
+  std::uint64_t extent = 0;
+  std::vector<SlotRaise> raises;  // to be made ready and done first
+};
+
+/// How much of the tables may be used; at most what they have room for.
+struct Capacity {
+  std::uint32_t clients = abi::client_count_max;
+  std::uint32_t topics = abi::topic_count_max;
+  std::uint32_t publishers_per_topic = abi::publisher_count_max;
+  std::uint32_t subscriptions_per_topic = abi::subscription_count_max;
+  std::uint32_t slots_per_publisher = abi::slot_count_max;
+};
+
+/// What one user has in use. Processes that are dead count as long as others have their memory.
+struct Usage {
+  std::uint64_t clients = 0;
+  std::uint64_t publishers = 0;
+  std::uint64_t subscriptions = 0;
+  std::uint64_t executors = 0;
+  std::uint64_t heap_bytes = 0;
+  std::uint64_t held_messages = 0;  // what its subscriptions may hold, together
+};
+
+class Registry {
+ public:
+  struct Memory {
+    std::byte* log;     // journal::RedoLog::bytes
+    std::byte* tables;  // tables_bytes, aligned to a page
+    std::byte* board;   // abi::board_bytes
+  };
+  // Sparse and sealed against growth, so it is made as long as it may ever be: 13,000 endpoints.
+  static constexpr std::uint64_t client_region_bytes = std::uint64_t{1} << 30;
+
+  explicit Registry(const Memory& memory, const Capacity& capacity = {}) noexcept;
+
+  /// Fresh memory, all zero.
+  void create(std::uint64_t incarnation);
+  /// Memory that an earlier life left: completes the change under way and derives the rest. False
+  /// when it is not of this layout; then nothing was touched.
+  [[nodiscard]] bool open();
+  std::uint64_t incarnation() const noexcept { return log_.incarnation(); }
+
+  // --- processes
+  [[nodiscard]] Result<ClientIndex> add_client(const NewClient& client);
+  std::uint32_t client_high() const noexcept { return tables_.header.client_high; }
+  const ClientRecord& client(ClientIndex index) const noexcept {
+    return tables_.client[number(index)];
+  }
+  bool is_alive(ClientIndex index) const noexcept {
+    return client(index).state == ClientState::alive;
+  }
+  const std::vector<EndpointRef>& endpoints_of(ClientIndex index) const {
+    return views_[number(index)].endpoints;
+  }
+  Usage usage_of(std::uint32_t uid) const;
+  void open_window(ClientIndex index, const WindowRecord& window);
+  void open_executor(ClientIndex index, std::uint32_t executor);
+  /// Its process is gone. Its endpoints stay what they are until they are changed one by one.
+  void client_died(ClientIndex index);
+  /// It has let go of everything that it was ever told about.
+  void client_forgotten(ClientIndex index);
+  /// Dead, without endpoints, known to nobody: its place may be used again after end_client().
+  bool can_end(ClientIndex index) const;
+  void end_client(ClientIndex index);
+
+  // --- topics
+  std::optional<TopicIndex> find_topic(std::uint64_t domain, std::string_view name) const;
+  [[nodiscard]] Result<TopicIndex> add_topic(const NewTopic& topic);
+  std::uint32_t topic_high() const noexcept { return tables_.header.topic_high; }
+  const TopicRecord& topic(TopicIndex index) const noexcept { return tables_.topic[number(index)]; }
+  bool topic_is_empty(TopicIndex index) const;
+  void free_topic(TopicIndex index);
+
+  // --- endpoints
+  const PublisherRecord& publisher(TopicIndex topic, std::uint32_t index) const noexcept {
+    return tables_.publisher[number(topic)][index];
+  }
+  const SubscriptionRecord& subscription(TopicIndex topic, std::uint32_t index) const noexcept {
+    return tables_.subscription[number(topic)][index];
+  }
+  /// Errors: limit_reached (indexes of the topic, room in the client region).
+  [[nodiscard]] Result<PublisherPlan> plan_publisher(ClientIndex client, TopicIndex topic,
+                                                     const abi::Qos& qos) const;
+  void add_publisher(ClientIndex client, TopicIndex topic, const abi::Qos& qos,
+                     const PublisherPlan& plan, std::string_view node);
+  [[nodiscard]] Result<SubscriptionPlan> plan_subscription(ClientIndex client, TopicIndex topic,
+                                                           const abi::Qos& qos,
+                                                           std::uint64_t quota) const;
+  void raise_slots(TopicIndex topic, const SlotRaise& raise);
+  void add_subscription(ClientIndex client, TopicIndex topic, const abi::Qos& qos,
+                        std::uint64_t quota, std::uint64_t executor, const SubscriptionPlan& plan,
+                        std::string_view node);
+  void orphan_publisher(TopicIndex topic, std::uint32_t index, std::uint64_t final_head);
+  /// over, then free.
+  void end_publisher(TopicIndex topic, std::uint32_t index, EndpointState state);
+  /// leaving, over, dead.
+  void change_subscription(TopicIndex topic, std::uint32_t index, EndpointState state);
+  void free_subscription(TopicIndex topic, std::uint32_t index);
+  /// Does some publisher of the topic use slots whose hold bits lie behind the link lines?
+  bool uses_far_slots(TopicIndex topic) const;
+
+  /// Has this place ever been used since its topic began? What was never used must not be looked
+  /// at: reading a hole of the tables gives it memory, and clients name places at will.
+  bool was_used(const EndpointRef& ref) const noexcept {
+    if (number(ref.topic) >= topic_high() || topic(ref.topic).state != TopicState::used)
+      return false;
+    return ref.index < (ref.kind == Kind::publisher ? topic(ref.topic).publisher_high
+                                                    : topic(ref.topic).subscription_high);
+  }
+
+  // --- rule RU
+  const AnnounceSet& told_of(const EndpointRef& ref) const noexcept;
+  ClientIndex owner_of(const EndpointRef& ref) const noexcept;
+  std::uint64_t generation_of(const EndpointRef& ref) const noexcept;
+  /// `to` is about to be told of the endpoint, and with it of the region of its process.
+  void tell(const EndpointRef& ref, ClientIndex to);
+  void let_go(const EndpointRef& ref, ClientIndex by);
+  void let_go_of_region(ClientIndex owner, ClientIndex by);
+
+  /// Visits all endpoints of a topic that are not free: function(index, record).
+  template <class Function>
+  void for_each_publisher(TopicIndex topic, Function function) const {
+    for (std::uint32_t i = 0; i < this->topic(topic).publisher_high; ++i) {
+      if (publisher(topic, i).state != EndpointState::free) function(i, publisher(topic, i));
+    }
+  }
+  template <class Function>
+  void for_each_subscription(TopicIndex topic, Function function) const {
+    for (std::uint32_t i = 0; i < this->topic(topic).subscription_high; ++i) {
+      if (subscription(topic, i).state != EndpointState::free) function(i, subscription(topic, i));
+    }
+  }
+
+  journal::RedoLog& log() noexcept { return log_; }
+
+ private:
+  using M = SharedMemory;
+  using Record = journal::Record;
+  using Type = journal::RecordType;
+
+  /// Derived: what a process has in its region.
+  struct View {
+    std::vector<EndpointRef> endpoints;
+    std::map<std::uint64_t, std::uint64_t> extents;  // offset → bytes
+  };
+
+  void change(Type type, std::initializer_list<std::uint64_t> arguments);
+  void apply(const Record& record);
+  void apply_to_client(const Record& record);
+  void apply_to_endpoint(const Record& record);
+  void rebuild();
+  void note_generation(std::uint64_t generation) noexcept;
+  std::uint64_t next_generation() const noexcept { return tables_.header.last_generation + 1; }
+  std::optional<std::uint64_t> lowest_extent(ClientIndex client, std::uint64_t bytes) const;
+  std::uint64_t slots_needed(TopicIndex topic, const abi::Qos& offered,
+                             const SubscriptionRecord* joining) const;
+  void track(const EndpointRef& ref);
+  void untrack(const EndpointRef& ref);
+  dataplane::TopicWords<M> words(TopicIndex topic) const noexcept {
+    return {board_, abi::topic_offset(number(topic))};
+  }
+  journal::BoardSteps<M> board(TopicIndex topic) const noexcept {
+    return journal::BoardSteps<M>(words(topic));
+  }
+  AnnounceSet& told(const EndpointRef& ref) noexcept;
+
+  Capacity capacity_;
+  journal::RedoLog log_;
+  Tables& tables_;
+  std::byte* board_;
+  std::vector<View> views_;
+  std::unordered_map<std::string, TopicIndex> topics_;
+};
+
+/// Key of a topic: no two (domain, name) share one.
+std::string topic_key(std::uint64_t domain, std::string_view name);
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,204 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <daemon/requests.hpp>
+
+#include <agnocast/abi/limits.hpp>
+
+#include <algorithm>
+#include <cstring>
+#include <iterator>
+
+namespace agnocast::daemon {
+namespace {
+
+using Packet = std::span<const std::byte>;
+
+constexpr std::uint64_t generation_max = (std::uint64_t{1} << 48) - 1;
+constexpr std::uint64_t qos_bits = 0x7ffff;
+
+template <class Body>
+Body body_of(Packet packet) noexcept {
+  Body body;
+  std::memcpy(static_cast<void*>(&body), packet.data(), sizeof body);
+  return body;
+}
+
+Rejected refuse(const wire::Header& header, Errc code, std::string text) {
+  return {header.request, code, std::move(text), false};
+}
+
+// What an index may be at all; `topic` means nothing for a region.
+const char* check_reference(wire::Kind kind, std::uint32_t topic, std::uint64_t index,
+                            std::uint64_t generation, bool region_allowed) noexcept {
+  if (generation == 0 || generation > generation_max) return "a generation is out of range";
+  switch (kind) {
+    case wire::Kind::publisher:
+      if (index >= abi::publisher_count_max) return "a publisher's index is out of range";
+      break;
+    case wire::Kind::subscription:
+      if (index >= abi::subscription_count_max) return "a subscription's index is out of range";
+      break;
+    case wire::Kind::region:
+      if (!region_allowed) return "this is not said of a region";
+      if (index >= abi::client_count_max) return "a process's index is out of range";
+      return nullptr;
+    default:
+      return "an unknown kind of thing";
+  }
+  return topic < abi::topic_count_max ? nullptr : "a topic's index is out of range";
+}
+
+Request decode_hello(Packet packet) {
+  const auto hello = body_of<wire::Hello>(packet);
+  std::string_view name;
+  if (!text_of(hello.process_name, name))
+    return refuse(hello.header, Errc::protocol_violation, "the name of the process does not end");
+  return hello;
+}
+
+Request decode_window(Packet packet) {
+  const auto body = body_of<wire::WindowRequest>(packet);
+  if (body.window >= abi::window_count_max)
+    return refuse(body.header, Errc::window_exhausted,
+                  "a process has at most " + std::to_string(abi::window_count_max) + " windows");
+  return body;
+}
+
+Request decode_executor(Packet packet) {
+  const auto body = body_of<wire::ExecutorRequest>(packet);
+  if (body.executor >= abi::executor_count_max)
+    return refuse(
+        body.header, Errc::limit_reached,
+        "a process has at most " + std::to_string(abi::executor_count_max) + " executors");
+  return body;
+}
+
+Request decode_create(Packet packet) {
+  const auto body = body_of<wire::CreateEndpoint>(packet);
+  CreateRequest request;
+  request.kind = body.header.opcode == wire::Opcode::create_publisher ? wire::Kind::publisher
+                                                                      : wire::Kind::subscription;
+  request.request = body.header.request;
+  request.layout_hash = body.layout_hash;
+  request.executor = body.executor;
+  request.quota = body.quota;
+  std::string_view topic, type, node;
+  if (!text_of(body.topic, topic))
+    return refuse(body.header, Errc::protocol_violation, "the name of the topic does not end");
+  if (!text_of(body.type, type))
+    return refuse(body.header, Errc::protocol_violation, "the name of the type does not end");
+  if (!text_of(body.node, node))
+    return refuse(body.header, Errc::protocol_violation, "the name of the node does not end");
+  if (type.empty()) return refuse(body.header, Errc::invalid_argument, "the type has no name");
+  if ((body.qos & ~qos_bits) != 0)
+    return refuse(body.header, Errc::invalid_argument, "an unknown quality of service");
+  request.qos = abi::unpack_qos(body.qos);
+  if (request.qos.depth == 0 || request.qos.depth > abi::depth_max)
+    return refuse(body.header, Errc::depth_refused,
+                  "depth " + std::to_string(request.qos.depth) + " is outside 1 to " +
+                      std::to_string(abi::depth_max));
+  if (request.kind == wire::Kind::subscription) {
+    if (body.executor >= abi::executor_count_max)
+      return refuse(body.header, Errc::protocol_violation, "an executor's index is out of range");
+    if (body.quota == 0)
+      return refuse(body.header, Errc::invalid_argument,
+                    "a subscription must be able to hold one message");
+    if (body.quota > abi::slot_count_max)
+      return refuse(body.header, Errc::quota_exceeded,
+                    "a subscription holds at most " + std::to_string(abi::slot_count_max) +
+                        " messages, " + std::to_string(body.quota) + " are asked for");
+  }
+  request.topic = topic;
+  request.type = type;
+  request.node = node;
+  return request;
+}
+
+template <class Wanted>
+Request decode_reference(Packet packet) {
+  const auto body = body_of<wire::Reference>(packet);
+  const char* const wrong =
+      check_reference(body.kind, body.topic, body.index, body.generation, false);
+  if (wrong != nullptr) return refuse(body.header, Errc::protocol_violation, wrong);
+  return Wanted{body};
+}
+
+Request decode_unlinked(Packet packet) {
+  const auto body = body_of<wire::Unlinked>(packet);
+  const char* const wrong =
+      check_reference(body.kind, body.topic, body.index, body.generation, true);
+  if (wrong != nullptr) return refuse(body.header, Errc::protocol_violation, wrong);
+  return body;
+}
+
+struct Row {
+  wire::Opcode opcode;
+  std::size_t bytes;
+  Request (*decode)(Packet packet);
+};
+
+constexpr Row rows[] = {
+    {wire::Opcode::hello, sizeof(wire::Hello), decode_hello},
+    {wire::Opcode::open_window, sizeof(wire::WindowRequest), decode_window},
+    {wire::Opcode::open_executor, sizeof(wire::ExecutorRequest), decode_executor},
+    {wire::Opcode::create_publisher, sizeof(wire::CreateEndpoint), decode_create},
+    {wire::Opcode::create_subscription, sizeof(wire::CreateEndpoint), decode_create},
+    {wire::Opcode::leave, sizeof(wire::Reference), decode_reference<LeaveRequest>},
+    {wire::Opcode::drained, sizeof(wire::Reference), decode_reference<DrainedRequest>},
+    {wire::Opcode::unlinked, sizeof(wire::Unlinked), decode_unlinked},
+};
+
+}  // namespace
+
+Request decode(std::span<const std::byte> packet, const Envelope& envelope, bool greeted) {
+  const auto end = [](std::uint64_t request, const char* text) {
+    return Rejected{request, Errc::protocol_violation, text, true};
+  };
+  if (packet.size() < sizeof(wire::Header)) return end(0, "a packet is shorter than its header");
+  const auto header = body_of<wire::Header>(packet);
+  if (envelope.truncated) return end(header.request, "a packet is too long");
+  if (header.bytes != packet.size())
+    return end(header.request, "a packet is not as long as it says");
+  if (envelope.descriptor_count != 0 || envelope.descriptors_lost)
+    return refuse(header, Errc::protocol_violation, "descriptors came with a request");
+  const Row* const row = std::find_if(std::begin(rows), std::end(rows),
+                                      [&](const Row& r) { return r.opcode == header.opcode; });
+  if (row == std::end(rows))
+    return refuse(header, Errc::protocol_violation,
+                  "unknown request " + std::to_string(static_cast<std::uint32_t>(header.opcode)));
+  if (header.opcode == wire::Opcode::hello && packet.size() != row->bytes)
+    return refuse(header, Errc::layout_mismatch,
+                  "the library's hello has " + std::to_string(packet.size()) +
+                      " bytes, the daemon's has " + std::to_string(row->bytes));
+  if (packet.size() != row->bytes)
+    return refuse(header, Errc::protocol_violation,
+                  "a request of " + std::to_string(packet.size()) + " bytes should have " +
+                      std::to_string(row->bytes));
+  if (greeted == (header.opcode == wire::Opcode::hello))
+    return refuse(header, Errc::protocol_violation,
+                  greeted ? "hello is said once" : "the first request must be hello");
+  return row->decode(packet);
+}
+
+bool text_of(const wire::Name& name, std::string_view& text) noexcept {
+  const void* const end = std::memchr(name.text, 0, sizeof name.text);
+  if (end == nullptr) return false;
+  text = {name.text, static_cast<std::size_t>(static_cast<const char*>(end) - name.text)};
+  return true;
+}
+
+wire::Name name_of(std::string_view text) noexcept {
+  wire::Name name{};
+  std::memcpy(name.text, text.data(), std::min(text.size(), sizeof name.text - 1));
+  return name;
+}
+
+std::string printable(std::string_view text) {
+  std::string result(text);
+  for (char& c : result) {
+    if (c < ' ' || c > '~') c = '?';
+  }
+  return result;
+}
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,74 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Requests: bytes of a packet to something that may be acted on. Pure.
+//
+// A table says for every opcode how long its body is, whether it may come before hello, and which
+// check its fields must pass. Everything in a packet is input: what comes out of decode() has names
+// that end, indexes inside the tables, a quality of service that exists. Whether an index belongs
+// to the sender is for the membership to know.
+#pragma once
+
+#include <agnocast/abi/wire.hpp>
+#include <agnocast/abi/words.hpp>
+#include <agnocast/error.hpp>
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <string>
+#include <string_view>
+#include <variant>
+
+namespace agnocast::daemon {
+
+namespace wire = abi::wire;
+
+struct CreateRequest {
+  wire::Kind kind = wire::Kind::publisher;
+  std::uint64_t request = 0;
+  abi::Qos qos;
+  std::uint64_t layout_hash = 0;
+  std::uint64_t executor = 0;
+  std::uint64_t quota = 0;
+  std::string topic;
+  std::string type;
+  std::string node;
+};
+struct LeaveRequest {
+  wire::Reference reference;
+};
+struct DrainedRequest {
+  wire::Reference reference;
+};
+
+/// Why a packet is not acted on. It is answered with `refused`, or, when nothing in it can be
+/// believed (not even where its request id is), the connection ends.
+struct Rejected {
+  std::uint64_t request = 0;
+  Errc code = Errc::protocol_violation;
+  std::string text;
+  bool ends_connection = false;
+};
+
+using Request = std::variant<wire::Hello, wire::WindowRequest, wire::ExecutorRequest, CreateRequest,
+                             LeaveRequest, DrainedRequest, wire::Unlinked, Rejected>;
+
+/// What arrived with the bytes.
+struct Envelope {
+  std::size_t descriptor_count = 0;
+  bool truncated = false;
+  bool descriptors_lost = false;
+};
+
+/// `greeted`: the connection has said hello. Never reads beyond `packet`.
+Request decode(std::span<const std::byte> packet, const Envelope& envelope, bool greeted);
+
+/// The text of a name, or nothing when no NUL ends it.
+bool text_of(const wire::Name& name, std::string_view& text) noexcept;
+/// A text for a packet: cut where it must be, always ended.
+wire::Name name_of(std::string_view text) noexcept;
+/// For people: control characters and broken bytes replaced, so that no client writes into our
+/// terminal.
+std::string printable(std::string_view text);
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <daemon/session.hpp>
+
+#include <array>
+#include <cerrno>
+#include <utility>
+
+namespace agnocast::daemon {
+
+std::uint64_t Session::push(std::span<const std::byte> bytes, std::vector<SharedFd> fds) {
+  queue_.push_back({{bytes.begin(), bytes.end()}, std::move(fds)});
+  return ++packet_count_;
+}
+
+Session::Flushed Session::flush() {
+  Flushed result = Flushed::all;
+  while (!queue_.empty() && result == Flushed::all) {
+    const Outgoing& packet = queue_.front();
+    std::array<int, abi::wire::descriptor_count_max> fds{};
+    std::size_t count = 0;
+    for (const SharedFd& fd : packet.fds) fds[count++] = fd->get();
+    const auto sent = socket_.send(packet.bytes, {fds.data(), count});
+    if (!sent) {
+      if (sent.error().os_errno != ETOOMANYREFS) return Flushed::over;
+      result = Flushed::later;
+    } else if (*sent == Sent::peer_gone) {
+      return Flushed::over;
+    } else if (*sent == Sent::would_block) {
+      result = Flushed::blocked;
+    } else {
+      queue_.pop_front();
+    }
+  }
+  return queue_.size() <= queue_count_max ? result : Flushed::over;
+}
+
+}  // namespace agnocast::daemon

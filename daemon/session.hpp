@@ -1,0 +1,120 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Session: one connection. Who is at its other end, how far it has come, what still has to be sent.
+//
+//   accepted ──identity confirmed and hello──▶ greeted ──end of connection, overflow──▶ closed
+//
+// Packets leave in the order in which they were handed in, each counted; the number of a packet is
+// what `seen` in an `unlinked` refers to, so the session also remembers in which packet each thing
+// was announced last. What does not fit into the socket waits in a bounded queue; a client that
+// does not read until the bound is reached is disconnected. A closed session is not a dead process:
+// that is the reaper's to find out.
+//
+// The queue and the book of announcements are pure; only flush() touches the socket.
+#pragma once
+
+#include <agnocast/abi/wire.hpp>
+#include <agnocast/result.hpp>
+#include <base/packet_socket.hpp>
+#include <base/peer_identity.hpp>
+#include <daemon/shared_fd.hpp>
+#include <daemon/tables.hpp>
+
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <optional>
+#include <span>
+#include <tuple>
+#include <vector>
+
+namespace agnocast::daemon {
+
+/// What an announcement is about: an endpoint, or (kind region) a process's region and windows.
+struct Announced {
+  abi::wire::Kind kind = abi::wire::Kind::region;
+  std::uint32_t topic = 0;
+  std::uint64_t index = 0;
+  friend bool operator<(const Announced& a, const Announced& b) noexcept {
+    return std::tuple(a.kind, a.topic, a.index) < std::tuple(b.kind, b.topic, b.index);
+  }
+};
+
+/// In which packet of one connection each thing was announced last.
+class AnnouncementNumbers {
+ public:
+  void announced(const Announced& subject, std::uint64_t packet) { last_[subject] = packet; }
+  /// A statement made after `seen` packets is void when the subject was announced in a later one.
+  bool is_void(const Announced& subject, std::uint64_t seen) const {
+    const auto found = last_.find(subject);
+    return found != last_.end() && found->second > seen;
+  }
+  void forget(const Announced& subject) { last_.erase(subject); }
+  std::size_t size() const noexcept { return last_.size(); }
+
+ private:
+  std::map<Announced, std::uint64_t> last_;
+};
+
+struct Outgoing {
+  std::vector<std::byte> bytes;
+  std::vector<SharedFd> fds;
+};
+
+class Session {
+ public:
+  // A publisher of the widest topic is told of 768 subscriptions at once, in each of its topics; 16
+  // such topics. 16 MB at most for one client that does not read.
+  static constexpr std::size_t queue_count_max = 16 * 1024;
+
+  Session(PacketSocket socket, PeerIdentity identity)
+      : socket_(std::move(socket)), identity_(std::move(identity)) {}
+
+  const PacketSocket& socket() const noexcept { return socket_; }
+  PeerIdentity& identity() noexcept { return identity_; }
+  const PeerIdentity& identity() const noexcept { return identity_; }
+
+  bool greeted() const noexcept { return client_.has_value(); }
+  std::optional<ClientIndex> client() const noexcept { return client_; }
+  void greet(ClientIndex client) noexcept { client_ = client; }
+  /// After this nothing is sent and nothing is read.
+  void close() noexcept {
+    socket_.close();
+    queue_.clear();
+  }
+  bool closed() const noexcept { return !socket_; }
+  void drop_output() noexcept { queue_.clear(); }
+
+  /// Appends a packet; its number. Sends nothing yet.
+  std::uint64_t push(std::span<const std::byte> bytes, std::vector<SharedFd> fds);
+  enum class Flushed : std::uint8_t {
+    all,
+    blocked,  ///< go on when the socket is writable
+    later,    ///< too many descriptors are under way, whatever the socket says; go on in a while
+    over,     ///< the peer is gone, the queue is too long, or the kernel refuses
+  };
+  /// Sends what the socket takes.
+  [[nodiscard]] Flushed flush();
+  bool has_output() const noexcept { return !queue_.empty(); }
+  std::size_t queued_count() const noexcept { return queue_.size(); }
+  /// Packets handed in so far, sent or not.
+  std::uint64_t packet_count() const noexcept { return packet_count_; }
+
+  AnnouncementNumbers& announcements() noexcept { return announcements_; }
+
+  /// Requests refused because they broke the protocol; the log speaks only of the first ones.
+  std::uint64_t violation_count = 0;
+  /// User namespace of the process, 0 when unknown.
+  std::uint64_t user_namespace = 0;
+
+ private:
+  PacketSocket socket_;
+  PeerIdentity identity_;
+  std::optional<ClientIndex> client_;
+  std::deque<Outgoing> queue_;
+  std::uint64_t packet_count_ = 0;
+  AnnouncementNumbers announcements_;
+};
+
+}  // namespace agnocast::daemon

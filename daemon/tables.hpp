@@ -1,0 +1,134 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Tables: everything the daemon has decided, as plain data in one sealed memfd that outlives its
+// process.
+//
+//   header · client[2048] · topic[4096] · publisher[4096][254] · subscription[4096][768]
+//
+// An endpoint's record lies at the place its board entry has, so nothing is searched and nothing is
+// moved. The memfd is sparse: what was never used has no memory, and nobody looks behind the
+// high-water marks (a read of a hole would allocate it). A record of zero bytes is a free one.
+// Only the redo log's records change a table (registry.cpp); names are the exception: they are
+// written into a free place first, and the record that follows makes the place count.
+#pragma once
+
+#include <agnocast/abi/limits.hpp>
+#include <agnocast/abi/wire.hpp>
+#include <journal/announce_set.hpp>
+
+#include <cstddef>
+#include <cstdint>
+#include <type_traits>
+
+namespace agnocast::daemon {
+
+enum class ClientIndex : std::uint32_t {};
+enum class TopicIndex : std::uint32_t {};
+constexpr std::uint32_t number(ClientIndex index) noexcept {
+  return static_cast<std::uint32_t>(index);
+}
+constexpr std::uint32_t number(TopicIndex index) noexcept {
+  return static_cast<std::uint32_t>(index);
+}
+
+using AnnounceSet = journal::AnnounceSet<SharedMemory>;
+
+enum class ClientState : std::uint32_t {
+  free = 0,
+  alive = 1,
+  dead = 2,  // its process is gone; others may still have its region
+};
+enum class TopicState : std::uint32_t { free = 0, used = 1 };
+
+//   publisher:      free → active → orphan → over → free
+//   subscription:   free → active → leaving → over → free;  active, leaving → dead → free
+enum class EndpointState : std::uint32_t {
+  free = 0,
+  active = 1,
+  leaving = 2,  // subscription: takes no more, still holds
+  orphan = 3,   // publisher: publishes no more, is being drained
+  over = 4,     // publisher: everybody else has let go. subscription: its owner has let go
+  dead = 5,     // subscription of a dead process
+};
+
+struct WindowRecord {
+  std::uint64_t base;
+  std::uint64_t bytes;
+};
+
+struct ClientRecord {
+  std::uint64_t generation;
+  ClientState state;
+  std::uint32_t uid;
+  std::uint32_t gid;
+  std::uint32_t pid;  // as the daemon sees it; 0 when it does not
+  std::uint64_t domain;
+  std::uint64_t executors;  // one bit each
+  std::uint64_t window_count;
+  WindowRecord window[abi::window_count_max];
+  AnnounceSet told;  // who has its region and windows
+  char name[abi::wire::name_bytes];
+};
+static_assert(abi::executor_count_max <= 64, "the executors of a client are one word of bits");
+
+struct TopicRecord {
+  std::uint64_t generation;
+  TopicState state;
+  std::uint32_t publisher_high;  // one more than the highest index ever used
+  std::uint32_t subscription_high;
+  std::uint32_t reserved;
+  std::uint64_t domain;
+  std::uint64_t layout_hash;
+  char name[abi::wire::name_bytes];
+  char type[abi::wire::name_bytes];
+};
+
+struct PublisherRecord {
+  std::uint64_t generation;
+  EndpointState state;
+  ClientIndex client;
+  std::uint64_t qos;
+  std::uint64_t extent;
+  std::uint64_t slot_count;
+  AnnounceSet told;
+  char node[abi::wire::name_bytes];
+};
+
+struct SubscriptionRecord {
+  std::uint64_t generation;
+  EndpointState state;
+  ClientIndex client;
+  std::uint64_t qos;
+  std::uint64_t extent;
+  std::uint64_t quota;
+  std::uint64_t executor;
+  AnnounceSet told;
+  char node[abi::wire::name_bytes];
+};
+static_assert(std::is_trivially_copyable_v<ClientRecord> &&
+              std::is_trivially_copyable_v<PublisherRecord> &&
+              std::is_trivially_copyable_v<SubscriptionRecord> &&
+              std::is_trivially_copyable_v<TopicRecord>);
+static_assert(std::is_standard_layout_v<ClientRecord> &&
+              std::is_standard_layout_v<PublisherRecord>);
+
+struct TableHeader {
+  std::uint64_t magic;
+  std::uint64_t layout;           // sizes of the records: another build's tables are not ours
+  std::uint64_t last_generation;  // one counter for everything; 48 bits last for millennia
+  std::uint32_t client_high;
+  std::uint32_t topic_high;
+};
+
+struct Tables {
+  TableHeader header;
+  ClientRecord client[abi::client_count_max];
+  TopicRecord topic[abi::topic_count_max];
+  PublisherRecord publisher[abi::topic_count_max][abi::publisher_count_max];
+  SubscriptionRecord subscription[abi::topic_count_max][abi::subscription_count_max];
+};
+
+inline constexpr std::uint64_t tables_bytes =
+    (sizeof(Tables) + abi::page_bytes - 1) / abi::page_bytes * abi::page_bytes;
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,62 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Publishes PointCloud2 messages that are built with push_back, resize, assign and insert; or replays a raw scan of 5 float32 per point
+// (x y z intensity ring). Needs the heap hook: agnocast-run cloud_publisher.
+
+#include <agnocast/agnocast.hpp>
+#include <examples/cloud.hpp>
+#include <examples/node.hpp>
+#include <examples/options.hpp>
+
+#include <chrono>
+#include <cstdio>
+#include <fstream>
+#include <thread>
+#include <vector>
+
+namespace {
+
+bool read_scan(const std::string& path, std::vector<float>& values) {
+  std::ifstream file(path, std::ios::binary | std::ios::ate);
+  if (!file) return false;
+  const auto bytes = file.tellg();
+  if (bytes <= 0 || bytes % example::point_step != 0) return false;
+  values.resize(static_cast<std::size_t>(bytes) / sizeof(float));
+  file.seekg(0);
+  return static_cast<bool>(file.read(reinterpret_cast<char*>(values.data()), bytes));
+}
+
+}  // namespace
+
+int main(int argc, char** argv) try {
+  const example::Options options = example::parse(argc, argv, "/points", " [--points N | --scan FILE]");
+  std::vector<float> scan;
+  if (!options.scan.empty() && !read_scan(options.scan, scan)) {
+    std::fprintf(stderr, "cloud_publisher: %s: not a scan of 5 float32 per point\nhint: give a file whose size is a multiple of 20 bytes\n",
+                 options.scan.c_str());
+    return 1;
+  }
+  example::Node node("cloud_publisher");
+  auto publisher = agnocast::create_publisher<example::Cloud>(node, options.topic, agnocast::QoS(options.depth));
+  auto next = std::chrono::steady_clock::now();
+  for (std::uint64_t number = 1; options.count == 0 || number <= options.count; ++number) {
+    auto message = publisher->borrow_loaned_message();
+    example::fill(*message, number, options.points, scan);
+    const std::size_t bytes = message->data.size();
+    const auto result = publisher->publish(std::move(message));
+    if (!result) {
+      std::fprintf(stderr, "cloud_publisher: publish: %s\nhint: %s\n", agnocast::sentence_of(result.code), agnocast::remedy_of(result.code));
+      return 1;
+    }
+    if (options.verbose) {
+      std::printf("published %llu: %zu bytes, %llu adopted\n", static_cast<unsigned long long>(number), bytes,
+                  static_cast<unsigned long long>(result.adopted_bytes));
+      std::fflush(stdout);
+    }
+    std::this_thread::sleep_until(next += std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::duration<double>(1 / options.rate)));
+  }
+  return 0;
+} catch (const agnocast::Error& error) {
+  std::fprintf(stderr, "cloud_publisher: %s\nhint: %s\n", error.what(), agnocast::remedy_of(error.failure().code));
+  return 1;
+}

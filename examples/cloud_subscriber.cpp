@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Receives the clouds of cloud_publisher and checks every member of each. Ends with status 1 if one was wrong. With --scan FILE it only
+// checks the shape: the points are the file's.
+
+#include <agnocast/agnocast.hpp>
+#include <examples/cloud.hpp>
+#include <examples/node.hpp>
+#include <examples/options.hpp>
+
+#include <atomic>
+#include <chrono>
+#include <cstdio>
+#include <thread>
+
+int main(int argc, char** argv) try {
+  const example::Options options = example::parse(argc, argv, "/points", " [--scan FILE]");
+  example::Node node("cloud_subscriber");
+  std::atomic<std::uint64_t> received{0}, wrong{0};
+  auto subscription = agnocast::create_subscription<example::Cloud>(
+      node, options.topic, agnocast::QoS(options.depth), [&](const agnocast::ipc_shared_ptr<const example::Cloud>& cloud) {
+        const bool right = example::check(*cloud, cloud.info().sequence, !options.scan.empty());
+        if (!right) ++wrong;
+        if (options.verbose) {
+          std::printf("received %llu: %u points at %p, %s\n", static_cast<unsigned long long>(cloud.info().sequence), cloud->width,
+                      static_cast<const void*>(cloud->data.data()), right ? "intact" : "WRONG");
+          std::fflush(stdout);
+        }
+        ++received;
+      });
+  while (options.count == 0 || received < options.count) std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  std::printf("%llu received, %llu wrong, %llu lost\n", static_cast<unsigned long long>(received), static_cast<unsigned long long>(wrong),
+              static_cast<unsigned long long>(subscription->get_lost_count()));
+  return wrong == 0 ? 0 : 1;
+} catch (const agnocast::Error& error) {
+  std::fprintf(stderr, "cloud_subscriber: %s\nhint: %s\n", error.what(), agnocast::remedy_of(error.failure().code));
+  return 1;
+}

@@ -1,0 +1,75 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Command line of the examples: --topic, --count, --rate, --verbose and what each adds. Wrong usage ends with status 2.
+#pragma once
+
+#include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <string>
+
+namespace example {
+
+struct Options {
+  std::string topic;
+  std::uint64_t count = 0;  // messages; 0 = for ever
+  double rate = 1.0;        // per second
+  std::uint64_t points = 10000;
+  std::uint64_t depth = 10;
+  std::string scan;
+  bool verbose = false;
+};
+
+[[noreturn]] inline void usage(const char* program, const char* what, const char* extra, int status) {
+  std::FILE* const out = status == 0 ? stdout : stderr;
+  if (status != 0) std::fprintf(out, "%s: %s\n", program, what);
+  std::fprintf(out,
+               "usage: %s [--topic NAME] [--count N] [--rate HZ] [--depth N] [--verbose]%s\n"
+               "  --topic NAME   topic (default %s)\n"
+               "  --count N      end after N messages (default: go on)\n"
+               "  --rate HZ      messages per second, publishers only (default 1)\n"
+               "  --depth N      history depth (default 10)\n"
+               "  --verbose      a line for each message\n",
+               program, extra, status == 0 ? what : "see the README");
+  std::exit(status);
+}
+
+/// `extra`: options of this program beyond the common ones, for the usage line.
+inline Options parse(int argc, char** argv, const char* topic, const char* extra = "") {
+  const char* const slash = std::strrchr(argv[0], '/');
+  const char* const program = slash != nullptr ? slash + 1 : argv[0];
+  Options options;
+  options.topic = topic;
+  for (int i = 1; i < argc; ++i) {
+    const std::string name = argv[i];
+    if (name == "--help" || name == "-h") usage(program, topic, extra, 0);
+    if (name == "--verbose") {
+      options.verbose = true;
+      continue;
+    }
+    if (i + 1 == argc) usage(program, (name + " needs a value, or is unknown").c_str(), extra, 2);
+    const char* const value = argv[++i];
+    char* end = nullptr;
+    if (name == "--topic") {
+      options.topic = value;
+    } else if (name == "--count") {
+      options.count = std::strtoull(value, &end, 10);
+    } else if (name == "--rate") {
+      options.rate = std::strtod(value, &end);
+    } else if (name == "--depth") {
+      options.depth = std::strtoull(value, &end, 10);
+    } else if (name == "--points" && std::strstr(extra, "--points") != nullptr) {
+      options.points = std::strtoull(value, &end, 10);
+    } else if (name == "--scan" && std::strstr(extra, "--scan") != nullptr) {
+      options.scan = value;
+    } else {
+      usage(program, (name + " is unknown").c_str(), extra, 2);
+    }
+    if (end != nullptr && (*end != '\0' || end == value)) usage(program, (name + " wants a number, not " + value).c_str(), extra, 2);
+  }
+  if (options.rate <= 0) usage(program, "--rate wants a number above 0", extra, 2);
+  return options;
+}
+
+}  // namespace example

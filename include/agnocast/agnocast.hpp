@@ -1,0 +1,17 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Everything a node needs.
+#pragma once
+
+#include <agnocast/error.hpp>
+#include <agnocast/ipc_shared_ptr.hpp>
+#include <agnocast/message_traits.hpp>
+#include <agnocast/publisher.hpp>
+#include <agnocast/qos.hpp>
+#include <agnocast/result.hpp>
+#include <agnocast/subscription.hpp>
+#include <agnocast/version.hpp>
+
+#if __has_include(<rosidl_typesupport_introspection_cpp/message_introspection.hpp>)
+#include <agnocast/rosidl.hpp>
+#endif

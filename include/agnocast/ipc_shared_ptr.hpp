@@ -1,0 +1,99 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// ipc_shared_ptr: a message. Either a loan (built by its publisher, not published yet) or one that
+// was received. Copies count within the process; the last copy of a received message gives it back
+// to its publisher with one instruction, the last copy of a loan destroys it.
+#pragma once
+
+#include <agnocast/export.hpp>
+
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <type_traits>
+#include <utility>
+
+namespace agnocast {
+
+/// What is known about a received message.
+struct MessageInfo {
+  std::uint64_t sequence = 0;  ///< of its publisher; consecutive, the first is 1
+  std::uint64_t publisher =
+      0;  ///< generation of the publisher: never the same for two publishers of a daemon's life
+  std::uint64_t publish_time_ns = 0;  ///< CLOCK_MONOTONIC when it was published
+  /// The same in CLOCK_REALTIME nanoseconds, by the offset of the two clocks now. Costs two clock
+  /// reads.
+  AGNOCAST_PUBLIC std::uint64_t source_timestamp() const noexcept;
+};
+
+namespace detail {
+
+/// One message in this process's hands. Made and ended by the library.
+struct Block {
+  std::atomic<std::uint64_t> users{1};
+  void* message = nullptr;                       // null: published or given back
+  void (*end)(Block* block) noexcept = nullptr;  // the last copy is gone; deletes the block
+  const void* origin = nullptr;                  // the publisher that lent it; null: received
+  MessageInfo info;
+};
+
+}  // namespace detail
+
+/// Like std::shared_ptr, for T in shared memory. A received message is ipc_shared_ptr<const T>; its
+/// memory is read-only. Different copies may be used by different threads at the same time. After
+/// publish() every copy of the loan is empty.
+template <class T>
+class ipc_shared_ptr {
+ public:
+  using element_type = T;
+
+  ipc_shared_ptr() noexcept = default;
+  ipc_shared_ptr(const ipc_shared_ptr& other) noexcept : ipc_shared_ptr(other.block_) { share(); }
+  ipc_shared_ptr(ipc_shared_ptr&& other) noexcept : block_(std::exchange(other.block_, nullptr)) {}
+  /// ipc_shared_ptr<T> to ipc_shared_ptr<const T>.
+  template <class U,
+            class = std::enable_if_t<std::is_convertible_v<U*, T*> && !std::is_same_v<U, T>>>
+  ipc_shared_ptr(const ipc_shared_ptr<U>& other) noexcept : ipc_shared_ptr(other.block_) {
+    share();
+  }
+  template <class U,
+            class = std::enable_if_t<std::is_convertible_v<U*, T*> && !std::is_same_v<U, T>>>
+  ipc_shared_ptr(ipc_shared_ptr<U>&& other) noexcept
+      : block_(std::exchange(other.block_, nullptr)) {}
+  ipc_shared_ptr& operator=(ipc_shared_ptr other) noexcept {
+    std::swap(block_, other.block_);
+    return *this;
+  }
+  ~ipc_shared_ptr() { reset(); }
+
+  void reset() noexcept {
+    detail::Block* const block = std::exchange(block_, nullptr);
+    if (block != nullptr && block->users.fetch_sub(1, std::memory_order_acq_rel) == 1)
+      block->end(block);
+  }
+  /// Null if empty, published or moved from.
+  T* get() const noexcept { return block_ != nullptr ? static_cast<T*>(block_->message) : nullptr; }
+  T& operator*() const noexcept { return *get(); }
+  T* operator->() const noexcept { return get(); }
+  explicit operator bool() const noexcept { return get() != nullptr; }
+  /// Of a received message; zeros for a loan.
+  const MessageInfo& info() const noexcept {
+    static const MessageInfo none;
+    return block_ != nullptr ? block_->info : none;
+  }
+
+  /// For the library: takes over one use of the block.
+  explicit ipc_shared_ptr(detail::Block* block) noexcept : block_(block) {}
+  detail::Block* block() const noexcept { return block_; }
+
+ private:
+  template <class>
+  friend class ipc_shared_ptr;
+  void share() noexcept {
+    if (block_ != nullptr) block_->users.fetch_add(1, std::memory_order_relaxed);
+  }
+
+  detail::Block* block_ = nullptr;
+};
+
+}  // namespace agnocast

@@ -1,0 +1,65 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Quality of service, meaning what it means in ROS 2. An rclcpp::QoS (anything with its getters)
+// converts to it.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <type_traits>
+#include <utility>
+
+namespace agnocast {
+
+/// History, reliability and durability of an endpoint. Default: keep-last of the given depth,
+/// reliable, volatile (rclcpp's default). Publisher and subscription match if the publisher offers
+/// at least what the subscription requests (DDS 1.4, 2.2.3). Any thread; plain data.
+class QoS {
+ public:
+  /// Keep-last: a publisher keeps that many messages for late joiners if it is transient-local; a
+  /// subscription gets that many unread messages, whatever the publisher's depth is. 0 and depths
+  /// above the daemon's limit are refused at creation.
+  explicit QoS(std::size_t depth) noexcept : depth_(depth) {}
+  /// From an rclcpp::QoS or whatever else has depth(), history(), reliability() and durability() in
+  /// rmw's numbers.
+  template <class Like, class = decltype(std::declval<const Like&>().depth(),
+                                         std::declval<const Like&>().history(),
+                                         std::declval<const Like&>().reliability(),
+                                         std::declval<const Like&>().durability())>
+  QoS(const Like& like) noexcept
+      : depth_(static_cast<std::size_t>(like.depth())),
+        keep_all_(static_cast<int>(like.history()) == rmw_keep_all),
+        reliable_(static_cast<int>(like.reliability()) != rmw_best_effort),
+        transient_local_(static_cast<int>(like.durability()) == rmw_transient_local) {}
+
+  QoS& keep_last(std::size_t depth) noexcept { return depth_ = depth, keep_all_ = false, *this; }
+  /// Nothing is lost: a publisher that would overrun a reliable keep-all subscription gets
+  /// would_block. `bound`: unread messages at most.
+  QoS& keep_all(std::size_t bound = keep_all_bound) noexcept {
+    return depth_ = bound, keep_all_ = true, *this;
+  }
+  QoS& reliable() noexcept { return reliable_ = true, *this; }
+  QoS& best_effort() noexcept { return reliable_ = false, *this; }
+  QoS& transient_local() noexcept { return transient_local_ = true, *this; }
+  QoS& durability_volatile() noexcept { return transient_local_ = false, *this; }
+
+  std::size_t depth() const noexcept { return depth_; }
+  bool is_keep_all() const noexcept { return keep_all_; }
+  bool is_reliable() const noexcept { return reliable_; }
+  bool is_transient_local() const noexcept { return transient_local_; }
+
+ private:
+  // rmw/types.h: history keep_all, reliability best_effort, durability transient_local.
+  static constexpr int rmw_keep_all = 2;
+  static constexpr int rmw_best_effort = 2;
+  static constexpr int rmw_transient_local = 1;
+  // The default of the daemon's depth_max.
+  static constexpr std::size_t keep_all_bound = 1000;
+
+  std::size_t depth_;
+  bool keep_all_ = false;
+  bool reliable_ = true;
+  bool transient_local_ = false;
+};
+
+}  // namespace agnocast

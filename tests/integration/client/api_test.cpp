@@ -1,0 +1,211 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: the public interface does what its comments say, with a real message type, the real daemon and the real heap hook.
+// Method: publisher and subscriptions in this process (the hook is linked); the daemon in a private directory. What crosses processes is in
+// client_test.cpp and in the tests of the examples.
+
+#include <agnocast/agnocast.hpp>
+#include <tests/support/daemon_process.hpp>
+
+#include <sensor_msgs/msg/point_cloud2.hpp>
+
+#include <gmock/gmock.h>
+
+#include <chrono>
+#include <condition_variable>
+#include <cstdlib>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <thread>
+#include <vector>
+
+namespace agnocast {
+namespace {
+
+using Cloud = sensor_msgs::msg::PointCloud2;
+
+/// What create_publisher needs of a node, and nothing else.
+struct PlainNode {
+  const char* get_name() const { return "node"; }
+  const char* get_namespace() const { return "/ns"; }
+  const char* get_fully_qualified_name() const { return "/ns/node"; }
+};
+/// A look-alike of rclcpp::Node: names resolve through an interface of its own, remappings included.
+struct LookAlikeNode : PlainNode {
+  struct Topics {
+    std::string resolve_topic_name(const std::string& name) const { return name == "points" ? "/remapped/points" : "/ns/" + name; }
+  };
+  std::shared_ptr<Topics> get_node_topics_interface() const { return std::make_shared<Topics>(); }
+};
+/// A look-alike of rclcpp::QoS with rmw's numbers.
+struct LookAlikeQos {
+  enum class History { KeepLast = 1, KeepAll = 2 };
+  enum class Reliability { Reliable = 1, BestEffort = 2 };
+  enum class Durability { TransientLocal = 1, Volatile = 2 };
+  std::size_t depth() const { return 7; }
+  History history() const { return History::KeepLast; }
+  Reliability reliability() const { return Reliability::BestEffort; }
+  Durability durability() const { return Durability::TransientLocal; }
+};
+
+class Api : public testing::Test {
+ protected:
+  // The library connects once per process, so all tests here share one daemon.
+  static void SetUpTestSuite() {
+    daemon = new test::DaemonProcess;
+    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
+  }
+  static test::DaemonProcess* daemon;
+  PlainNode node;
+
+  template <class T>
+  static ipc_shared_ptr<const T> take_soon(Subscription<T>& subscription) {
+    const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(10);
+    while (std::chrono::steady_clock::now() < end) {
+      if (auto message = subscription.take()) return message;
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    }
+    return {};
+  }
+};
+test::DaemonProcess* Api::daemon = nullptr;
+
+void fill(Cloud& cloud, std::uint32_t points) {
+  cloud.header.frame_id = "a frame whose name does not fit into a string object";
+  cloud.fields.resize(3);
+  for (std::size_t i = 0; i < 3; ++i) cloud.fields[i].name = std::string("field ") + "xyz"[i] + " with a long name that is stored elsewhere";
+  cloud.width = points;
+  for (std::uint32_t i = 0; i < points * 4; ++i) cloud.data.push_back(static_cast<std::uint8_t>(i * 7));
+}
+
+TEST_F(Api, ALoanIsTheMessageThatArrives) {
+  auto subscription = create_subscription<Cloud>(node, "points", QoS(5));
+  auto publisher = create_publisher<Cloud>(&node, "points", 1);
+  EXPECT_STREQ(publisher->get_topic_name(), "/ns/points");
+  auto loan = publisher->borrow_loaned_message();
+  fill(*loan, 5000);
+  const void* const address = loan.get();
+  const void* const payload = loan->data.data();
+  const Cloud copy = *loan;
+  auto second_handle = loan;
+  const PublishResult result = publisher->publish(std::move(loan));
+  ASSERT_TRUE(result) << sentence_of(result.code);
+  EXPECT_EQ(result.adopted_bytes, 0u);
+  EXPECT_FALSE(second_handle) << "every copy of the handle is empty";
+  auto received = take_soon(*subscription);
+  ASSERT_TRUE(received);
+  EXPECT_EQ(received.get(), address) << "no byte moved";
+  EXPECT_EQ(received->data.data(), payload);
+  EXPECT_EQ(*received, copy);
+  EXPECT_EQ(received.info().sequence, 1u);
+  const auto now = std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::system_clock::now().time_since_epoch()).count();
+  EXPECT_NEAR(static_cast<double>(received.info().source_timestamp()), static_cast<double>(now), 60e9);
+}
+
+TEST_F(Api, WhatWasBuiltElsewhereIsAdoptedAndSaidSo) {
+  auto subscription = create_subscription<Cloud>(node, "moved", QoS(5));
+  auto publisher = create_publisher<Cloud>(node, "moved", 1);
+  std::vector<std::uint8_t> elsewhere(10000, 42);
+  auto loan = publisher->borrow_loaned_message();
+  // Made in the loan's scope it would be shared already.
+  std::vector<std::uint8_t> foreign;
+  std::thread([&] { foreign.assign(20000, 7); }).join();
+  loan->data = std::move(foreign);
+  const PublishResult result = publisher->publish(std::move(loan));
+  ASSERT_TRUE(result);
+  EXPECT_EQ(result.adopted_bytes, 20000u);
+  auto received = take_soon(*subscription);
+  ASSERT_TRUE(received);
+  EXPECT_THAT(received->data, testing::Each(7));
+  EXPECT_EQ(received->data.size(), 20000u);
+
+  auto message = std::make_unique<Cloud>();
+  message->data = elsewhere;
+  const PublishResult adopted = publisher->publish(std::move(message));
+  ASSERT_TRUE(adopted);
+  EXPECT_EQ(message, nullptr);
+  EXPECT_EQ(adopted.adopted_bytes, sizeof(Cloud) + 10000);
+  received = take_soon(*subscription);
+  ASSERT_TRUE(received);
+  EXPECT_EQ(received->data, elsewhere);
+}
+
+TEST_F(Api, CallbacksRunWithoutAnyExecutorAndTakeEitherPointer) {
+  std::mutex mutex;
+  std::condition_variable changed;
+  std::vector<std::uint32_t> by_const, by_mutable;
+  const auto note = [&](std::vector<std::uint32_t>& list, std::uint32_t width) {
+    const std::lock_guard lock(mutex);
+    list.push_back(width);
+    changed.notify_all();
+  };
+  auto first = create_subscription<Cloud>(node, "called", QoS(10), [&](const ipc_shared_ptr<const Cloud>& cloud) { note(by_const, cloud->width); });
+  auto second = create_subscription<Cloud>(node, "called", QoS(10), [&](ipc_shared_ptr<Cloud>&& cloud) { note(by_mutable, cloud->width); });
+  auto publisher = create_publisher<Cloud>(node, "called", 1);
+  for (std::uint32_t width : {1u, 2u, 3u}) {
+    auto loan = publisher->borrow_loaned_message();
+    loan->width = width;
+    ASSERT_TRUE(publisher->publish(std::move(loan)));
+  }
+  std::unique_lock lock(mutex);
+  EXPECT_TRUE(changed.wait_for(lock, std::chrono::seconds(10), [&] { return by_const.size() == 3 && by_mutable.size() == 3; }));
+  EXPECT_THAT(by_const, testing::ElementsAre(1, 2, 3));
+  EXPECT_THAT(by_mutable, testing::ElementsAre(1, 2, 3));
+}
+
+TEST_F(Api, AHeldMessageOutlivesItsSubscriptionAndItsPublisher) {
+  auto subscription = create_subscription<Cloud>(node, "kept", QoS(5));
+  auto publisher = create_publisher<Cloud>(node, "kept", 1);
+  auto loan = publisher->borrow_loaned_message();
+  fill(*loan, 100);
+  const Cloud copy = *loan;
+  ASSERT_TRUE(publisher->publish(std::move(loan)));
+  auto held = take_soon(*subscription);
+  ASSERT_TRUE(held);
+  subscription.reset();
+  publisher.reset();
+  std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  EXPECT_EQ(*held, copy);
+}
+
+TEST_F(Api, LookAlikesOfRclcppFit) {
+  LookAlikeNode like;
+  auto publisher = create_publisher<Cloud>(like, "points", LookAlikeQos());
+  EXPECT_STREQ(publisher->get_topic_name(), "/remapped/points");
+  const QoS qos = LookAlikeQos();
+  EXPECT_EQ(qos.depth(), 7u);
+  EXPECT_FALSE(qos.is_reliable());
+  EXPECT_TRUE(qos.is_transient_local());
+  auto shared = std::make_shared<LookAlikeNode>();
+  EXPECT_STREQ(create_publisher<Cloud>(shared, "other", 3)->get_topic_name(), "/ns/other");
+}
+
+template <class Function>
+std::string error_of(Function function) {
+  try {
+    function();
+  } catch (const Error& error) {
+    return error.what();
+  }
+  return "(no error)";
+}
+
+TEST_F(Api, MistakesAreNamed) {
+  EXPECT_THAT(error_of([&] { create_publisher<Cloud>(node, "/a//b", 1); }), testing::HasSubstr(sentence_of(Errc::invalid_name)));
+  EXPECT_THAT(error_of([&] { create_publisher<Cloud>(node, "/zero", 0); }), testing::HasSubstr("depth of 0"));
+  EXPECT_THAT(error_of([&] { create_publisher<Cloud>(node, "/deep", 100000); }), testing::HasSubstr("above 1000"));
+  auto publisher = create_publisher<Cloud>(node, "/typed", 1);
+  EXPECT_THAT(error_of([&] { create_subscription<sensor_msgs::msg::PointField>(node, "/typed", QoS(1)); }),
+              testing::HasSubstr(sentence_of(Errc::type_mismatch)));
+  auto other = create_publisher<Cloud>(node, "/other", 1);
+  auto loan = other->borrow_loaned_message();
+  EXPECT_EQ(publisher->publish(std::move(loan)).code, Errc::loan_invalid) << "a loan of another publisher";
+  EXPECT_TRUE(loan) << "the caller still has it";
+  EXPECT_TRUE(other->publish(std::move(loan)));
+  EXPECT_EQ(other->publish(std::move(loan)).code, Errc::loan_invalid) << "published already";
+  EXPECT_EQ(other->publish(std::unique_ptr<Cloud>()).code, Errc::loan_invalid);
+}
+
+}  // namespace
+}  // namespace agnocast

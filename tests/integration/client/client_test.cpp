@@ -1,0 +1,147 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: the library's untyped core works against the real daemon between real processes, whoever
+// dies. Method: agnocastd in a private directory; processes of client_tool steered line by line;
+// SIGKILL for deaths. Nothing sleeps a fixed time: what happens asynchronously is asked for until
+// it is true, up to a bound.
+
+#include <tests/support/client_tool.hpp>
+#include <tests/support/daemon_process.hpp>
+
+#include <gtest/gtest.h>
+
+#include <string>
+
+namespace agnocast {
+namespace {
+
+using test::ClientTool;
+using test::DaemonProcess;
+
+TEST(Client, AnUnsizedMessageCrossesProcesses) {
+  DaemonProcess daemon;
+  ClientTool subscriber(daemon.socket_path()), publisher(daemon.socket_path());
+  ASSERT_EQ(subscriber.ask("sub /points 5"), "ok");
+  ASSERT_EQ(publisher.ask("pub /points 1"), "ok");
+  ASSERT_EQ(publisher.ask("publish 3 100000"), "ok");
+  for (const char* number : {"1", "2", "3"}) {
+    ASSERT_EQ(subscriber.ask("wait 5000"), "news");
+    ASSERT_EQ(subscriber.ask("take"), number);
+  }
+  EXPECT_EQ(subscriber.ask("take"), "none");
+  for (int i = 0; i < 3; ++i) EXPECT_EQ(subscriber.ask("release"), "ok");
+  EXPECT_TRUE(publisher.eventually("allocated", "0"))
+      << "an idle publisher's memory comes back after the last release";
+}
+
+TEST(Client, ASleeperIsRungAndALateJoinerGetsTheHistory) {
+  DaemonProcess daemon;
+  ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
+  ASSERT_EQ(publisher.ask("pub /map 3 tl"), "ok");
+  ASSERT_EQ(publisher.ask("publish 5 10"), "ok");
+  ASSERT_EQ(subscriber.ask("sub /map 2 tl"), "ok");
+  ASSERT_EQ(subscriber.ask("wait 5000"), "news");
+  EXPECT_EQ(subscriber.ask("take"), "4");
+  EXPECT_EQ(subscriber.ask("take"), "5");
+  EXPECT_EQ(subscriber.ask("take"), "none");
+  subscriber.tell("wait 10000");
+  ASSERT_EQ(publisher.ask("publish 1 10"), "ok");
+  EXPECT_EQ(subscriber.answer(), "news");
+  EXPECT_EQ(subscriber.ask("take"), "6");
+}
+
+TEST(Client, WhatADeadPublisherCommittedIsDeliveredAndStaysValid) {
+  DaemonProcess daemon;
+  ClientTool subscriber(daemon.socket_path());
+  ASSERT_EQ(subscriber.ask("sub /last 10"), "ok");
+  {
+    ClientTool publisher(daemon.socket_path());
+    ASSERT_EQ(publisher.ask("pub /last 1"), "ok");
+    ASSERT_EQ(publisher.ask("publish 4 50000"), "ok");
+    publisher.kill();
+  }
+  for (const char* number : {"1", "2", "3", "4"}) {
+    ASSERT_EQ(subscriber.ask("wait 5000"), "news");
+    ASSERT_EQ(subscriber.ask("take"), number);
+  }
+  EXPECT_EQ(subscriber.ask("take"), "none");
+  EXPECT_EQ(subscriber.ask("links"), "1") << "held messages keep the link";
+  for (int i = 0; i < 4; ++i) EXPECT_EQ(subscriber.ask("release"), "ok");
+  EXPECT_TRUE(subscriber.eventually("links", "0"));
+  ClientTool next(daemon.socket_path());
+  ASSERT_EQ(next.ask("pub /last 1"), "ok");
+  ASSERT_EQ(next.ask("publish 1 10"), "ok");
+  ASSERT_EQ(subscriber.ask("wait 5000"), "news");
+  EXPECT_EQ(subscriber.ask("take"), "1");
+}
+
+TEST(Client, HoldsOfADeadSubscriberVanish) {
+  DaemonProcess daemon;
+  ClientTool publisher(daemon.socket_path()), other(daemon.socket_path());
+  ASSERT_EQ(publisher.ask("pub /held 1"), "ok");
+  ASSERT_EQ(other.ask("sub /held 5"), "ok");
+  {
+    ClientTool subscriber(daemon.socket_path());
+    ASSERT_EQ(subscriber.ask("sub /held 5"), "ok");
+    ASSERT_TRUE(publisher.eventually("matched", "2"));
+    ASSERT_EQ(publisher.ask("publish 3 1000"), "ok");
+    ASSERT_EQ(subscriber.ask("wait 5000"), "news");
+    ASSERT_EQ(subscriber.ask("take"), "1");
+    ASSERT_EQ(subscriber.ask("take"), "2");
+    subscriber.kill();
+  }
+  for (const char* number : {"1", "2", "3"}) {
+    ASSERT_EQ(other.ask("wait 5000"), "news");
+    ASSERT_EQ(other.ask("take"), number);
+    ASSERT_EQ(other.ask("release"), "ok");
+  }
+  EXPECT_TRUE(publisher.eventually("allocated", "0"));
+  EXPECT_TRUE(publisher.eventually("matched", "1"));
+}
+
+TEST(Client, EndpointsComeAndGoWithoutTraces) {
+  DaemonProcess daemon;
+  ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
+  for (int round = 0; round < 30; ++round) {
+    ASSERT_EQ(subscriber.ask("sub /again 5"), "ok") << "round " << round;
+    ASSERT_EQ(publisher.ask("pub /again 1"), "ok") << "round " << round;
+    ASSERT_EQ(publisher.ask("publish 2 100"), "ok");
+    ASSERT_EQ(subscriber.ask("wait 5000"), "news");
+    ASSERT_EQ(subscriber.ask("take"), "1");
+    ASSERT_EQ(subscriber.ask("take"), "2");
+    ASSERT_EQ(subscriber.ask("release"), "ok");
+    ASSERT_EQ(subscriber.ask("release"), "ok");
+    if (round % 2 == 0) {
+      ASSERT_EQ(subscriber.ask("unsub"), "ok");
+      ASSERT_EQ(publisher.ask("unpub"), "ok");
+    } else {
+      ASSERT_EQ(publisher.ask("unpub"), "ok");
+      ASSERT_EQ(subscriber.ask("unsub"), "ok");
+    }
+  }
+}
+
+TEST(Client, TheHeapGrowsUnderAReader) {
+  DaemonProcess daemon;
+  ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
+  ASSERT_EQ(subscriber.ask("sub /grow 3"), "ok");
+  ASSERT_EQ(publisher.ask("pub /grow 1"), "ok");
+  for (int round = 1; round <= 12; ++round) {
+    ASSERT_EQ(publisher.ask("publish 1 " + std::to_string(100000 * round)), "ok");
+    ASSERT_EQ(subscriber.ask("wait 5000"), "news");
+    ASSERT_EQ(subscriber.ask("take"), std::to_string(round));
+    if (round % 3 == 0) {
+      for (int i = 0; i < 3; ++i) ASSERT_EQ(subscriber.ask("release"), "ok");
+    }
+  }
+}
+
+TEST(Client, WithoutADaemonCreationFailsAndNothingElseHappens) {
+  ClientTool tool("/nonexistent/agnocastd.sock");
+  const std::string answer = tool.ask("sub /points 5");
+  EXPECT_NE(answer.find("agnocastd does not answer"), std::string::npos) << answer;
+  EXPECT_NE(answer.find("/nonexistent/agnocastd.sock"), std::string::npos) << answer;
+}
+
+}  // namespace
+}  // namespace agnocast

@@ -1,0 +1,211 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// A process that uses the library's untyped core, steered line by line on its standard input;
+// answers each line with one line. Linked with the heap hook, so it can publish. Used by the
+// integration tests.
+//
+//   sub TOPIC DEPTH [tl]     pub TOPIC DEPTH [tl]       → ok | error CODE WHAT
+//   publish COUNT ELEMENTS                               → ok | error …          numbers go on from
+//   1 take                                                 → none | NUMBER | damaged       holds
+//   what it took release                                              → ok | damaged | none the
+//   oldest held wait MS                                              → news | timeout        sleeps
+//   like an executor lost · allocated · links · unsub · unpub · quit      → a number | ok
+
+#include <client/context.hpp>
+
+#include <agnocast/message_type.hpp>
+
+#include <sys/epoll.h>
+
+#include <cstdint>
+#include <cstdio>
+#include <deque>
+#include <iostream>
+#include <memory>
+#include <sstream>
+#include <string>
+#include <vector>
+
+namespace agnocast {
+namespace {
+
+/// An unsized message: its elements lie behind a pointer, and nested once more.
+struct Cloud {
+  std::uint64_t number = 0;
+  std::vector<std::uint64_t> points;
+  std::vector<std::string> names;
+};
+
+std::uint64_t element(std::uint64_t number, std::uint64_t i) {
+  return (number + 1) * 0x9e3779b97f4a7c15 ^ i;
+}
+
+void fill(Cloud& cloud, std::uint64_t number, std::uint64_t count) {
+  cloud.number = number;
+  for (std::uint64_t i = 0; i < count; ++i)
+    cloud.points.push_back(element(number, i));  // grows in steps
+  for (std::uint64_t i = 0; i < number % 7; ++i)
+    cloud.names.push_back("a name that is too long to be stored inside " +
+                          std::to_string(number + i));
+}
+
+bool intact(const Cloud& cloud) {
+  for (std::uint64_t i = 0; i < cloud.points.size(); ++i) {
+    if (cloud.points[i] != element(cloud.number, i)) return false;
+  }
+  if (cloud.names.size() != cloud.number % 7) return false;
+  for (std::uint64_t i = 0; i < cloud.names.size(); ++i) {
+    if (cloud.names[i] !=
+        "a name that is too long to be stored inside " + std::to_string(cloud.number + i))
+      return false;
+  }
+  return true;
+}
+
+class Tool {
+ public:
+  std::string execute(std::istringstream& line) {
+    std::string what;
+    line >> what;
+    if (what == "sub") return subscribe(line);
+    if (what == "pub") return advertise(line);
+    if (what == "publish") return publish(line);
+    if (what == "take") return take();
+    if (what == "release") return release();
+    if (what == "wait") return wait(line);
+    if (what == "lost") return std::to_string(subscription_->lost());
+    if (what == "links") return std::to_string(subscription_->publisher_count());
+    if (what == "allocated") return std::to_string(publisher_->allocated_count());
+    if (what == "matched") return std::to_string(publisher_->subscription_count());
+    if (what == "unsub") {
+      Context::instance().destroy(subscription_);
+      subscription_.reset();
+      return "ok";
+    }
+    if (what == "unpub") {
+      Context::instance().destroy(publisher_);
+      publisher_.reset();
+      return "ok";
+    }
+    return "error unknown command " + what;
+  }
+
+ private:
+  static std::string text_of(const Failure& failure) {
+    return "error " + std::to_string(static_cast<int>(failure.code)) + " " +
+           sentence_of(failure.code) + ": " + failure.what + " " + Context::instance().detail();
+  }
+  static EndpointRequest request(std::istringstream& line, std::string& topic) {
+    EndpointRequest request;
+    std::string flag;
+    line >> topic >> request.qos.depth >> flag;
+    request.topic = topic;
+    request.type = "tests/Cloud";
+    request.node = "/client_tool";
+    request.layout_hash = sizeof(Cloud);
+    request.qos.transient_local = flag == "tl";
+    request.quota = 16;
+    return request;
+  }
+
+  std::string subscribe(std::istringstream& line) {
+    if (sleeper_ == nullptr) {
+      auto sleeper = Context::instance().create_sleeper();
+      if (!sleeper) return text_of(sleeper.error());
+      sleeper_ = *sleeper;
+      epoll_.reset(::epoll_create1(EPOLL_CLOEXEC));
+      if (const auto added = sleeper_->bells().add_to(epoll_.get(), 1, 2); !added)
+        return text_of(added.error());
+    }
+    std::string topic;
+    auto created = Context::instance().create_subscription(request(line, topic), sleeper_);
+    if (!created) return text_of(created.error());
+    subscription_ = *created;
+    return "ok";
+  }
+
+  std::string advertise(std::istringstream& line) {
+    std::string topic;
+    auto created = Context::instance().create_publisher(
+        request(line, topic), [](void* message) noexcept { delete static_cast<Cloud*>(message); });
+    if (!created) return text_of(created.error());
+    publisher_ = *created;
+    number_ = 0;
+    return "ok";
+  }
+
+  std::string publish(std::istringstream& line) {
+    std::uint64_t count = 0, elements = 0;
+    line >> count >> elements;
+    const SharedHeap heap = Context::instance().shared_heap();
+    for (std::uint64_t i = 0; i < count; ++i) {
+      std::unique_ptr<Cloud> cloud;
+      {
+        SharedScope scope(heap);
+        cloud = std::make_unique<Cloud>();
+        fill(*cloud, number_ + 1, elements);
+      }
+      const auto outcome = publisher_->publish(cloud.get(), sizeof(Cloud));
+      if (outcome != dataplane::PublishOutcome::published)
+        return "error outcome " + std::to_string(static_cast<int>(outcome));
+      (void)cloud.release();  // NOLINT: it belongs to the queue now
+      ++number_;
+    }
+    return "ok";
+  }
+
+  std::string take() {
+    auto received = subscription_->take();
+    if (!received) return subscription_->malformed() == 0 ? "none" : "damaged";
+    held_.push_back(*received);
+    const Cloud& cloud = *reinterpret_cast<const Cloud*>(received->taken.address);
+    return intact(cloud) ? std::to_string(cloud.number) : "damaged";
+  }
+
+  std::string release() {
+    if (held_.empty()) return "none";
+    const Received oldest = held_.front();
+    held_.pop_front();
+    const bool unchanged = intact(*reinterpret_cast<const Cloud*>(oldest.taken.address));
+    Context::instance().release(oldest);
+    return unchanged ? "ok" : "damaged";
+  }
+
+  std::string wait(std::istringstream& line) {
+    int milliseconds = 0;
+    line >> milliseconds;
+    for (;;) {
+      sleeper_->arm();
+      if (subscription_->has_news()) {
+        sleeper_->disarm();
+        return "news";
+      }
+      epoll_event event{};
+      const int count = ::epoll_wait(epoll_.get(), &event, 1, milliseconds);
+      sleeper_->disarm();
+      if (count == 0) return "timeout";
+      if (count > 0 && event.data.u64 == 2) sleeper_->bells().drain();
+      if (subscription_->has_news()) return "news";
+    }
+  }
+
+  std::shared_ptr<Sleeper> sleeper_;
+  UniqueFd epoll_;
+  std::shared_ptr<SubscriptionEndpoint> subscription_;
+  std::shared_ptr<PublisherEndpoint> publisher_;
+  std::deque<Received> held_;
+  std::uint64_t number_ = 0;
+};
+
+}  // namespace
+}  // namespace agnocast
+
+int main() {
+  agnocast::Tool tool;
+  std::string text;
+  while (std::getline(std::cin, text) && text != "quit") {
+    std::istringstream line(text);
+    std::cout << tool.execute(line) << std::endl;
+  }
+  return 0;
+}

@@ -1,0 +1,258 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: what a user may have is bounded, what he may do is ruled, each refusal has its code and
+// says which limit or rule it was, and others notice nothing. Method: small limits in the
+// configuration, raw clients up to them and one further; clients of another user as children (needs
+// root).
+
+#include <tests/support/daemon_process.hpp>
+#include <tests/support/wire_client.hpp>
+
+#include <grp.h>
+#include <gtest/gtest.h>
+#include <sys/resource.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <functional>
+#include <memory>
+
+namespace agnocast::test {
+namespace {
+
+using abi::Qos;
+using wire::Opcode;
+
+constexpr uid_t other_uid = 65534;
+const char* const small_heap =
+    "[daemon]\nsocket_mode = \"0666\"\n[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"1GiB\"\n";
+
+int in_other_user(const std::function<int()>& body) {
+  const pid_t pid = ::fork();
+  if (pid == 0) {
+    if (::setgroups(0, nullptr) != 0 || ::setgid(other_uid) != 0 || ::setuid(other_uid) != 0)
+      ::_exit(99);
+    const int result = body();
+    ::_exit(testing::Test::HasFailure() ? 98 : result);
+  }
+  int status = 0;
+  ::waitpid(pid, &status, 0);
+  return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+}
+
+std::unique_ptr<WireClient> greeted(const DaemonProcess& daemon) {
+  auto client = std::make_unique<WireClient>(daemon.socket_path());
+  EXPECT_EQ(client->hello().opcode(), Opcode::welcome);
+  return client;
+}
+
+void expect_quota(const Incoming& answer, const char* name) {
+  EXPECT_EQ(answer.refused_code(), Errc::quota_exceeded) << answer.refused_text();
+  EXPECT_NE(answer.refused_text().find(name), std::string::npos) << answer.refused_text();
+}
+
+TEST(DaemonLimits, CountsEndpointsExecutorsAndHeldMessagesOfAUser) {
+  DaemonProcess daemon({.config = std::string(small_heap) +
+                                  "[quota]\npublishers = 3\nsubscriptions = 2\nexecutors = 2\n"
+                                  "held_messages = 9\nheap_bytes = \"128MiB\"\n"});
+  const auto a = greeted(daemon), b = greeted(daemon);
+  EXPECT_EQ(a->create_publisher("/a").opcode(), Opcode::endpoint_created);
+  EXPECT_EQ(b->create_publisher("/a").opcode(), Opcode::endpoint_created);
+  EXPECT_EQ(b->create_publisher("/b").opcode(), Opcode::endpoint_created);
+  expect_quota(a->create_publisher("/c"), "[quota] publishers is 3");
+
+  EXPECT_EQ(a->open_executor(0).opcode(), Opcode::executor_opened);
+  EXPECT_EQ(b->open_executor(0).opcode(), Opcode::executor_opened);
+  expect_quota(b->open_executor(1), "[quota] executors is 2");
+
+  auto greedy = WireClient::endpoint("/x", Qos{});
+  greedy.quota = 10;
+  expect_quota(a->ask(Opcode::create_subscription, greedy), "[quota] held_messages is 9");
+  EXPECT_EQ(a->create_subscription("/x").opcode(), Opcode::endpoint_created);
+  greedy.quota = 6;
+  expect_quota(a->ask(Opcode::create_subscription, greedy), "[quota] held_messages is 9");
+  EXPECT_EQ(b->create_subscription("/x").opcode(), Opcode::endpoint_created);
+  expect_quota(b->create_subscription("/x"), "[quota] subscriptions is 2");
+
+  EXPECT_EQ(a->open_window(0).opcode(), Opcode::window_opened);
+  EXPECT_EQ(b->open_window(0).opcode(), Opcode::window_opened);
+  expect_quota(a->open_window(1), "[quota] heap_bytes is 134217728");
+
+  EXPECT_TRUE(daemon.wait_for_log("code=quota_exceeded"));
+  if (::geteuid() != 0) return;
+  EXPECT_EQ(in_other_user([&] {
+              const auto c = greeted(daemon);
+              return c->create_publisher("/c").opcode() == Opcode::endpoint_created ? 0 : 1;
+            }),
+            0)
+      << "another user has limits of its own";
+}
+
+TEST(DaemonLimits, GivesBackWhatADeadProcessUsed) {
+  DaemonProcess daemon({.config = std::string(small_heap) + "[quota]\npublishers = 1\n"});
+  for (int life = 0; life < 3; ++life) {
+    const auto client = greeted(daemon);
+    EXPECT_EQ(client->create_publisher("/a").opcode(), Opcode::endpoint_created) << life;
+    expect_quota(client->create_publisher("/b"), "[quota] publishers is 1");
+    client->socket().close();
+    ASSERT_TRUE(eventually([&] {
+      std::size_t gone = 0;
+      const std::string log = daemon.log();
+      for (std::size_t at = 0; (at = log.find("client gone", at)) != std::string::npos; ++at)
+        ++gone;
+      return gone == static_cast<std::size_t>(life) + 1;
+    }));
+  }
+}
+
+TEST(DaemonLimits, CountsConnectionsThatNeverSpeak) {
+  DaemonProcess daemon({.config = "[quota]\nclients = 5\n"});
+  std::vector<std::unique_ptr<WireClient>> silent;
+  for (int i = 0; i < 4; ++i) silent.push_back(std::make_unique<WireClient>(daemon.socket_path()));
+  const auto honest = greeted(daemon);
+  WireClient one_more(daemon.socket_path());
+  const Incoming refused = one_more.next();
+  EXPECT_EQ(refused.refused_code(), Errc::quota_exceeded);
+  EXPECT_EQ(refused.refused_text(), "this user may have 5 connections");
+  EXPECT_TRUE(one_more.is_hung_up());
+  EXPECT_EQ(honest->create_publisher("/a").opcode(), Opcode::endpoint_created);
+  silent.clear();
+  EXPECT_TRUE(eventually([&] {
+    const auto socket = PacketSocket::connect(daemon.socket_path());
+    WireClient again(daemon.socket_path());
+    wire::Hello hello{};
+    hello.header = {Opcode::hello, sizeof hello, 1};
+    hello.fingerprint = abi::fingerprint();
+    again.send_bytes(std::as_bytes(std::span(&hello, 1)));
+    return again.next().opcode() == Opcode::welcome;
+  }));
+}
+
+TEST(DaemonLimits, BoundsTheTablesOfTheDaemon) {
+  DaemonProcess daemon({.config = std::string(small_heap) +
+                                  "windows_per_process = 2\n"
+                                  "[limits]\ntopics = 2\npublishers_per_topic = 2\n"
+                                  "subscriptions_per_topic = 1\ndepth_max = 20\nclients = 2\n"});
+  const auto a = greeted(daemon), b = greeted(daemon);
+  WireClient third(daemon.socket_path());
+  EXPECT_EQ(third.hello().refused_code(), Errc::limit_reached);
+  EXPECT_EQ(a->create_publisher("/a").opcode(), Opcode::endpoint_created);
+  EXPECT_EQ(a->create_publisher("/a").opcode(), Opcode::endpoint_created);
+  EXPECT_EQ(b->create_publisher("/a").refused_code(), Errc::limit_reached);
+  EXPECT_EQ(a->create_publisher("/b").opcode(), Opcode::endpoint_created);
+  EXPECT_EQ(b->create_publisher("/c").refused_code(), Errc::limit_reached);
+  EXPECT_EQ(b->open_executor().opcode(), Opcode::executor_opened);
+  EXPECT_EQ(b->create_subscription("/a").opcode(), Opcode::endpoint_created);
+  EXPECT_EQ(b->create_subscription("/a").refused_code(), Errc::limit_reached);
+  const Incoming deep = b->create_publisher("/b", {21, false, true, false, false});
+  EXPECT_EQ(deep.refused_code(), Errc::depth_refused);
+  EXPECT_EQ(deep.refused_text(), "depth 21 is above depth_max 20");
+  for (const auto& client : {a.get(), b.get()}) {
+    EXPECT_EQ(client->open_window(0).opcode(), Opcode::window_opened);
+    EXPECT_EQ(client->open_window(1).opcode(), Opcode::window_opened);
+    EXPECT_EQ(client->open_window(2).refused_code(), Errc::window_exhausted);
+  }
+}
+
+TEST(DaemonLimits, SaysWhenTheArenaIsGivenOut) {
+  DaemonProcess daemon({.config = "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"128MiB\"\n"});
+  const auto a = greeted(daemon);
+  EXPECT_EQ(a->open_window(0).opcode(), Opcode::window_opened);
+  EXPECT_EQ(a->open_window(1).opcode(), Opcode::window_opened);
+  const Incoming refused = a->open_window(2);
+  EXPECT_EQ(refused.refused_code(), Errc::limit_reached);
+  EXPECT_EQ(refused.refused_text(), "all 2 windows of the arena are given out");
+}
+
+TEST(DaemonLimits, FollowsTheRulesOfAccess) {
+  if (::geteuid() != 0) GTEST_SKIP() << "needs root and another user";
+  DaemonProcess daemon({.config = "[daemon]\nsocket_mode = \"0666\"\n"
+                                  "[[access]]\ntopic = \"/secret/**\"\npublish = [\"uid:0\"]\n"
+                                  "subscribe = [\"uid:0\"]\n"
+                                  "[[access]]\ntopic = \"/cmd\"\npublish = [\"uid:0\"]\n"});
+  const auto root = greeted(daemon);
+  EXPECT_EQ(root->create_publisher("/secret/a").opcode(), Opcode::endpoint_created);
+  EXPECT_EQ(root->create_publisher("/cmd").opcode(), Opcode::endpoint_created);
+  EXPECT_EQ(in_other_user([&] {
+              const auto other = greeted(daemon);
+              EXPECT_EQ(other->open_executor().opcode(), Opcode::executor_opened);
+              const Incoming refused = other->create_subscription("/secret/a");
+              EXPECT_EQ(refused.refused_code(), Errc::permission_denied);
+              EXPECT_EQ(refused.refused_text(),
+                        "user 65534 may not subscribe to /secret/a (rule in line 3)");
+              EXPECT_EQ(other->create_publisher("/secret/b").refused_code(),
+                        Errc::permission_denied);
+              EXPECT_EQ(other->create_publisher("/cmd").refused_code(), Errc::permission_denied);
+              EXPECT_EQ(other->create_subscription("/cmd").opcode(), Opcode::endpoint_created);
+              EXPECT_EQ(other->create_publisher("/open").opcode(), Opcode::endpoint_created);
+              return 0;
+            }),
+            0);
+  EXPECT_TRUE(daemon.wait_for_log("code=permission_denied"));
+  // Of the refused ones nobody hears: what root is told of is the subscription to /cmd, and its
+  // end.
+  for (const Incoming& packet : root->drain()) {
+    if (packet.opcode() == Opcode::announce) {
+      const auto about = packet.as<wire::Announcement>();
+      EXPECT_EQ(about.kind, wire::Kind::subscription);
+      EXPECT_EQ(about.topic, 1u);
+    } else {
+      EXPECT_TRUE(packet.opcode() == Opcode::forget || packet.opcode() == Opcode::kick);
+    }
+  }
+}
+
+TEST(DaemonLimits, GivesTheSocketToWhomItIsFor) {
+  if (::geteuid() != 0) GTEST_SKIP() << "needs root and another user";
+  DaemonProcess daemon({.config = "[daemon]\nsocket_mode = \"0600\"\n"});
+  EXPECT_EQ(in_other_user([&] {
+              const auto socket = PacketSocket::connect(daemon.socket_path());
+              return !socket && socket.error().code == Errc::permission_denied ? 0 : 1;
+            }),
+            0);
+}
+
+TEST(DaemonLimits, SurvivesHavingNoDescriptorLeft) {
+#ifdef __SANITIZE_ADDRESS__
+  GTEST_SKIP() << "the sanitizer itself needs a pipe to look at memory";
+#endif
+  rlimit before{};
+  ASSERT_EQ(::getrlimit(RLIMIT_NOFILE, &before), 0);
+  const rlimit small{64, 64};
+  std::unique_ptr<DaemonProcess> daemon;
+  {
+    daemon = std::make_unique<DaemonProcess>();
+    ASSERT_EQ(::prlimit(daemon->pid(), RLIMIT_NOFILE, &small, nullptr), 0);
+  }
+  std::vector<std::unique_ptr<WireClient>> clients;
+  const auto first = greeted(*daemon);
+  unsigned turned_away = 0;
+  for (int i = 0; i < 60 && turned_away == 0; ++i) {
+    clients.push_back(std::make_unique<WireClient>(daemon->socket_path()));
+    wire::Hello hello{};
+    hello.header = {Opcode::hello, sizeof hello, 1};
+    hello.fingerprint = abi::fingerprint();
+    clients.back()->send_bytes(std::as_bytes(std::span(&hello, 1)));
+    const Incoming answer = clients.back()->next();
+    if (answer.opcode() == Opcode::welcome) continue;
+    ASSERT_EQ(answer.opcode(), Opcode::refused);
+    EXPECT_TRUE(answer.refused_code() == Errc::limit_reached ||
+                answer.refused_code() == Errc::os_failure)
+        << answer.refused_text();
+    ++turned_away;
+  }
+  EXPECT_EQ(turned_away, 1u);
+  EXPECT_EQ(first->create_publisher("/a").opcode(), Opcode::endpoint_created);
+  clients.clear();
+  EXPECT_TRUE(eventually([&] {
+    WireClient again(daemon->socket_path());
+    wire::Hello hello{};
+    hello.header = {Opcode::hello, sizeof hello, 1};
+    hello.fingerprint = abi::fingerprint();
+    again.send_bytes(std::as_bytes(std::span(&hello, 1)));
+    return again.next().opcode() == Opcode::welcome;
+  }));
+}
+
+}  // namespace
+}  // namespace agnocast::test

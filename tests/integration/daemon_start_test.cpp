@@ -1,0 +1,209 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: agnocastd starts where it can, says in one clear line why it does not where it cannot, and
+// leaves nothing behind at its end. Method: the real program; exact text and exit status.
+
+#include <base/packet_socket.hpp>
+#include <tests/support/daemon_process.hpp>
+
+#include <gtest/gtest.h>
+#include <sys/file.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <csignal>
+#include <filesystem>
+#include <fstream>
+
+namespace agnocast::test {
+namespace {
+
+constexpr uid_t other_uid = 65534;
+
+class Directory {
+ public:
+  Directory() : path_(make_directory()) {}
+  ~Directory() { remove_directory(path_); }
+  Directory(const Directory&) = delete;
+  Directory& operator=(const Directory&) = delete;
+  std::string operator/(const std::string& name) const { return path_ + "/" + name; }
+  const std::string& path() const { return path_; }
+
+ private:
+  std::string path_;
+};
+
+void write_file(const std::string& path, const std::string& text) { std::ofstream(path) << text; }
+bool exists(const std::string& path) {
+  struct stat entry {};
+  return ::lstat(path.c_str(), &entry) == 0;
+}
+mode_t mode_of(const std::string& path) {
+  struct stat entry {};
+  return ::lstat(path.c_str(), &entry) == 0 ? entry.st_mode & 07777 : 0;
+}
+
+TEST(DaemonStart, MakesDirectoryAndSocketWithTheirModesAndRemovesTheSocketAtItsEnd) {
+  for (const int signal : {SIGTERM, SIGINT}) {
+    DaemonProcess daemon({.config = "[daemon]\nsocket_mode = \"0640\"\n"});
+    const std::string run = daemon.directory() + "/run";
+    EXPECT_EQ(mode_of(run), 0755u);
+    EXPECT_EQ(mode_of(daemon.socket_path()), 0640u);
+    EXPECT_EQ(mode_of(run + "/agnocastd.sock.bells"), 0700u);
+    EXPECT_TRUE(PacketSocket::connect(daemon.socket_path()));
+    EXPECT_EQ(daemon.stop(signal), 0) << daemon.log();
+    EXPECT_FALSE(exists(daemon.socket_path()));
+    EXPECT_FALSE(exists(run + "/agnocastd.sock.bells"));
+    EXPECT_NE(daemon.log().find("ready"), std::string::npos);
+    EXPECT_NE(daemon.log().find("ended"), std::string::npos);
+  }
+}
+
+TEST(DaemonStart, TakesThePlaceOfOneThatWasKilled) {
+  Directory directory;
+  const std::string socket = directory / "run/agnocastd.sock";
+  std::string left;
+  {
+    DaemonProcess first;
+    first.kill();
+    // What it left: a socket that nobody answers, a lock that nobody has, a directory of bells.
+    left = first.directory() + "/run";
+    ASSERT_TRUE(exists(first.socket_path()));
+    std::filesystem::rename(left, directory / "run");
+  }
+  ASSERT_TRUE(exists(socket));
+  ::chmod(directory.path().c_str(), 0755);
+  DaemonProcess second({.socket = socket});
+  EXPECT_TRUE(PacketSocket::connect(socket));
+}
+
+TEST(DaemonStart, SaysThatAnotherOneIsRunning) {
+  DaemonProcess daemon;
+  const Ended second = run_daemon({"--socket", daemon.socket_path()});
+  EXPECT_EQ(second.status, 1);
+  EXPECT_EQ(second.err, "agnocastd: another agnocastd is running at " + daemon.socket_path() +
+                            "\nhint: stop it, or start this one with another --socket\n");
+  EXPECT_TRUE(PacketSocket::connect(daemon.socket_path())) << "the first one goes on";
+  EXPECT_TRUE(daemon.is_running());
+}
+
+TEST(DaemonStart, DoesNotTakeThePlaceOfOneWhoseSocketWasRemoved) {
+  DaemonProcess daemon;
+  ASSERT_EQ(::unlink(daemon.socket_path().c_str()), 0);
+  const Ended second = run_daemon({"--socket", daemon.socket_path()});
+  EXPECT_EQ(second.status, 1);
+  EXPECT_EQ(second.err.substr(0, second.err.find('\n')),
+            "agnocastd: another agnocastd is running at " + daemon.socket_path());
+}
+
+TEST(DaemonStart, LeavesASocketAloneThatSomebodyElseAnswers) {
+  Directory directory;
+  const std::string path = directory / "agnocastd.sock";
+  const auto listener = PacketListener::listen(path);
+  ASSERT_TRUE(listener);
+  const Ended ended = run_daemon({"--socket", path});
+  EXPECT_EQ(ended.status, 1);
+  EXPECT_EQ(ended.err.substr(0, ended.err.find('\n')),
+            "agnocastd: another agnocastd is running at " + path);
+  EXPECT_TRUE(exists(path));
+}
+
+TEST(DaemonStart, DoesNotReplaceAFileThatIsNoSocket) {
+  Directory directory;
+  const std::string path = directory / "agnocastd.sock";
+  write_file(path, "precious");
+  const Ended ended = run_daemon({"--socket", path});
+  EXPECT_EQ(ended.status, 1);
+  EXPECT_EQ(ended.err.substr(0, ended.err.find('\n')),
+            "agnocastd: cannot use " + path + ": it exists and is not a socket");
+  std::string content;
+  std::getline(std::ifstream(path), content);
+  EXPECT_EQ(content, "precious");
+}
+
+TEST(DaemonStart, SaysThatADirectoryCannotBeUsed) {
+  Directory directory;
+  const auto first_line = [](const Ended& ended) {
+    return ended.err.substr(0, ended.err.find('\n'));
+  };
+  const Ended missing = run_daemon({"--socket", directory / "no/such/agnocastd.sock"});
+  EXPECT_EQ(missing.status, 1);
+  EXPECT_EQ(first_line(missing), "agnocastd: cannot make directory " + (directory / "no/such") +
+                                     ": No such file or directory");
+  write_file(directory / "file", "");
+  const Ended file = run_daemon({"--socket", directory / "file/agnocastd.sock"});
+  EXPECT_EQ(file.status, 1);
+  EXPECT_EQ(first_line(file),
+            "agnocastd: cannot use " + (directory / "file") + ": it is not a directory");
+  std::filesystem::create_directory(directory / "open");
+  ::chmod((directory / "open").c_str(), 0777);
+  const Ended open = run_daemon({"--socket", directory / "open/agnocastd.sock"});
+  EXPECT_EQ(open.status, 1);
+  EXPECT_EQ(first_line(open), "agnocastd: cannot use directory " + (directory / "open") +
+                                  ": others may write there and could replace the socket");
+  if (::geteuid() != 0) GTEST_SKIP() << "the rest needs root";
+  std::filesystem::create_directory(directory / "roots");
+  const Ended denied = run_daemon({"--socket", directory / "roots/agnocastd.sock"}, other_uid);
+  EXPECT_EQ(denied.status, 1);
+  EXPECT_EQ(first_line(denied), "agnocastd: cannot write in directory " + (directory / "roots") +
+                                    ": Permission denied");
+}
+
+TEST(DaemonStart, RefusesPathsThatDoNotFitIntoAnAddress) {
+  Directory directory;
+  const Ended ended = run_daemon({"--socket", directory / (std::string(120, 'x') + ".sock")});
+  EXPECT_EQ(ended.status, 2);
+  EXPECT_NE(ended.err.find("107"), std::string::npos) << ended.err;
+  const Ended bells = run_daemon({"--socket", directory / (std::string(75, 'x') + ".sock")});
+  EXPECT_EQ(bells.status, 1);
+  EXPECT_NE(bells.err.find("must have at most"), std::string::npos) << bells.err;
+}
+
+TEST(DaemonStart, SaysEveryMistakeOfAConfiguration) {
+  Directory directory;
+  write_file(directory / "bad.toml", "[limits]\ndepth_max = 5000\n[quota]\nclinets = 3\n");
+  const Ended ended =
+      run_daemon({"--config", directory / "bad.toml", "--socket", directory / "agnocastd.sock"});
+  EXPECT_EQ(ended.status, 1);
+  EXPECT_NE(ended.err.find("bad.toml:2"), std::string::npos) << ended.err;
+  EXPECT_NE(ended.err.find("bad.toml:4"), std::string::npos) << ended.err;
+  EXPECT_FALSE(exists(directory / "agnocastd.sock"));
+  const Ended check = run_daemon({"--config", directory / "bad.toml", "--check-config"});
+  EXPECT_EQ(check.status, 1);
+  const Ended none = run_daemon({"--config", directory / "none.toml", "--check-config"});
+  EXPECT_EQ(none.status, 1);
+}
+
+TEST(DaemonStart, RefusesAnArenaThatDoesNotFit) {
+  Directory directory;
+  write_file(directory / "arena.toml", "[heap]\narena_base = 0x7ffff0000000\n");
+  const Ended ended =
+      run_daemon({"--config", directory / "arena.toml", "--socket", directory / "agnocastd.sock"});
+  EXPECT_EQ(ended.status, 1);
+  EXPECT_EQ(ended.err.substr(0, ended.err.find('\n')),
+            "agnocastd: the arena does not fit into the addresses of this machine");
+}
+
+TEST(DaemonStart, PrintsWhatItIsAskedForAndRefusesTheRest) {
+  const Ended help = run_daemon({"--help"});
+  EXPECT_EQ(help.status, 0);
+  for (const char* option : {"--socket", "--config", "--foreground", "--log-level",
+                             "--check-config", "--print-config", "--version", "--help"})
+    EXPECT_NE(help.out.find(option), std::string::npos) << option;
+  EXPECT_EQ(help.err, "");
+  EXPECT_EQ(run_daemon({"--version"}).status, 0);
+  const Ended unknown = run_daemon({"--sokcet", "/x"});
+  EXPECT_EQ(unknown.status, 2);
+  EXPECT_EQ(unknown.err, "agnocastd: --sokcet: unknown option\nhint: agnocastd --socket\n");
+}
+
+TEST(DaemonStart, NeedsNoRoot) {
+  if (::geteuid() != 0) GTEST_SKIP() << "every other test shows it";
+  DaemonProcess daemon({.uid = other_uid});
+  EXPECT_TRUE(PacketSocket::connect(daemon.socket_path()));
+  EXPECT_NE(daemon.log().find("unprivileged=yes"), std::string::npos) << daemon.log();
+  EXPECT_EQ(daemon.stop(), 0);
+}
+
+}  // namespace
+}  // namespace agnocast::test

@@ -1,0 +1,258 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <tests/support/daemon_process.hpp>
+
+#include <base/pidfd.hpp>
+
+#include <dirent.h>
+#include <fcntl.h>
+#include <grp.h>
+#include <gtest/gtest.h>
+#include <linux/filter.h>
+#include <linux/seccomp.h>
+#include <poll.h>
+#include <sys/prctl.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <sys/syscall.h>
+#include <sys/un.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <array>
+#include <cerrno>
+#include <csignal>
+#include <cstddef>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <memory>
+#include <sstream>
+#include <utility>
+
+namespace agnocast::test {
+namespace {
+
+constexpr int patience_ms = 10'000;
+constexpr unsigned pause_us = 2'000;
+
+const char* const default_config =
+    "[daemon]\nsocket_mode = \"0666\"\n"
+    "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"64GiB\"\n";
+
+std::string content_of(const std::string& path) {
+  std::ifstream file(path, std::ios::binary);
+  std::ostringstream text;
+  text << file.rdbuf();
+  return text.str();
+}
+
+struct Start {
+  std::vector<std::string> arguments;
+  std::vector<std::string> environment;  // NAME=value, beside the test's own
+  std::optional<uid_t> uid;
+  std::string out;  // files
+  std::string err;
+  bool without_peer_pidfd = false;
+};
+
+// getsockopt(…, SO_PEERPIDFD, …) fails with ENOPROTOOPT from here on, over exec.
+bool deny_peer_pidfd() {
+  constexpr std::uint32_t so_peerpidfd = 77;
+  const auto load = [](std::size_t offset) {
+    return sock_filter{BPF_LD | BPF_W | BPF_ABS, 0, 0, static_cast<std::uint32_t>(offset)};
+  };
+  sock_filter filter[] = {
+      load(offsetof(seccomp_data, nr)),
+      {BPF_JMP | BPF_JEQ | BPF_K, 0, 3, SYS_getsockopt},
+      load(offsetof(seccomp_data, args) + 2 * sizeof(std::uint64_t)),  // little endian
+      {BPF_JMP | BPF_JEQ | BPF_K, 0, 1, so_peerpidfd},
+      {BPF_RET | BPF_K, 0, 0, SECCOMP_RET_ERRNO | ENOPROTOOPT},
+      {BPF_RET | BPF_K, 0, 0, SECCOMP_RET_ALLOW},
+  };
+  sock_fprog program{static_cast<unsigned short>(std::size(filter)), filter};
+  return ::prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) == 0 &&
+         ::syscall(SYS_seccomp, SECCOMP_SET_MODE_FILTER, 0, &program) == 0;
+}
+
+pid_t start(const Start& what) {
+  std::vector<std::string> arguments{AGNOCAST_TEST_DAEMON};
+  arguments.insert(arguments.end(), what.arguments.begin(), what.arguments.end());
+  std::vector<char*> argv;
+  for (std::string& argument : arguments) argv.push_back(argument.data());
+  argv.push_back(nullptr);
+  const pid_t parent = ::getpid();
+  const pid_t pid = ::fork();
+  if (pid != 0) return pid;
+  // Dies with the test, whatever happens to it.
+  ::prctl(PR_SET_PDEATHSIG, SIGKILL);
+  if (::getppid() != parent) ::_exit(127);
+  ::unsetenv("NOTIFY_SOCKET");
+  ::unsetenv("AGNOCAST_SOCKET");
+  ::unsetenv("JOURNAL_STREAM");
+  for (const std::string& variable : what.environment) ::putenv(::strdup(variable.c_str()));
+  const int out = ::open(what.out.c_str(), O_WRONLY | O_CREAT | O_APPEND, 0666);
+  const int err = ::open(what.err.c_str(), O_WRONLY | O_CREAT | O_APPEND, 0666);
+  if (out < 0 || err < 0) ::_exit(126);
+  ::dup2(out, STDOUT_FILENO);
+  ::dup2(err, STDERR_FILENO);
+  if (what.uid) {
+    if (::setgroups(0, nullptr) != 0 || ::setgid(*what.uid) != 0 || ::setuid(*what.uid) != 0)
+      ::_exit(125);
+    ::prctl(PR_SET_PDEATHSIG, SIGKILL);  // setuid clears it
+  }
+  if (what.without_peer_pidfd && !deny_peer_pidfd()) ::_exit(124);
+  ::execv(argv[0], argv.data());
+  ::_exit(127);
+}
+
+// Waits for the end of a child; -1 by signal, or when it had to be killed.
+int end_of(pid_t pid) {
+  const auto process = Pidfd::open(pid);
+  pollfd entry{process ? process->fd() : -1, POLLIN, 0};
+  if (process && ::poll(&entry, 1, patience_ms) == 0) ::kill(pid, SIGKILL);
+  int status = 0;
+  while (::waitpid(pid, &status, 0) < 0 && errno == EINTR) {
+  }
+  return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+}
+
+}  // namespace
+
+namespace detail {
+void pause_briefly() { ::usleep(pause_us); }
+bool time_is_up(unsigned rounds) { return rounds > patience_ms * 1000u / pause_us; }
+}  // namespace detail
+
+std::string make_directory() {
+  const char* const root = std::getenv("TMPDIR");
+  std::string path = std::string(root != nullptr && *root != '\0' ? root : "/tmp") + "/agd-XXXXXX";
+  if (::mkdtemp(path.data()) == nullptr || ::chmod(path.c_str(), 0755) != 0) {
+    std::perror("making a directory for a test");
+    std::abort();
+  }
+  return path;
+}
+
+void remove_directory(const std::string& path) {
+  std::error_code ignored;
+  std::filesystem::remove_all(path, ignored);
+}
+
+DaemonProcess::DaemonProcess(DaemonOptions options) : directory_(make_directory()) {
+  begin(options);
+}
+
+void DaemonProcess::begin(const DaemonOptions& options) {
+  socket_path_ = options.socket.empty() ? directory_ + "/run/agnocastd.sock" : options.socket;
+  {
+    std::ofstream config(directory_ + "/agnocastd.toml");
+    config << (options.config.empty() ? default_config : options.config);
+  }
+  if (options.uid) {
+    // Others may only look; the daemon's user makes run/ itself.
+    EXPECT_EQ(::chown(directory_.c_str(), *options.uid, *options.uid), 0);
+  }
+
+  const UniqueFd ready(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0));
+  const std::string notify = directory_ + "/notify";
+  sockaddr_un address{};
+  address.sun_family = AF_UNIX;
+  std::strncpy(address.sun_path, notify.c_str(), sizeof address.sun_path - 1);
+  ASSERT_EQ(::bind(ready.get(), reinterpret_cast<sockaddr*>(&address), sizeof address), 0)
+      << notify;
+  ASSERT_EQ(::chmod(notify.c_str(), 0666), 0);
+
+  Start what;
+  what.arguments = {"--foreground", "--config", directory_ + "/agnocastd.toml", "--socket",
+                    socket_path_};
+  what.arguments.insert(what.arguments.end(), options.arguments.begin(), options.arguments.end());
+  what.environment = {"NOTIFY_SOCKET=" + notify};
+  what.uid = options.uid;
+  what.without_peer_pidfd = options.without_peer_pidfd;
+  what.out = directory_ + "/out";
+  what.err = directory_ + "/log";
+  pid_ = start(what);
+  const auto process = Pidfd::open(pid_);
+  ASSERT_TRUE(process);
+  pollfd entries[] = {{ready.get(), POLLIN, 0}, {process->fd(), POLLIN, 0}};
+  if (::poll(entries, 2, patience_ms) <= 0 || (entries[0].revents & POLLIN) == 0) {
+    ADD_FAILURE() << "agnocastd does not serve; it wrote:\n" << log();
+    return;
+  }
+  char text[64] = {};
+  EXPECT_GT(::recv(ready.get(), text, sizeof text - 1, 0), 0);
+  EXPECT_STREQ(text, "READY=1");
+}
+
+DaemonProcess::~DaemonProcess() {
+  kill();
+  if (testing::Test::HasFailure()) std::fprintf(stderr, "agnocastd wrote:\n%s", log().c_str());
+  remove_directory(directory_);
+}
+
+int DaemonProcess::stop(int signal) {
+  if (pid_ <= 0) return -1;
+  ::kill(pid_, signal == 0 ? SIGTERM : signal);
+  return end_of(std::exchange(pid_, -1));
+}
+
+void DaemonProcess::kill() {
+  if (pid_ <= 0) return;
+  ::kill(pid_, SIGKILL);
+  end_of(std::exchange(pid_, -1));
+}
+
+bool DaemonProcess::is_running() {
+  siginfo_t info{};
+  return pid_ > 0 &&
+         ::waitid(P_PID, static_cast<id_t>(pid_), &info, WEXITED | WNOHANG | WNOWAIT) == 0 &&
+         info.si_pid == 0;
+}
+
+std::string DaemonProcess::log() const { return content_of(directory_ + "/log"); }
+
+bool DaemonProcess::wait_for_log(const std::string& text) const {
+  return eventually([&] { return log().find(text) != std::string::npos; });
+}
+
+std::size_t DaemonProcess::descriptor_count() const {
+  std::size_t count = 0;
+  const std::string path = "/proc/" + std::to_string(pid_) + "/fd";
+  const std::unique_ptr<DIR, int (*)(DIR*)> entries(::opendir(path.c_str()), &::closedir);
+  if (entries == nullptr) return 0;
+  while (const dirent* const entry = ::readdir(entries.get())) {
+    if (entry->d_name[0] != '.') ++count;
+  }
+  return count;
+}
+
+std::size_t DaemonProcess::resident_bytes() const {
+  std::ifstream file("/proc/" + std::to_string(pid_) + "/statm");
+  std::size_t size = 0, resident = 0;
+  file >> size >> resident;
+  return resident * 4096;
+}
+
+Ended run_daemon(const std::vector<std::string>& arguments, std::optional<uid_t> uid,
+                 const std::vector<std::string>& environment) {
+  const std::string directory = make_directory();
+  ::chmod(directory.c_str(), 0777);
+  Start what;
+  what.arguments = arguments;
+  what.environment = environment;
+  what.uid = uid;
+  what.out = directory + "/out";
+  what.err = directory + "/err";
+  Ended ended;
+  ended.status = end_of(start(what));
+  ended.out = content_of(what.out);
+  ended.err = content_of(what.err);
+  remove_directory(directory);
+  return ended;
+}
+
+}  // namespace agnocast::test

@@ -1,0 +1,103 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// DaemonProcess: the real agnocastd in a directory of its own, for integration tests.
+//
+//   DaemonProcess daemon;                          // or DaemonProcess daemon({.config =
+//   "[quota]\n…"}); … connect to daemon.socket_path() … EXPECT_EQ(daemon.stop(), 0); // or let the
+//   destructor kill it
+//
+// The constructor returns when the daemon serves (it says so through NOTIFY_SOCKET, so nothing is
+// polled); if it ends instead or says nothing, the test fails with what it wrote. The daemon dies
+// with the test process. Target: link agnocast_test_support, which knows where agnocastd is.
+#pragma once
+
+#include <base/unique_fd.hpp>
+
+#include <sys/types.h>
+
+#include <cstddef>
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace agnocast::test {
+
+struct DaemonOptions {
+  /// Text of the configuration; empty: small windows, everything else by default.
+  std::string config = {};
+  /// Run as this user and group (the test must be root).
+  std::optional<uid_t> uid = {};
+  std::vector<std::string> arguments = {};
+  /// Where to listen; empty: in its own directory.
+  std::string socket = {};
+  /// As on a kernel before 6.5: SO_PEERPIDFD is not known (a seccomp filter answers).
+  bool without_peer_pidfd = false;
+};
+
+class DaemonProcess {
+ public:
+  explicit DaemonProcess(DaemonOptions options = {});
+  ~DaemonProcess();
+  DaemonProcess(const DaemonProcess&) = delete;
+  DaemonProcess& operator=(const DaemonProcess&) = delete;
+
+  const std::string& socket_path() const noexcept { return socket_path_; }
+  /// Of this daemon alone, removed with it; everybody may look into it.
+  const std::string& directory() const noexcept { return directory_; }
+  pid_t pid() const noexcept { return pid_; }
+
+  /// SIGTERM (or another signal) and its exit status; -1 when a signal ended it.
+  int stop(int signal = 0);
+  void kill();
+  bool is_running();
+
+  /// What it wrote to stderr so far.
+  std::string log() const;
+  /// Waits until the log holds `text`; false after ten seconds.
+  [[nodiscard]] bool wait_for_log(const std::string& text) const;
+  /// Entries of /proc/PID/fd.
+  std::size_t descriptor_count() const;
+  /// Resident memory in bytes.
+  std::size_t resident_bytes() const;
+
+ private:
+  void begin(const DaemonOptions& options);
+
+  std::string directory_;
+  std::string socket_path_;
+  pid_t pid_ = -1;
+};
+
+/// Runs agnocastd to its end with these arguments: for everything that ends at once.
+struct Ended {
+  int status = -1;  // exit status; -1: ended by a signal, or still running after ten seconds
+  std::string out;
+  std::string err;
+};
+Ended run_daemon(const std::vector<std::string>& arguments, std::optional<uid_t> uid = {},
+                 const std::vector<std::string>& environment = {});
+
+/// A new directory under $TMPDIR (or /tmp), mode 0755. The caller removes it.
+std::string make_directory();
+void remove_directory(const std::string& path);
+
+/// Runs `condition` again and again until it holds; false after ten seconds. Only for what cannot
+/// be waited for otherwise (states of other processes).
+template <class Condition>
+[[nodiscard]] bool eventually(Condition condition);
+
+namespace detail {
+void pause_briefly();
+bool time_is_up(unsigned rounds);
+}  // namespace detail
+
+template <class Condition>
+bool eventually(Condition condition) {
+  for (unsigned rounds = 0; !detail::time_is_up(rounds); ++rounds) {
+    if (condition()) return true;
+    detail::pause_briefly();
+  }
+  return condition();
+}
+
+}  // namespace agnocast::test

@@ -1,0 +1,239 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// WireClient: a raw client that says exactly what a test tells it to, right or wrong.
+//
+// No library of ours between test and socket: requests are the structs of wire.hpp, or any bytes.
+// Answers are told from announcements by their request id; what comes unasked is kept in order.
+// Every wait is bounded and fails the test with what was waited for.
+#pragma once
+
+#include <agnocast/abi/fingerprint.hpp>
+#include <agnocast/abi/wire.hpp>
+#include <agnocast/abi/words.hpp>
+#include <agnocast/error.hpp>
+#include <base/mapping.hpp>
+#include <base/packet_socket.hpp>
+
+#include <gtest/gtest.h>
+#include <poll.h>
+
+#include <cstring>
+#include <deque>
+#include <optional>
+#include <span>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+namespace agnocast::test {
+
+namespace wire = abi::wire;
+
+struct Incoming {
+  std::vector<std::byte> bytes;
+  std::vector<UniqueFd> fds;
+
+  wire::Opcode opcode() const { return header().opcode; }
+  wire::Header header() const {
+    wire::Header header{};
+    if (bytes.size() >= sizeof header)
+      std::memcpy(static_cast<void*>(&header), bytes.data(), sizeof header);
+    return header;
+  }
+  template <class Body>
+  Body as() const {
+    Body body{};
+    EXPECT_EQ(bytes.size(), sizeof body) << "opcode " << static_cast<unsigned>(opcode());
+    std::memcpy(static_cast<void*>(&body), bytes.data(), std::min(bytes.size(), sizeof body));
+    return body;
+  }
+  Errc refused_code() const {
+    return opcode() == wire::Opcode::refused ? static_cast<Errc>(as<wire::Refused>().code)
+                                             : Errc::ok;
+  }
+  std::string refused_text() const {
+    return opcode() == wire::Opcode::refused ? as<wire::Refused>().text.text : "";
+  }
+};
+
+inline wire::Name wire_name(std::string_view text) {
+  wire::Name name{};
+  std::memcpy(name.text, text.data(), std::min(text.size(), sizeof name.text - 1));
+  return name;
+}
+
+class WireClient {
+ public:
+  static constexpr int patience_ms = 10'000;
+
+  explicit WireClient(const std::string& path) {
+    auto socket = PacketSocket::connect(path);
+    if (socket) {
+      socket_ = std::move(*socket);
+    } else {
+      ADD_FAILURE() << "cannot connect to " << path;
+    }
+  }
+
+  PacketSocket& socket() noexcept { return socket_; }
+  /// Packets read so far: what `seen` of an unlinked means.
+  std::uint64_t seen() const noexcept { return seen_; }
+
+  bool send_bytes(std::span<const std::byte> bytes, std::span<const int> fds = {}) {
+    const auto sent = socket_.send(bytes, fds, Wait::yes);
+    return sent && *sent == Sent::sent;
+  }
+  /// Fills in opcode, length and a fresh request id.
+  template <class Body>
+  std::uint64_t send(wire::Opcode opcode, Body body) {
+    body.header = {opcode, sizeof body, ++last_request_};
+    EXPECT_TRUE(send_bytes(std::as_bytes(std::span(&body, 1)))) << "the daemon has hung up";
+    return last_request_;
+  }
+  /// Sends and waits for the answer, which may be `refused`.
+  template <class Body>
+  Incoming ask(wire::Opcode opcode, const Body& body) {
+    const std::uint64_t request = send(opcode, body);
+    for (;;) {
+      auto packet = receive();
+      if (!packet) return {};  // the test has failed already
+      if (packet->header().request == request) return std::move(*packet);
+      unasked_.push_back(std::move(*packet));
+    }
+  }
+
+  /// The next packet that came unasked; fails the test when none comes.
+  Incoming next() {
+    if (!unasked_.empty()) {
+      Incoming first = std::move(unasked_.front());
+      unasked_.pop_front();
+      return first;
+    }
+    auto packet = receive();
+    return packet ? std::move(*packet) : Incoming{};
+  }
+  /// The same, of a known kind.
+  template <class Body>
+  Body expect(wire::Opcode opcode, std::vector<UniqueFd>* fds = nullptr) {
+    Incoming packet = next();
+    EXPECT_EQ(static_cast<unsigned>(packet.opcode()), static_cast<unsigned>(opcode));
+    if (packet.opcode() != opcode) return Body{};
+    if (fds != nullptr) *fds = std::move(packet.fds);
+    return packet.as<Body>();
+  }
+  /// What has come unasked up to now: everything that the daemon sent before it answers a question
+  /// that changes nothing.
+  std::deque<Incoming> drain() {
+    wire::WindowRequest nonsense{};
+    nonsense.window = abi::window_count_max;
+    const Incoming answer = ask(wire::Opcode::open_window, nonsense);
+    EXPECT_EQ(answer.opcode(), wire::Opcode::refused);
+    return std::exchange(unasked_, {});
+  }
+  std::size_t unasked_count() { return unasked_.size(); }
+  /// One packet if one is there; nothing otherwise.
+  std::optional<Incoming> poll() {
+    if (!unasked_.empty()) return next();
+    return receive(0);
+  }
+  /// True when the daemon ends the connection; packets before that are dropped.
+  bool is_hung_up() {
+    for (;;) {
+      std::array<std::byte, 2048> buffer;
+      if (!readable(patience_ms)) return false;
+      const auto packet = socket_.receive(buffer);
+      if (!packet || packet->kind == Packet::Kind::end) return true;
+    }
+  }
+
+  // --- the usual requests
+  Incoming hello(std::uint64_t fingerprint = abi::fingerprint(), std::uint64_t domain = 0) {
+    wire::Hello body{};
+    body.fingerprint = fingerprint;
+    body.domain = domain;
+    body.process_name = wire_name("wire_client");
+    return ask(wire::Opcode::hello, body);
+  }
+  Incoming open_window(std::uint64_t window) {
+    wire::WindowRequest body{};
+    body.window = window;
+    return ask(wire::Opcode::open_window, body);
+  }
+  Incoming open_executor(std::uint64_t executor = 0) {
+    wire::ExecutorRequest body{};
+    body.executor = executor;
+    return ask(wire::Opcode::open_executor, body);
+  }
+  static wire::CreateEndpoint endpoint(std::string_view topic, const abi::Qos& qos,
+                                       std::string_view type = "test/msg/Type") {
+    wire::CreateEndpoint body{};
+    body.qos = abi::pack_qos(qos);
+    body.layout_hash = 1;
+    body.quota = 4;
+    body.topic = wire_name(topic);
+    body.type = wire_name(type);
+    body.node = wire_name("node");
+    return body;
+  }
+  Incoming create_publisher(std::string_view topic, const abi::Qos& qos = {}) {
+    return ask(wire::Opcode::create_publisher, endpoint(topic, qos));
+  }
+  Incoming create_subscription(std::string_view topic, const abi::Qos& qos = {}) {
+    return ask(wire::Opcode::create_subscription, endpoint(topic, qos));
+  }
+  Incoming reference(wire::Opcode opcode, wire::Kind kind, std::uint32_t topic, std::uint64_t index,
+                     std::uint64_t generation) {
+    wire::Reference body{};
+    body.kind = kind;
+    body.topic = topic;
+    body.index = index;
+    body.generation = generation;
+    return ask(opcode, body);
+  }
+  void unlinked(wire::Kind kind, std::uint32_t topic, std::uint64_t index, std::uint64_t generation,
+                std::optional<std::uint64_t> seen = {}) {
+    wire::Unlinked body{};
+    body.kind = kind;
+    body.topic = topic;
+    body.index = index;
+    body.generation = generation;
+    body.seen = seen.value_or(seen_);
+    send(wire::Opcode::unlinked, body);
+  }
+
+ private:
+  bool readable(int timeout_ms) {
+    pollfd entry{socket_.fd(), POLLIN, 0};
+    return ::poll(&entry, 1, timeout_ms) > 0;
+  }
+  std::optional<Incoming> receive(int timeout_ms = patience_ms) {
+    if (!socket_) return std::nullopt;
+    if (!readable(timeout_ms)) {
+      EXPECT_EQ(timeout_ms, 0) << "no packet came from the daemon";
+      return std::nullopt;
+    }
+    std::array<std::byte, 2048> buffer;
+    auto packet = socket_.receive(buffer);
+    if (!packet || packet->kind != Packet::Kind::data) {
+      EXPECT_EQ(timeout_ms, 0) << "the daemon has hung up";
+      return std::nullopt;
+    }
+    ++seen_;
+    EXPECT_FALSE(packet->truncated);
+    EXPECT_FALSE(packet->descriptors_lost);
+    Incoming incoming;
+    incoming.bytes.assign(buffer.begin(),
+                          buffer.begin() + static_cast<std::ptrdiff_t>(packet->bytes));
+    for (UniqueFd& fd : packet->fds()) incoming.fds.push_back(std::move(fd));
+    EXPECT_EQ(incoming.header().bytes, packet->bytes);
+    return incoming;
+  }
+
+  PacketSocket socket_;
+  std::uint64_t seen_ = 0;
+  std::uint64_t last_request_ = 0;
+  std::deque<Incoming> unasked_;
+};
+
+}  // namespace agnocast::test

@@ -1,0 +1,301 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: a ring always wakes who sleeps, never blocks, and nobody can silence somebody else's.
+// Method: bells as the daemon makes them in a private directory, an epoll set as an executor has
+// it, and raw system calls for what a hostile holder would do.
+
+#include <base/doorbell.hpp>
+
+#include "tests/support/child.hpp"
+#include "tests/support/descriptors.hpp"
+#include "tests/support/temporary_directory.hpp"
+
+#include <gmock/gmock.h>
+
+#include <fcntl.h>
+#include <sched.h>
+#include <sys/epoll.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <array>
+#include <cerrno>
+#include <cstring>
+#include <limits>
+#include <vector>
+
+namespace agnocast {
+namespace {
+
+using Rung = Doorbell::Rung;
+using testing::ElementsAre;
+using testing::IsEmpty;
+using testing::UnorderedElementsAre;
+
+constexpr std::uint64_t eventfd_tag = 1;
+constexpr std::uint64_t datagram_tag = 2;
+
+struct Executor {
+  test::TemporaryDirectory directory;
+  DoorbellReceiver bells;
+  UniqueFd epoll{::epoll_create1(EPOLL_CLOEXEC)};
+
+  Executor() {
+    bells = std::move(make_doorbell(directory.path(), "bell").value());
+    EXPECT_TRUE(bells.add_to(epoll.get(), eventfd_tag, datagram_tag));
+  }
+  Doorbell same_user() const {
+    return Doorbell(connect_doorbell(directory.path(), "bell").value(),
+                    UniqueFd(::dup(bells.eventfd())));
+  }
+  Doorbell other_user() const {
+    return Doorbell(connect_doorbell(directory.path(), "bell").value());
+  }
+  // Tags of what is ready now.
+  std::vector<std::uint64_t> ready(int timeout_ms = 0) const {
+    std::array<epoll_event, 4> events{};
+    const int count = ::epoll_wait(epoll.get(), events.data(), int{events.size()}, timeout_ms);
+    std::vector<std::uint64_t> tags;
+    for (int i = 0; i < count; ++i) tags.push_back(events[static_cast<std::size_t>(i)].data.u64);
+    return tags;
+  }
+};
+
+// Until the kernel says that the queue is full.
+std::size_t fill_queue(const Doorbell& bell) {
+  std::size_t count = 0;
+  while (::send(bell.datagram_fd(), "x", 1, MSG_DONTWAIT | MSG_NOSIGNAL) == 1) ++count;
+  EXPECT_EQ(errno, EAGAIN);
+  return count;
+}
+
+void fill_eventfd(int fd) {
+  const std::uint64_t most = std::numeric_limits<std::uint64_t>::max() - 1;
+  ASSERT_EQ(::write(fd, &most, sizeof most), ssize_t{sizeof most});
+}
+
+TEST(Doorbell, SameUserWakesOncePerSleepWithoutAnyRead) {
+  Executor executor;
+  const Doorbell bell = executor.same_user();
+  EXPECT_THAT(executor.ready(), IsEmpty());
+  for (int sleep = 0; sleep < 1000; ++sleep) {
+    ASSERT_EQ(bell.ring(), Rung::rung);
+    ASSERT_THAT(executor.ready(10'000), ElementsAre(eventfd_tag)) << sleep;
+    ASSERT_THAT(executor.ready(), IsEmpty()) << "woken twice by one ring, sleep " << sleep;
+  }
+}
+
+TEST(Doorbell, ManyRingsBetweenTwoSleepsAreOneWakeUp) {
+  Executor executor;
+  const Doorbell bell = executor.same_user();
+  for (int i = 0; i < 100; ++i) ASSERT_EQ(bell.ring(), Rung::rung);
+  EXPECT_THAT(executor.ready(), ElementsAre(eventfd_tag));
+  EXPECT_THAT(executor.ready(), IsEmpty());
+}
+
+TEST(Doorbell, SameUserSendsNoDatagram) {
+  Executor executor;
+  EXPECT_EQ(executor.same_user().ring(), Rung::rung);
+  char byte = 0;
+  EXPECT_EQ(::recv(executor.bells.datagram_fd(), &byte, 1, MSG_DONTWAIT), -1);
+  EXPECT_EQ(errno, EAGAIN);
+}
+
+TEST(Doorbell, RingsAThreadThatSleepsInAnotherProcess) {
+  Executor executor;
+  for (const bool same_user : {true, false}) {
+    const Doorbell bell = same_user ? executor.same_user() : executor.other_user();
+    test::Child child([&] { return bell.ring() == Rung::rung ? 0 : 1; });
+    EXPECT_THAT(executor.ready(10'000), ElementsAre(same_user ? eventfd_tag : datagram_tag));
+    executor.bells.drain();
+    EXPECT_EQ(child.wait(), 0);
+  }
+}
+
+TEST(Doorbell, OtherUserIsReadableUntilDrained) {
+  Executor executor;
+  const Doorbell bell = executor.other_user();
+  EXPECT_EQ(bell.ring(), Rung::rung);
+  EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
+  EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
+  executor.bells.drain();
+  EXPECT_THAT(executor.ready(), IsEmpty());
+  executor.bells.drain();
+  EXPECT_EQ(bell.ring(), Rung::rung);
+  EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
+}
+
+TEST(Doorbell, FullQueueOfDatagramsCountsAsRung) {
+  Executor executor;
+  const Doorbell bell = executor.other_user();
+  EXPECT_GT(fill_queue(bell), 0U);
+  EXPECT_EQ(bell.ring(), Rung::rung);
+  EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
+  executor.bells.drain();
+  EXPECT_THAT(executor.ready(), IsEmpty()) << "one drain empties a full queue";
+}
+
+// The open file description is shared by all holders, and one of them may change its flags.
+TEST(Doorbell, RingDoesNotSleepWhenSomebodyClearedTheNonBlockingFlag) {
+  Executor executor;
+  const Doorbell bell = executor.other_user();
+  fill_queue(bell);
+  ASSERT_EQ(::fcntl(bell.datagram_fd(), F_SETFL, 0), 0);
+  ASSERT_EQ(::fcntl(executor.bells.datagram_fd(), F_SETFL, 0), 0);
+  test::Child child([&] {
+    ::alarm(10);  // ends a child that sleeps
+    if (bell.ring() != Rung::rung) return 1;
+    executor.bells.drain();
+    return executor.ready().empty() ? 0 : 2;
+  });
+  EXPECT_EQ(child.wait(), 0);
+}
+
+// Distributions raise the length of the queue; a namespace of its own lets the test do so.
+TEST(Doorbell, OneDrainEmptiesALongQueue) {
+  test::Child child([] {
+    if (::unshare(::geteuid() == 0 ? CLONE_NEWNET : CLONE_NEWUSER | CLONE_NEWNET) != 0) return 77;
+    const UniqueFd length(::open("/proc/sys/net/unix/max_dgram_qlen", O_WRONLY | O_CLOEXEC));
+    if (!length || ::write(length.get(), "200", 3) != 3) return 77;
+    Executor executor;
+    const Doorbell bell = executor.other_user();
+    if (fill_queue(bell) < 100) return 1;
+    executor.bells.drain();
+    return executor.ready().empty() ? 0 : 2;
+  });
+  const int status = child.wait();
+  if (status == 77) GTEST_SKIP() << "may not change the length of queues here";
+  EXPECT_EQ(status, 0);
+}
+
+TEST(Doorbell, FilledEventfdIsBackedByADatagram) {
+  Executor executor;
+  const Doorbell bell = executor.same_user();
+  fill_eventfd(bell.eventfd());
+  executor.ready();  // the edge of the filling itself
+  EXPECT_EQ(bell.ring(), Rung::rung);
+  EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
+}
+
+TEST(Doorbell, WorksAfterItsNameIsGone) {
+  Executor executor;
+  const Doorbell bell = executor.other_user();
+  ASSERT_EQ(::unlink(executor.directory.path("bell").c_str()), 0);
+  EXPECT_EQ(bell.ring(), Rung::rung);
+  EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
+  const auto later = connect_doorbell(executor.directory.path(), "bell");
+  ASSERT_FALSE(later);
+  EXPECT_EQ(later.error().code, Errc::endpoint_gone);
+}
+
+TEST(Doorbell, OneSenderCannotSilenceAnother) {
+  Executor executor;
+  const Doorbell hostile = executor.other_user();
+  const Doorbell honest = executor.other_user();
+  fill_queue(hostile);
+  EXPECT_EQ(honest.ring(), Rung::rung) << "a flood makes the socket readable, no more";
+  EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
+  executor.bells.drain();
+
+  ASSERT_EQ(::shutdown(hostile.datagram_fd(), SHUT_RDWR), 0);
+  EXPECT_EQ(hostile.ring(), Rung::gone);
+  EXPECT_EQ(honest.ring(), Rung::rung);
+  EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
+}
+
+TEST(Doorbell, RingingSomebodyWhoClosedSaysGone) {
+  Executor executor;
+  const Doorbell bell = executor.other_user();
+  executor.bells = DoorbellReceiver();
+  EXPECT_EQ(bell.ring(), Rung::gone);
+  EXPECT_EQ(bell.ring(), Rung::gone);
+  EXPECT_EQ(Doorbell().ring(), Rung::gone);
+}
+
+TEST(Doorbell, DescriptorsPushedThroughABellLeakNowhere) {
+  Executor executor;
+  const Doorbell bell = executor.other_user();
+  const std::size_t before = test::open_descriptor_count();
+  alignas(cmsghdr) char control[CMSG_SPACE(sizeof(int))]{};
+  char byte = 0;
+  iovec data{&byte, 1};
+  msghdr message{};
+  message.msg_iov = &data;
+  message.msg_iovlen = 1;
+  message.msg_control = control;
+  message.msg_controllen = sizeof control;
+  cmsghdr* part = CMSG_FIRSTHDR(&message);
+  part->cmsg_level = SOL_SOCKET;
+  part->cmsg_type = SCM_RIGHTS;
+  part->cmsg_len = CMSG_LEN(sizeof(int));
+  const int number = 0;
+  std::memcpy(CMSG_DATA(part), &number, sizeof number);
+  // Linux 6.16 refuses it for us; before, it is thrown away when drained.
+  if (::sendmsg(bell.datagram_fd(), &message, MSG_DONTWAIT) < 0) {
+    EXPECT_EQ(errno, EPERM);
+  }
+  executor.bells.drain();
+  EXPECT_THAT(executor.ready(), IsEmpty());
+  EXPECT_EQ(test::open_descriptor_count(), before);
+}
+
+TEST(Doorbell, BellsAreCloseOnExecAndDoNotSleep) {
+  Executor executor;
+  const Doorbell bell = executor.other_user();
+  for (const int fd :
+       {executor.bells.eventfd(), executor.bells.datagram_fd(), bell.datagram_fd()}) {
+    EXPECT_TRUE(test::is_close_on_exec(fd));
+    EXPECT_TRUE(test::is_non_blocking(fd));
+  }
+}
+
+TEST(Doorbell, SenderCanBeMadeFromTheReceiverAlone) {
+  Executor executor;
+  const Doorbell bell(connect_doorbell(executor.bells.datagram_fd()).value());
+  EXPECT_EQ(bell.ring(), Rung::rung);
+  EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
+}
+
+TEST(Doorbell, LeftoverOfAFormerLifeIsReplaced) {
+  Executor executor;
+  const Doorbell old_bell = executor.other_user();
+  const auto replacement = make_doorbell(executor.directory.path(), "bell");
+  ASSERT_TRUE(replacement);
+  const Doorbell new_bell = executor.other_user();
+  EXPECT_EQ(new_bell.ring(), Rung::rung);
+  EXPECT_THAT(executor.ready(), IsEmpty()) << "the new bell does not ring the old receiver";
+  EXPECT_EQ(old_bell.ring(), Rung::rung);
+  EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
+}
+
+TEST(Doorbell, NobodyElseCanConnectThroughThePrivateDirectory) {
+  if (::geteuid() != 0) GTEST_SKIP() << "needs root to become somebody else";
+  Executor executor;
+  test::Child child([&] {
+    if (::setuid(65534) != 0) return 1;
+    const auto bell = connect_doorbell(executor.directory.path(), "bell");
+    return !bell && bell.error().os_errno == EACCES ? 0 : 2;
+  });
+  EXPECT_EQ(child.wait(), 0);
+}
+
+TEST(Doorbell, DirectoryThatOthersMayEnterIsRefused) {
+  test::TemporaryDirectory directory;
+  ASSERT_EQ(::chmod(directory.path().c_str(), 0710), 0);
+  const auto bells = make_doorbell(directory.path(), "bell");
+  ASSERT_FALSE(bells);
+  EXPECT_EQ(bells.error().code, Errc::permission_denied);
+}
+
+TEST(Doorbell, BadNamesAreRefused) {
+  test::TemporaryDirectory directory;
+  for (const std::string& name : {std::string(), std::string("a/b"), std::string(100, 'x')}) {
+    const auto bells = make_doorbell(directory.path(), name);
+    ASSERT_FALSE(bells);
+    EXPECT_EQ(bells.error().code, Errc::invalid_argument);
+  }
+}
+
+}  // namespace
+}  // namespace agnocast

@@ -1,0 +1,186 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: exactly the users that the rules name may use a topic, and the rule that decided is known.
+// Method: tables of patterns and decisions; a plain recursive matcher as a second opinion.
+
+#include <daemon/access.hpp>
+
+#include <gtest/gtest.h>
+
+#include <chrono>
+#include <string>
+#include <vector>
+
+namespace agnocast::daemon {
+namespace {
+
+TEST(TopicPattern, Matches) {
+  const struct {
+    const char* pattern;
+    const char* topic;
+    bool matches;
+  } rows[] = {
+      {"/a", "/a", true},
+      {"/a", "/b", false},
+      {"/a", "/a/b", false},
+      {"/a", "/ab", false},
+      {"/*", "/a", true},
+      {"/*", "/a/b", false},
+      {"/*/b", "/a/b", true},
+      {"/*/b", "/a/c/b", false},
+      {"/lidar/*", "/lidar/points", true},
+      {"/lidar/*", "/lidar", false},
+      {"/lidar*", "/lidar_front", true},
+      {"/lidar*", "/lidar", true},
+      {"/lidar*", "/lidar/x", false},
+      {"/lidar/**", "/lidar/front/points", true},
+      {"/lidar/**", "/lidar", false},
+      {"/lidar**", "/lidar", true},
+      {"/lidar**", "/lidar/front", true},
+      {"**", "/anything/at/all", true},
+      {"**/status", "/a/b/status", true},
+      {"**/status", "/status", true},
+      {"**/status", "/a/status2", false},
+      {"/?", "/a", true},
+      {"/?", "/ab", false},
+      {"/a?b", "/a/b", false},
+      {"/a**b", "/a/x/b", true},
+      {"/*a*b*", "/xxaxxbxx", true},
+      {"/*a*b*", "/xxbxxaxx", false},
+      {"/A", "/a", false},
+  };
+  for (const auto& row : rows)
+    EXPECT_EQ(topic_matches(row.pattern, row.topic), row.matches)
+        << row.pattern << ' ' << row.topic;
+}
+
+bool matches_plainly(std::string_view pattern, std::string_view topic) {
+  if (pattern.empty()) return topic.empty();
+  if (pattern.starts_with("**")) {
+    for (std::size_t skip = 0; skip <= topic.size(); ++skip) {
+      if (matches_plainly(pattern.substr(2), topic.substr(skip))) return true;
+    }
+    return false;
+  }
+  if (pattern[0] == '*') {
+    for (std::size_t skip = 0; skip <= topic.size(); ++skip) {
+      if (matches_plainly(pattern.substr(1), topic.substr(skip))) return true;
+      if (skip < topic.size() && topic[skip] == '/') return false;
+    }
+    return false;
+  }
+  if (topic.empty()) return false;
+  const bool same = pattern[0] == topic[0] || (pattern[0] == '?' && topic[0] != '/');
+  return same && matches_plainly(pattern.substr(1), topic.substr(1));
+}
+
+// All patterns up to five characters against all topics up to five, over a small alphabet.
+TEST(TopicPattern, AgreesWithASecondMatcher) {
+  const auto all = [](std::string_view alphabet, std::size_t length_max) {
+    std::vector<std::string> words{""};
+    for (std::size_t begin = 0, length = 0; length < length_max; ++length) {
+      const std::size_t end = words.size();
+      for (; begin < end; ++begin) {
+        for (const char c : alphabet) words.push_back(words[begin] + c);
+      }
+    }
+    return words;
+  };
+  const auto topics = all("a/", 5);
+  std::size_t match_count = 0;
+  for (const std::string& pattern : all("a/*?", 5)) {
+    if (check_topic_pattern(pattern)) continue;
+    for (const std::string& topic : topics) {
+      const bool matches = topic_matches(pattern, topic);
+      match_count += matches ? 1 : 0;
+      ASSERT_EQ(matches, matches_plainly(pattern, topic)) << pattern << ' ' << topic;
+    }
+  }
+  EXPECT_GT(match_count, 500U);
+}
+
+TEST(TopicPattern, HostilePatternsTakeNoTime) {
+  std::string pattern = "/";
+  while (pattern.size() + 2 <= name_length_max) pattern += "*a";
+  const std::string topic = "/" + std::string(name_length_max - 2, 'a') + "b";
+  const auto begin = std::chrono::steady_clock::now();
+  for (int i = 0; i < 100; ++i) EXPECT_FALSE(topic_matches(pattern, topic));
+  EXPECT_LT(std::chrono::steady_clock::now() - begin, std::chrono::seconds(10));
+  EXPECT_FALSE(topic_matches("/" + std::string(name_length_max, '*'), "/a"))
+      << "longer than allowed";
+}
+
+TEST(TopicPattern, BadOnesAreToldWhatIsWrong) {
+  const struct {
+    const char* pattern;
+    const char* text;
+  } rows[] = {
+      {"/a/*", "good"},
+      {"**", "good"},
+      {"**/x", "good"},
+      {"/a?_9/**", "good"},
+      {"", "the pattern is empty, at character 1"},
+      {"lidar", "a pattern starts with a slash or with **, at character 1"},
+      {"*", "a pattern starts with a slash or with **, at character 1"},
+      {"/a//b", "two slashes in a row, at character 4"},
+      {"/a/", "a slash cannot be the last character, at character 3"},
+      {"/***", "more than two stars in a row, at character 4"},
+      {"/[ab]", "only letters, digits, underscores, slashes, * and ? are allowed, at character 2"},
+  };
+  for (const auto& row : rows) {
+    const auto problem = check_topic_pattern(row.pattern);
+    EXPECT_EQ(problem ? problem->text() : "good", row.text) << row.pattern;
+  }
+  EXPECT_EQ(check_topic_pattern("/" + std::string(255, 'a'))->text(),
+            "the pattern is longer than 255 characters, at character 256");
+}
+
+Principals uids(std::vector<uid_t> list) { return {false, std::move(list), {}, {}}; }
+Principals gids(std::vector<gid_t> list) { return {false, {}, std::move(list), {}}; }
+Principals everybody() { return {true, {}, {}, {}}; }
+
+struct Access : testing::Test {
+  // line numbers are 10, 20, …
+  std::vector<AccessRule> rules = {
+      {"/lidar/**", 7, uids({1000}), std::nullopt, 10},
+      {"/lidar/**", std::nullopt, gids({50, 51}), everybody(), 20},
+      {"/secret/*", std::nullopt, uids({}), uids({1001}), 30},
+  };
+  std::string decided(Subject subject, std::uint64_t domain, std::string_view topic,
+                      Action action) {
+    const Decision decision = decide(rules, subject, domain, topic, action);
+    std::string text = decision.allowed ? "allowed" : "denied";
+    text += decision.rule ? " by rule " + std::to_string(*decision.rule) : " by default";
+    return text + (decision.line != 0 ? " line " + std::to_string(decision.line) : "");
+  }
+};
+
+TEST_F(Access, NoRuleMeansAllowed) {
+  EXPECT_EQ(decided({1, {}}, 0, "/chatter", Action::publish), "allowed by default");
+  rules.clear();
+  EXPECT_EQ(decided({1, {}}, 0, "/lidar/x", Action::publish), "allowed by default");
+}
+
+TEST_F(Access, FirstRuleOfTheDomainThatSpeaksOfTheActionDecides) {
+  EXPECT_EQ(decided({1000, {}}, 7, "/lidar/x", Action::publish), "allowed by rule 0 line 10");
+  EXPECT_EQ(decided({1002, {50}}, 7, "/lidar/x", Action::publish), "denied by rule 0 line 10");
+  EXPECT_EQ(decided({1002, {50}}, 0, "/lidar/x", Action::publish), "allowed by rule 1 line 20");
+  EXPECT_EQ(decided({1000, {}}, 0, "/lidar/x", Action::publish), "denied by rule 1 line 20");
+  EXPECT_EQ(decided({1002, {}}, 7, "/lidar/x", Action::subscribe), "allowed by rule 1 line 20");
+}
+
+TEST_F(Access, GroupsArePrimaryOrSupplementary) {
+  EXPECT_EQ(decided({9, {1, 2, 51}}, 0, "/lidar/x", Action::publish), "allowed by rule 1 line 20");
+  EXPECT_EQ(decided({9, {1, 2, 52}}, 0, "/lidar/x", Action::publish), "denied by rule 1 line 20");
+  EXPECT_EQ(decided({50, {}}, 0, "/lidar/x", Action::publish), "denied by rule 1 line 20")
+      << "a uid is no gid";
+}
+
+TEST_F(Access, EmptyListMeansNobodyRootIncluded) {
+  EXPECT_EQ(decided({0, {0}}, 0, "/secret/x", Action::publish), "denied by rule 2 line 30");
+  EXPECT_EQ(decided({0, {0}}, 0, "/secret/x", Action::subscribe), "denied by rule 2 line 30");
+  EXPECT_EQ(decided({1001, {}}, 0, "/secret/x", Action::subscribe), "allowed by rule 2 line 30");
+}
+
+}  // namespace
+}  // namespace agnocast::daemon

@@ -1,0 +1,223 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: one event is one line that says the truth whatever clients write into it, and floods are
+// counted instead of written. Method: a sink that keeps lines and a clock that the test moves.
+
+#include <daemon/log.hpp>
+
+#include "tests/support/child.hpp"
+
+#include <gmock/gmock.h>
+
+#include <fcntl.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <array>
+#include <cstdlib>
+#include <limits>
+#include <string>
+#include <vector>
+
+namespace agnocast::daemon {
+namespace {
+
+using testing::ElementsAre;
+using testing::IsEmpty;
+using testing::SizeIs;
+
+constexpr std::uint64_t second = 1'000'000'000;
+
+struct Lines : testing::Test {
+  std::vector<std::string> lines;
+  std::uint64_t now = 1'769'860'800 * second;  // 2026-01-31T12:00:00Z
+
+  Log make(Log::Format format = Log::Format::journald, LogLevel level = LogLevel::info) {
+    return Log(
+        level, format, [this](std::string_view line) { lines.emplace_back(line); },
+        [this] { return now; });
+  }
+};
+
+TEST_F(Lines, JournaldGetsThePriorityAndPeopleTheTime) {
+  make().write(LogLevel::warning, "client refused", {{"uid", 1000U}, {"why", "no rule"}});
+  now += 7'000'000;
+  make(Log::Format::people).write(LogLevel::error, "out of descriptors", {{"errno", -24}});
+  EXPECT_THAT(lines, ElementsAre("<4>client refused uid=1000 why=\"no rule\"\n",
+                                 "2026-01-31T12:00:00.007Z error out of descriptors errno=-24\n"));
+}
+
+TEST_F(Lines, EveryLevelHasItsPriorityAndItsName) {
+  Log log = make(Log::Format::journald, LogLevel::debug);
+  for (const char* name : {"error", "warning", "notice", "info", "debug"}) {
+    const auto level = log_level_of(name);
+    ASSERT_TRUE(level) << name;
+    EXPECT_EQ(name_of(*level), name);
+    log.write(*level, "x");
+  }
+  EXPECT_THAT(lines, ElementsAre("<3>x\n", "<4>x\n", "<5>x\n", "<6>x\n", "<7>x\n"));
+  EXPECT_FALSE(log_level_of("loud"));
+  EXPECT_FALSE(log_level_of(""));
+  EXPECT_EQ(log_level_names, "error, warning, notice, info, debug");
+}
+
+TEST_F(Lines, WhatIsBelowTheLevelIsNotWritten) {
+  Log log = make(Log::Format::journald, LogLevel::warning);
+  log.write(LogLevel::notice, "x");
+  log.write_limited("cause", LogLevel::info, "x");
+  EXPECT_THAT(lines, IsEmpty());
+  log.set_level(LogLevel::notice);
+  log.write(LogLevel::notice, "x");
+  EXPECT_THAT(lines, SizeIs(1));
+}
+
+TEST_F(Lines, ForeignTextCannotForgeLinesOrFields) {
+  Log log = make();
+  log.write(LogLevel::info, "client",
+            {{"name", "x\n<0>root owned"},
+             {"a", "b=c"},
+             {"b", "say \"hi\""},
+             {"c", "\x1b[2J"},
+             {"d", ""},
+             {"e", std::string("/plain/text.sock")}});
+  EXPECT_THAT(lines,
+              ElementsAre("<6>client name=\"x\\n<0>root owned\" a=\"b=c\" b=\"say \\\"hi\\\"\" "
+                          "c=\"\\x1b[2J\" d=\"\" e=/plain/text.sock\n"));
+}
+
+TEST_F(Lines, ValuesAndLinesHaveABound) {
+  Log log = make();
+  log.write(LogLevel::info, "x", {{"name", std::string(300, 'a')}});
+  EXPECT_EQ(lines.back(), "<6>x name=\"" + std::string(256, 'a') + "...\"\n");
+  const std::string hostile(256, '\n');
+  log.write(LogLevel::info, "x", {{"a", hostile}, {"b", hostile}, {"c", hostile}});
+  EXPECT_EQ(lines.back().size(), Log::line_bytes_max);
+  EXPECT_THAT(lines.back(), testing::EndsWith("...\n"));
+  for (const std::string& line : lines) EXPECT_EQ(line.find('\n'), line.size() - 1);
+}
+
+TEST_F(Lines, NumbersAreWhole) {
+  Log log = make();
+  log.write(LogLevel::info, "x",
+            {{"a", std::numeric_limits<std::uint64_t>::max()},
+             {"b", std::numeric_limits<std::int64_t>::min()},
+             {"c", std::uint8_t{65}}});
+  EXPECT_THAT(lines, ElementsAre("<6>x a=18446744073709551615 b=-9223372036854775808 c=65\n"));
+}
+
+TEST_F(Lines, FloodIsCountedAndTheCountIsSaid) {
+  Log log = make();
+  for (int i = 0; i < 1000; ++i)
+    log.write_limited("refused 1000", LogLevel::warning, "client refused", {{"uid", 1000}});
+  EXPECT_THAT(lines, SizeIs(Log::lines_per_interval));
+  lines.clear();
+  now += Log::interval_ns - 1;
+  log.flush();
+  EXPECT_THAT(lines, IsEmpty()) << "the interval is not over";
+  now += 1;
+  log.flush();
+  EXPECT_THAT(lines, ElementsAre("<4>more of the same was left out cause=\"refused 1000\" "
+                                 "repeated=995 seconds=10\n"));
+  lines.clear();
+  log.flush();
+  EXPECT_THAT(lines, IsEmpty()) << "said once";
+}
+
+TEST_F(Lines, NextEventAfterAnIntervalSaysWhatWasLeftOutFirst) {
+  Log log = make();
+  for (int i = 0; i < 7; ++i) log.write_limited("c", LogLevel::info, "x");
+  lines.clear();
+  now += 12 * second;
+  log.write_limited("c", LogLevel::info, "x");
+  EXPECT_THAT(lines, ElementsAre("<6>more of the same was left out cause=c repeated=2 seconds=12\n",
+                                 "<6>x\n"));
+}
+
+TEST_F(Lines, CausesAreCountedApart) {
+  Log log = make();
+  for (int i = 0; i < 10; ++i) {
+    log.write_limited("a", LogLevel::info, "of a");
+    log.write_limited("b", LogLevel::info, "of b");
+  }
+  EXPECT_EQ(std::count(lines.begin(), lines.end(), "<6>of a\n"), 5);
+  EXPECT_EQ(std::count(lines.begin(), lines.end(), "<6>of b\n"), 5);
+}
+
+TEST_F(Lines, FewEventsLeaveNoTrace) {
+  Log log = make();
+  for (int i = 0; i < 5; ++i) log.write_limited("c", LogLevel::info, "x");
+  lines.clear();
+  log.flush(true);
+  EXPECT_THAT(lines, IsEmpty());
+}
+
+TEST_F(Lines, InventedCausesCannotFloodEither) {
+  Log log = make();
+  for (int i = 0; i < 100'000; ++i)
+    log.write_limited("cause " + std::to_string(i), LogLevel::info, "x");
+  EXPECT_THAT(lines, SizeIs(Log::cause_count_max + Log::lines_per_interval));
+  lines.clear();
+  log.flush(true);
+  const std::uint64_t left_out = 100'000 - Log::cause_count_max - Log::lines_per_interval;
+  EXPECT_THAT(lines,
+              ElementsAre("<6>more of the same was left out cause=\"other causes\" repeated=" +
+                          std::to_string(left_out) + " seconds=0\n"));
+}
+
+TEST_F(Lines, ClockThatIsSetBackDoesNotSilenceTheLog) {
+  Log log = make();
+  for (int i = 0; i < 7; ++i) log.write_limited("c", LogLevel::info, "x");
+  lines.clear();
+  now -= 3600 * second;
+  log.write_limited("c", LogLevel::info, "x");
+  EXPECT_THAT(lines, ElementsAre("<6>more of the same was left out cause=c repeated=2 seconds=0\n",
+                                 "<6>x\n"));
+}
+
+TEST(Log, JournalStreamNamesExactlyThisFile) {
+  std::array<int, 2> ends{};
+  ASSERT_EQ(::pipe2(ends.data(), O_CLOEXEC), 0);
+  struct stat file {};
+  ASSERT_EQ(::fstat(ends[1], &file), 0);
+  const std::string right = std::to_string(file.st_dev) + ':' + std::to_string(file.st_ino);
+  EXPECT_TRUE(is_journal_stream(right.c_str(), ends[1]));
+  EXPECT_FALSE(is_journal_stream((right + '1').c_str(), ends[1]));
+  EXPECT_FALSE(is_journal_stream((right + 'x').c_str(), ends[1]));
+  EXPECT_FALSE(is_journal_stream(std::to_string(file.st_dev).c_str(), ends[1]));
+  EXPECT_FALSE(is_journal_stream("", ends[1]));
+  EXPECT_FALSE(is_journal_stream(nullptr, ends[1]));
+  EXPECT_FALSE(is_journal_stream(right.c_str(), -1));
+  ::close(ends[0]);
+  ::close(ends[1]);
+}
+
+// The real stderr, once as a journal stream and once not.
+TEST(Log, StderrTakesTheFormOfWhereItGoes) {
+  for (const bool is_journal : {true, false}) {
+    std::array<int, 2> ends{};
+    ASSERT_EQ(::pipe2(ends.data(), O_CLOEXEC), 0);
+    test::Child child([&] {
+      struct stat file {};
+      if (::dup2(ends[1], STDERR_FILENO) < 0 || ::fstat(STDERR_FILENO, &file) != 0) return 1;
+      const std::string stream =
+          is_journal ? std::to_string(file.st_dev) + ':' + std::to_string(file.st_ino) : "1:1";
+      ::setenv("JOURNAL_STREAM", stream.c_str(), 1);
+      Log::to_stderr(LogLevel::info).write(LogLevel::notice, "up", {{"pid", 1}});
+      return 0;
+    });
+    EXPECT_EQ(child.wait(), 0);
+    std::array<char, 256> text{};
+    ASSERT_GT(::read(ends[0], text.data(), text.size() - 1), 0);
+    if (is_journal) {
+      EXPECT_STREQ(text.data(), "<5>up pid=1\n");
+    } else {
+      EXPECT_THAT(text.data(),
+                  testing::MatchesRegex("20[0-9-]+T[0-9:]+\\.[0-9]+Z notice up pid=1\n"));
+    }
+    ::close(ends[0]);
+    ::close(ends[1]);
+  }
+}
+
+}  // namespace
+}  // namespace agnocast::daemon

@@ -1,0 +1,355 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: indexes, extents and generations are given out by the rules (lowest free; never one that
+// somebody may still know), the board says what the tables say, and a second life of the daemon
+// finds everything in the memory of the first, whatever it died in.
+// Method: the registry over anonymous memory; seeded random operations against a trivial reference
+// model; a death simulated at every record by leaving it committed and not applied.
+
+#include <daemon/registry.hpp>
+
+#include <gtest/gtest.h>
+#include <sys/mman.h>
+
+#include <algorithm>
+#include <cstring>
+#include <map>
+#include <random>
+#include <set>
+
+namespace agnocast::daemon {
+namespace {
+
+class Memory {
+ public:
+  Memory() {
+    base_ = static_cast<std::byte*>(::mmap(nullptr, bytes, PROT_READ | PROT_WRITE,
+                                           MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0));
+    if (base_ == MAP_FAILED) std::abort();
+  }
+  ~Memory() { ::munmap(base_, bytes); }
+  Memory(const Memory&) = delete;
+  Memory& operator=(const Memory&) = delete;
+
+  Registry::Memory parts() const {
+    return {base_, base_ + journal::RedoLog::bytes, base_ + journal::RedoLog::bytes + tables_bytes};
+  }
+  std::byte* board() const { return parts().board; }
+
+ private:
+  static constexpr std::uint64_t bytes = journal::RedoLog::bytes + tables_bytes + abi::board_bytes;
+  std::byte* base_;
+};
+
+class RegistryTest : public testing::Test {
+ protected:
+  RegistryTest() : registry(memory.parts()) { registry.create(1); }
+
+  ClientIndex client(std::uint32_t uid = 1000) {
+    return registry.add_client({uid, uid, 1, 0, "a process"}).value();
+  }
+  TopicIndex topic(std::string_view name = "/topic") {
+    return registry.add_topic({0, name, "pkg/msg/Type", 5}).value();
+  }
+  PublisherPlan publisher(ClientIndex owner, TopicIndex at, std::uint32_t depth = 1) {
+    const abi::Qos qos{depth, false, true, false, false};
+    const PublisherPlan plan = registry.plan_publisher(owner, at, qos).value();
+    registry.add_publisher(owner, at, qos, plan, "node");
+    return plan;
+  }
+  SubscriptionPlan subscription(ClientIndex owner, TopicIndex at, std::uint32_t depth = 1,
+                                std::uint64_t quota = 1) {
+    const abi::Qos qos{depth, false, true, false, false};
+    const SubscriptionPlan plan = registry.plan_subscription(owner, at, qos, quota).value();
+    for (const SlotRaise& raise : plan.raises) registry.raise_slots(at, raise);
+    registry.add_subscription(owner, at, qos, quota, 0, plan, "node");
+    return plan;
+  }
+  std::uint64_t board_word(TopicIndex at, std::uint64_t offset) const {
+    return SharedMemory::word(memory.board(), abi::topic_offset(number(at)) + offset).load();
+  }
+  std::uint64_t publisher_word(TopicIndex at, std::uint32_t index) const {
+    return board_word(at, abi::publisher_entry_offset(index));
+  }
+  std::uint64_t subscription_word(TopicIndex at, std::uint32_t index) const {
+    return board_word(at, abi::subscription_entry_offset(abi::publisher_count_max, index));
+  }
+
+  Memory memory;
+  Registry registry;
+};
+
+TEST_F(RegistryTest, GivesOutLowestIndexesAndFreshGenerations) {
+  const ClientIndex a = client(), b = client();
+  EXPECT_EQ(number(a), 0u);
+  EXPECT_EQ(number(b), 1u);
+  const TopicIndex t = topic();
+  const auto p = publisher(a, t), q = publisher(b, t);
+  EXPECT_EQ(p.index, 0u);
+  EXPECT_EQ(q.index, 1u);
+  EXPECT_GT(q.generation, p.generation);
+  EXPECT_EQ(p.extent, abi::page_bytes);
+  EXPECT_EQ(q.extent, abi::page_bytes) << "every process has a region of its own";
+  EXPECT_EQ(abi::generation_of(publisher_word(t, 0)), p.generation);
+  EXPECT_EQ(abi::state_of(publisher_word(t, 1)), abi::MemberState::active);
+}
+
+TEST_F(RegistryTest, UsesAnIndexAgainOnlyWhenNobodyKnowsTheOldOne) {
+  const ClientIndex a = client(), b = client();
+  const TopicIndex t = topic();
+  const auto p = publisher(a, t);
+  const EndpointRef ref{Kind::publisher, t, p.index};
+  registry.tell(ref, b);
+  EXPECT_TRUE(registry.client(a).told.contains(number(b))) << "its region is known with it";
+  registry.orphan_publisher(t, p.index, abi::pack_entry(p.first_sequence, 0));
+  EXPECT_EQ(publisher(a, t).index, 1u);
+  registry.let_go(ref, b);
+  registry.end_publisher(t, p.index, EndpointState::over);
+  EXPECT_EQ(abi::state_of(publisher_word(t, 0)), abi::MemberState::free);
+  EXPECT_EQ(publisher(a, t).index, 2u) << "its own process has not let go of the extent";
+  registry.end_publisher(t, p.index, EndpointState::free);
+  const auto again = publisher(a, t);
+  EXPECT_EQ(again.index, 0u);
+  EXPECT_EQ(again.extent, p.extent);
+  EXPECT_GT(again.generation, p.generation);
+}
+
+TEST_F(RegistryTest, KeepsExtentsApart) {
+  const ClientIndex a = client();
+  const TopicIndex t = topic();
+  const auto p = publisher(a, t);
+  const auto s = subscription(a, t);
+  const auto q = publisher(a, t);
+  EXPECT_EQ(s.extent, p.extent + abi::publisher_extent_bytes);
+  EXPECT_EQ(q.extent, s.extent + abi::subscription_extent_bytes);
+  registry.change_subscription(t, s.index, EndpointState::over);
+  registry.free_subscription(t, s.index);
+  EXPECT_EQ(publisher(a, t).extent, q.extent + abi::publisher_extent_bytes)
+      << "a publisher does not fit where a subscription was";
+  EXPECT_EQ(subscription(a, t).extent, s.extent);
+}
+
+TEST_F(RegistryTest, RaisesSlotsBeforeADeepSubscriptionIsAMember) {
+  const ClientIndex a = client();
+  const TopicIndex t = topic();
+  const auto p = publisher(a, t, 1);
+  EXPECT_EQ(p.slot_count, 64u);
+  const abi::Qos qos{500, false, true, false, false};
+  const auto plan = registry.plan_subscription(a, t, qos, 100).value();
+  ASSERT_EQ(plan.raises.size(), 1u);
+  EXPECT_EQ(plan.raises[0].slot_count, 640u);  // 500 + 100 + 34, whole words
+  registry.raise_slots(t, plan.raises[0]);
+  EXPECT_EQ(
+      board_word(t, abi::publisher_entry_offset(0) + offsetof(abi::PublisherEntry, slot_count)),
+      640u);
+  EXPECT_TRUE(registry.uses_far_slots(t));
+  registry.add_subscription(a, t, qos, 100, 0, plan, "node");
+  EXPECT_EQ(publisher(a, t, 1).slot_count, 640u);
+}
+
+TEST_F(RegistryTest, NeverPlansMoreSlotsThanThereAre) {
+  const ClientIndex a = client();
+  const TopicIndex t = topic();
+  for (int i = 0; i < 5; ++i) subscription(a, t, 1000, 1000);
+  EXPECT_EQ(publisher(a, t, 1000).slot_count, abi::slot_count_max);
+}
+
+TEST_F(RegistryTest, CountsPerUser) {
+  const ClientIndex a = client(1), b = client(1), c = client(2);
+  const TopicIndex t = topic();
+  publisher(a, t);
+  subscription(b, t, 1, 7);
+  subscription(c, t);
+  registry.open_window(a, {0x1000, 4096});
+  registry.open_executor(b, 0);
+  registry.open_executor(b, 5);
+  const Usage usage = registry.usage_of(1);
+  EXPECT_EQ(usage.clients, 2u);
+  EXPECT_EQ(usage.publishers, 1u);
+  EXPECT_EQ(usage.subscriptions, 1u);
+  EXPECT_EQ(usage.executors, 2u);
+  EXPECT_EQ(usage.heap_bytes, 4096u);
+  EXPECT_EQ(usage.held_messages, 7u);
+  EXPECT_EQ(registry.usage_of(3).clients, 0u);
+}
+
+TEST_F(RegistryTest, EndsAProcessOnlyWhenNothingOfItIsKnown) {
+  const ClientIndex a = client(), b = client();
+  const TopicIndex t = topic();
+  const auto p = publisher(a, t);
+  registry.tell({Kind::publisher, t, p.index}, b);
+  EXPECT_FALSE(registry.can_end(a));
+  registry.client_died(a);
+  registry.orphan_publisher(t, p.index, 0);
+  EXPECT_FALSE(registry.can_end(a));
+  registry.let_go({Kind::publisher, t, p.index}, b);
+  registry.end_publisher(t, p.index, EndpointState::free);
+  EXPECT_FALSE(registry.can_end(a)) << "b still maps its region";
+  registry.let_go_of_region(a, b);
+  EXPECT_TRUE(registry.can_end(a));
+  const std::uint64_t generation = registry.client(a).generation;
+  registry.end_client(a);
+  EXPECT_EQ(client(), a);
+  EXPECT_GT(registry.client(a).generation, generation);
+}
+
+TEST_F(RegistryTest, ForgetsADeadProcessEverywhere) {
+  const ClientIndex a = client(), b = client();
+  const TopicIndex t = topic(), u = topic("/other");
+  const auto p = publisher(a, t);
+  const auto s = subscription(a, u);
+  registry.tell({Kind::publisher, t, p.index}, b);
+  registry.tell({Kind::subscription, u, s.index}, b);
+  registry.client_died(b);
+  registry.client_forgotten(b);
+  EXPECT_TRUE(registry.told_of({Kind::publisher, t, p.index}).reusable());
+  EXPECT_TRUE(registry.told_of({Kind::subscription, u, s.index}).reusable());
+  EXPECT_TRUE(registry.client(a).told.reusable());
+}
+
+TEST_F(RegistryTest, FreesATopicWithItsLastEndpointAndFixesTheTypeAnew) {
+  const ClientIndex a = client();
+  const TopicIndex t = topic();
+  const auto s = subscription(a, t);
+  EXPECT_FALSE(registry.topic_is_empty(t));
+  registry.change_subscription(t, s.index, EndpointState::over);
+  registry.free_subscription(t, s.index);
+  ASSERT_TRUE(registry.topic_is_empty(t));
+  const std::uint64_t epoch = board_word(t, offsetof(abi::TopicHeader, epoch));
+  registry.free_topic(t);
+  EXPECT_FALSE(registry.find_topic(0, "/topic"));
+  const TopicIndex again = registry.add_topic({0, "/topic", "pkg/msg/Other", 6}).value();
+  EXPECT_EQ(again, t);
+  EXPECT_STREQ(registry.topic(again).type, "pkg/msg/Other");
+  EXPECT_GE(board_word(t, offsetof(abi::TopicHeader, epoch)), epoch) << "an epoch never goes back";
+}
+
+TEST_F(RegistryTest, KeepsDomainsApart) {
+  const TopicIndex t = topic();
+  EXPECT_FALSE(registry.find_topic(1, "/topic"));
+  const TopicIndex other = registry.add_topic({1, "/topic", "pkg/msg/Other", 6}).value();
+  EXPECT_NE(t, other);
+  EXPECT_EQ(registry.find_topic(1, "/topic"), other);
+}
+
+TEST_F(RegistryTest, SaysWhenATableIsFull) {
+  const ClientIndex a = client();
+  const TopicIndex t = topic();
+  for (std::uint32_t i = 0; i < abi::publisher_count_max; ++i) publisher(a, t);
+  const auto full = registry.plan_publisher(a, t, {1, false, true, false, false});
+  ASSERT_FALSE(full);
+  EXPECT_EQ(full.error().code, Errc::limit_reached);
+  for (std::uint32_t i = 1; i < abi::client_count_max; ++i) client();
+  const auto no_client = registry.add_client({0, 0, 0, 0, ""});
+  ASSERT_FALSE(no_client);
+  EXPECT_EQ(no_client.error().code, Errc::limit_reached);
+}
+
+TEST_F(RegistryTest, IsFoundAgainByALaterLife) {
+  const ClientIndex a = client(), b = client();
+  const TopicIndex t = topic();
+  const auto p = publisher(a, t);
+  registry.tell({Kind::publisher, t, p.index}, b);
+  Registry later(memory.parts());
+  ASSERT_TRUE(later.open());
+  EXPECT_EQ(later.find_topic(0, "/topic"), t);
+  EXPECT_EQ(later.endpoints_of(a).size(), 1u);
+  EXPECT_TRUE(later.told_of({Kind::publisher, t, 0}).contains(number(b)));
+  const auto q = later.plan_publisher(a, t, {1, false, true, false, false}).value();
+  EXPECT_EQ(q.index, 1u);
+  EXPECT_EQ(q.extent, p.extent + abi::publisher_extent_bytes);
+  EXPECT_GT(q.generation, p.generation);
+}
+
+TEST_F(RegistryTest, RefusesMemoryOfAnotherLayout) {
+  Memory other;
+  Registry none(other.parts());
+  EXPECT_FALSE(none.open());
+}
+
+// A trivial model of what the tables must say, kept by hand beside random operations. Every now and
+// then the last record is made pending again, as a death between commit and applied would leave it,
+// and a new registry takes over: redoing it must change nothing but the epoch.
+TEST_F(RegistryTest, AgreesWithAModelOverManyLives) {
+  struct Member {
+    std::uint32_t owner, index;
+    std::uint64_t generation, extent;
+    std::set<std::uint32_t> told;
+    EndpointState state;
+  };
+  std::mt19937 random(99);
+  auto life = std::make_unique<Registry>(memory.parts());
+  ASSERT_TRUE(life->open());
+  std::vector<ClientIndex> clients;
+  for (int i = 0; i < 6; ++i) clients.push_back(life->add_client({1, 1, 1, 0, "process"}).value());
+  const TopicIndex t = life->add_topic({0, "/topic", "T", 1}).value();
+  std::vector<Member> members;  // publishers
+  std::set<std::uint64_t> generations;
+  for (int step = 0; step < 5000; ++step) {
+    const auto what = random() % 6;
+    if (what == 0 && members.size() < 40) {
+      const ClientIndex owner = clients[random() % clients.size()];
+      const abi::Qos qos{1, false, true, false, false};
+      const auto plan = life->plan_publisher(owner, t, qos).value();
+      std::uint32_t lowest = 0;
+      while (std::any_of(members.begin(), members.end(),
+                         [&](const Member& m) { return m.index == lowest; }))
+        ++lowest;
+      ASSERT_EQ(plan.index, lowest);
+      ASSERT_TRUE(generations.insert(plan.generation).second) << "a generation came twice";
+      for (const Member& m : members) {
+        if (m.owner != number(owner)) continue;
+        ASSERT_TRUE(plan.extent + abi::publisher_extent_bytes <= m.extent ||
+                    m.extent + abi::publisher_extent_bytes <= plan.extent)
+            << "two endpoints share an extent";
+      }
+      life->add_publisher(owner, t, qos, plan, "node");
+      members.push_back(
+          {number(owner), plan.index, plan.generation, plan.extent, {}, EndpointState::active});
+    } else if (!members.empty()) {
+      const std::size_t at = random() % members.size();
+      Member& m = members[at];
+      const EndpointRef ref{Kind::publisher, t, m.index};
+      const ClientIndex other = clients[random() % clients.size()];
+      if (what == 1 && m.state == EndpointState::active) {
+        life->tell(ref, other);
+        m.told.insert(number(other));
+      } else if (what == 2) {
+        life->let_go(ref, other);
+        m.told.erase(number(other));
+      } else if (what == 3 && m.state == EndpointState::active) {
+        life->orphan_publisher(t, m.index, 12);
+        m.state = EndpointState::orphan;
+      } else if (what == 4 && m.told.empty() && m.state == EndpointState::orphan) {
+        life->end_publisher(t, m.index, EndpointState::over);
+        m.state = EndpointState::over;
+      } else if (what == 5 && m.told.empty() && m.state == EndpointState::over) {
+        life->end_publisher(t, m.index, EndpointState::free);
+        members.erase(members.begin() + static_cast<std::ptrdiff_t>(at));
+      }
+    }
+    if (random() % 20 == 0) {
+      // applied is the word at 128 of the log (journal/redo_log.hpp).
+      auto& applied = SharedMemory::word(memory.parts().log, 128);
+      applied.store(applied.load() - 1);
+      life = std::make_unique<Registry>(memory.parts());
+      ASSERT_TRUE(life->open());
+    }
+    for (const Member& m : members) {
+      const PublisherRecord& record = life->publisher(t, m.index);
+      ASSERT_EQ(record.state, m.state);
+      ASSERT_EQ(record.generation, m.generation);
+      ASSERT_EQ(record.extent, m.extent);
+      ASSERT_EQ(abi::generation_of(publisher_word(t, m.index)), m.generation);
+      for (const ClientIndex c : clients)
+        ASSERT_EQ(record.told.contains(number(c)), m.told.count(number(c)) != 0);
+    }
+    std::size_t known = 0;
+    for (const ClientIndex c : clients) known += life->endpoints_of(c).size();
+    ASSERT_EQ(known, members.size());
+  }
+  EXPECT_GT(generations.size(), 200u);
+}
+
+}  // namespace
+}  // namespace agnocast::daemon

@@ -1,0 +1,240 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: whatever arrives, decode() answers without reading beyond the packet, and what it lets pass
+// is inside every table. Method: one honest packet of each kind, one wrong field at a time; then
+// seeded random packets, which under AddressSanitizer lie at the end of their allocation.
+
+#include <daemon/requests.hpp>
+
+#include <agnocast/abi/fingerprint.hpp>
+
+#include <gtest/gtest.h>
+
+#include <cstring>
+#include <random>
+#include <vector>
+
+namespace agnocast::daemon {
+namespace {
+
+template <class Body>
+Body body(wire::Opcode opcode) {
+  Body result;
+  std::memset(static_cast<void*>(&result), 0, sizeof result);
+  result.header = {opcode, sizeof(Body), 77};
+  return result;
+}
+template <class Body>
+Request decoded(const Body& packet, const Envelope& envelope = {}, bool greeted = true) {
+  // A heap copy of exactly this length: one byte further is an error that the sanitizer sees.
+  const auto bytes = std::as_bytes(std::span(&packet, 1));
+  const std::vector<std::byte> copy(bytes.begin(), bytes.end());
+  return decode(copy, envelope, greeted);
+}
+Rejected rejected(const Request& request) {
+  const auto* const found = std::get_if<Rejected>(&request);
+  if (found == nullptr) {
+    ADD_FAILURE() << "was accepted";
+    return {};
+  }
+  return *found;
+}
+
+wire::CreateEndpoint honest_create(wire::Opcode opcode) {
+  auto packet = body<wire::CreateEndpoint>(opcode);
+  packet.qos = abi::pack_qos({5, false, true, false, false});
+  packet.quota = 3;
+  packet.topic = name_of("/a/topic");
+  packet.type = name_of("pkg/msg/Type");
+  packet.node = name_of("node");
+  return packet;
+}
+
+TEST(Requests, PassesEveryHonestPacket) {
+  EXPECT_TRUE(std::holds_alternative<wire::Hello>(
+      decoded(body<wire::Hello>(wire::Opcode::hello), {}, false)));
+  EXPECT_TRUE(std::holds_alternative<wire::WindowRequest>(
+      decoded(body<wire::WindowRequest>(wire::Opcode::open_window))));
+  EXPECT_TRUE(std::holds_alternative<wire::ExecutorRequest>(
+      decoded(body<wire::ExecutorRequest>(wire::Opcode::open_executor))));
+  const Request created = decoded(honest_create(wire::Opcode::create_subscription));
+  const auto* const create = std::get_if<CreateRequest>(&created);
+  ASSERT_NE(create, nullptr);
+  EXPECT_EQ(create->kind, wire::Kind::subscription);
+  EXPECT_EQ(create->request, 77u);
+  EXPECT_EQ(create->qos.depth, 5u);
+  EXPECT_TRUE(create->qos.reliable);
+  EXPECT_EQ(create->quota, 3u);
+  EXPECT_EQ(create->topic, "/a/topic");
+  EXPECT_EQ(create->type, "pkg/msg/Type");
+  auto reference = body<wire::Reference>(wire::Opcode::leave);
+  reference.kind = wire::Kind::publisher;
+  reference.generation = 4;
+  EXPECT_TRUE(std::holds_alternative<LeaveRequest>(decoded(reference)));
+  reference.header.opcode = wire::Opcode::drained;
+  EXPECT_TRUE(std::holds_alternative<DrainedRequest>(decoded(reference)));
+  auto unlinked = body<wire::Unlinked>(wire::Opcode::unlinked);
+  unlinked.kind = wire::Kind::region;
+  unlinked.generation = 4;
+  EXPECT_TRUE(std::holds_alternative<wire::Unlinked>(decoded(unlinked)));
+}
+
+TEST(Requests, EndsAConnectionThatCannotBeParsed) {
+  EXPECT_TRUE(rejected(decode({}, {}, true)).ends_connection);
+  auto packet = body<wire::WindowRequest>(wire::Opcode::open_window);
+  const auto bytes = std::as_bytes(std::span(&packet, 1));
+  EXPECT_TRUE(rejected(decode(bytes.first(15), {}, true)).ends_connection);
+  EXPECT_TRUE(rejected(decode(bytes.first(20), {}, true)).ends_connection) << "length is a lie";
+  EXPECT_TRUE(rejected(decoded(packet, {0, true, false})).ends_connection) << "too long";
+}
+
+TEST(Requests, RefusesWhatCanBeParsedAndIsWrong) {
+  auto window = body<wire::WindowRequest>(wire::Opcode::open_window);
+  EXPECT_FALSE(rejected(decoded(window, {1, false, false})).ends_connection) << "descriptors";
+  EXPECT_EQ(rejected(decoded(window, {1, false, false})).code, Errc::protocol_violation);
+  EXPECT_EQ(rejected(decoded(window, {0, false, true})).code, Errc::protocol_violation);
+  EXPECT_EQ(rejected(decoded(window, {}, false)).text, "the first request must be hello");
+  EXPECT_EQ(rejected(decoded(body<wire::Hello>(wire::Opcode::hello))).text, "hello is said once");
+  window.window = abi::window_count_max;
+  EXPECT_EQ(rejected(decoded(window)).code, Errc::window_exhausted);
+  EXPECT_EQ(rejected(decoded(window)).request, 77u);
+  EXPECT_EQ(rejected(decoded(body<wire::Done>(wire::Opcode::done))).text, "unknown request 105");
+  EXPECT_EQ(rejected(decoded(body<wire::Done>(wire::Opcode::open_window))).code,
+            Errc::protocol_violation);
+  EXPECT_EQ(rejected(decoded(body<wire::Done>(wire::Opcode::hello), {}, false)).code,
+            Errc::layout_mismatch)
+      << "the hello of another version";
+  auto executor = body<wire::ExecutorRequest>(wire::Opcode::open_executor);
+  executor.executor = abi::executor_count_max;
+  EXPECT_EQ(rejected(decoded(executor)).code, Errc::limit_reached);
+}
+
+TEST(Requests, RefusesNamesWithoutEnd) {
+  auto hello = body<wire::Hello>(wire::Opcode::hello);
+  std::memset(hello.process_name.text, 'x', sizeof hello.process_name.text);
+  EXPECT_EQ(rejected(decoded(hello, {}, false)).text, "the name of the process does not end");
+  for (auto member :
+       {&wire::CreateEndpoint::topic, &wire::CreateEndpoint::type, &wire::CreateEndpoint::node}) {
+    auto create = honest_create(wire::Opcode::create_publisher);
+    std::memset((create.*member).text, 'x', sizeof(wire::Name));
+    EXPECT_EQ(rejected(decoded(create)).code, Errc::protocol_violation);
+  }
+}
+
+TEST(Requests, RefusesEndpointsThatCannotBe) {
+  const auto with = [](auto change) {
+    auto create = honest_create(wire::Opcode::create_subscription);
+    change(create);
+    return rejected(decoded(create)).code;
+  };
+  EXPECT_EQ(with([](auto& c) { c.qos = 0; }), Errc::depth_refused);
+  EXPECT_EQ(with([](auto& c) { c.qos = abi::depth_max + 1; }), Errc::depth_refused);
+  EXPECT_EQ(with([](auto& c) { c.qos |= 1 << 19; }), Errc::invalid_argument);
+  EXPECT_EQ(with([](auto& c) { c.qos |= std::uint64_t{1} << 63; }), Errc::invalid_argument);
+  EXPECT_EQ(with([](auto& c) { c.quota = 0; }), Errc::invalid_argument);
+  EXPECT_EQ(with([](auto& c) { c.quota = abi::slot_count_max + 1; }), Errc::quota_exceeded);
+  EXPECT_EQ(with([](auto& c) { c.executor = abi::executor_count_max; }), Errc::protocol_violation);
+  EXPECT_EQ(with([](auto& c) { c.type = name_of(""); }), Errc::invalid_argument);
+}
+
+TEST(Requests, RefusesReferencesOutsideTheTables) {
+  const auto with = [](auto change) {
+    auto reference = body<wire::Reference>(wire::Opcode::leave);
+    reference.kind = wire::Kind::subscription;
+    reference.generation = 1;
+    change(reference);
+    return rejected(decoded(reference)).code;
+  };
+  EXPECT_EQ(with([](auto& r) { r.kind = wire::Kind{0}; }), Errc::protocol_violation);
+  EXPECT_EQ(with([](auto& r) { r.kind = wire::Kind::region; }), Errc::protocol_violation);
+  EXPECT_EQ(with([](auto& r) { r.topic = abi::topic_count_max; }), Errc::protocol_violation);
+  EXPECT_EQ(with([](auto& r) { r.index = abi::subscription_count_max; }), Errc::protocol_violation);
+  EXPECT_EQ(with([](auto& r) {
+              r.kind = wire::Kind::publisher;
+              r.index = abi::publisher_count_max;
+            }),
+            Errc::protocol_violation);
+  EXPECT_EQ(with([](auto& r) { r.generation = 0; }), Errc::protocol_violation);
+  EXPECT_EQ(with([](auto& r) { r.generation = std::uint64_t{1} << 48; }), Errc::protocol_violation);
+}
+
+TEST(Requests, SurvivesRandomPackets) {
+  std::mt19937_64 random(20260101);
+  const wire::Opcode opcodes[] = {wire::Opcode::hello,
+                                  wire::Opcode::open_window,
+                                  wire::Opcode::open_executor,
+                                  wire::Opcode::create_publisher,
+                                  wire::Opcode::create_subscription,
+                                  wire::Opcode::leave,
+                                  wire::Opcode::drained,
+                                  wire::Opcode::unlinked};
+  unsigned accepted = 0;
+  for (int i = 0; i < 200000; ++i) {
+    // Mostly honest packets with a few wrong bytes: pure noise would never get past the length.
+    const wire::Opcode opcode = opcodes[random() % std::size(opcodes)];
+    std::vector<std::byte> packet;
+    const auto take = [&](const auto& example) {
+      const auto bytes = std::as_bytes(std::span(&example, 1));
+      packet.assign(bytes.begin(), bytes.end());
+    };
+    switch (random() % 5) {
+      case 0:
+        packet.resize(random() % (wire::packet_bytes_max + 1));
+        for (std::byte& byte : packet) byte = static_cast<std::byte>(random());
+        break;
+      case 1:
+        take(honest_create(opcode));
+        break;
+      case 2: {
+        auto reference = body<wire::Reference>(opcode);
+        reference.kind = wire::Kind{static_cast<std::uint32_t>(random() % 4)};
+        reference.generation = 1;
+        take(reference);
+        break;
+      }
+      case 3: {
+        auto unlinked = body<wire::Unlinked>(opcode);
+        unlinked.kind = wire::Kind{static_cast<std::uint32_t>(random() % 4)};
+        unlinked.generation = 1;
+        take(unlinked);
+        break;
+      }
+      default:
+        take(body<wire::WindowRequest>(opcode));
+        break;
+    }
+    for (auto wrong = random() % 4; wrong > 0 && !packet.empty(); --wrong)
+      packet[random() % packet.size()] = static_cast<std::byte>(random());
+    const Request request =
+        decode(packet, {random() % 16 == 0 ? 1u : 0u, random() % 16 == 0, false}, i % 2 == 0);
+    if (const auto* const create = std::get_if<CreateRequest>(&request)) {
+      ++accepted;
+      ASSERT_GE(create->qos.depth, 1u);
+      ASSERT_LE(create->qos.depth, abi::depth_max);
+      ASSERT_LT(create->topic.size(), sizeof(wire::Name));
+      if (create->kind == wire::Kind::subscription) {
+        ASSERT_LT(create->executor, abi::executor_count_max);
+        ASSERT_LE(create->quota, abi::slot_count_max);
+      }
+    } else if (const auto* const leave = std::get_if<LeaveRequest>(&request)) {
+      ++accepted;
+      ASSERT_LT(leave->reference.topic, abi::topic_count_max);
+      ASSERT_LT(leave->reference.index, abi::subscription_count_max);
+    } else if (const auto* const unlinked = std::get_if<wire::Unlinked>(&request)) {
+      ++accepted;
+      ASSERT_LT(unlinked->index, abi::client_count_max);
+    }
+  }
+  EXPECT_GT(accepted, 1000u) << "the random packets never reach a handler";
+}
+
+TEST(Requests, CutsAndEndsEveryTextItSends) {
+  const wire::Name name = name_of(std::string(1000, 'x'));
+  std::string_view text;
+  ASSERT_TRUE(text_of(name, text));
+  EXPECT_EQ(text.size(), sizeof(wire::Name) - 1);
+  EXPECT_EQ(printable("a\nb\x1b[0m\xff"), "a?b?[0m?");
+}
+
+}  // namespace
+}  // namespace agnocast::daemon
