@@ -317,7 +317,8 @@ Result<std::shared_ptr<SubscriptionEndpoint>> Context::create_subscription(
                                            region_.base(),
                                            made.extent,
                                            request.qos,
-                                           request.quota, request.message_bytes,
+                                           request.quota,
+                                           request.message_bytes,
                                            request.message_alignment},
             sleeper);
         const std::lock_guard lock(endpoints_);
@@ -328,17 +329,32 @@ Result<std::shared_ptr<SubscriptionEndpoint>> Context::create_subscription(
   return subscription;
 }
 
+// A sleeper goes back to the context, not away: its place in the region and its bells stay the process's, and its sleep word goes on counting.
+std::shared_ptr<Sleeper> Context::lend(std::unique_ptr<Sleeper> sleeper) {
+  return {sleeper.release(), [this](Sleeper* returned) noexcept {
+            const std::lock_guard lock(sleepers_);
+            unused_sleepers_.emplace_back(returned);  // within its capacity
+          }};
+}
+
 Result<std::shared_ptr<Sleeper>> Context::create_sleeper() {
   if (Result<void> connected = connect(); !connected)
     return tl::unexpected<Failure>(connected.error());
   wire::ExecutorRequest request{};
+  std::unique_ptr<Sleeper> sleeper;
   {
-    const std::lock_guard lock(endpoints_);
-    if (next_sleeper_ == abi::executor_count_max)
+    const std::lock_guard lock(sleepers_);
+    unused_sleepers_.reserve(abi::executor_count_max);
+    if (!unused_sleepers_.empty()) {
+      sleeper = std::move(unused_sleepers_.back());
+      unused_sleepers_.pop_back();
+    } else if (next_sleeper_ == abi::executor_count_max) {
       return fail(Errc::limit_reached, "executors of one process");
-    request.executor = next_sleeper_++;
+    } else {
+      request.executor = next_sleeper_++;
+    }
   }
-  std::shared_ptr<Sleeper> sleeper;
+  if (sleeper != nullptr) return lend(std::move(sleeper));
   Result<void> opened =
       connection_->request(Opcode::open_executor, request, [&](Incoming& packet) -> Result<void> {
         if (packet.header().opcode != Opcode::executor_opened ||
@@ -346,12 +362,12 @@ Result<std::shared_ptr<Sleeper>> Context::create_sleeper() {
           return fail(Errc::protocol_violation, "a new executor");
         }
         const auto fds = packet.packet.fds();
-        sleeper = std::make_shared<Sleeper>(region_.base(), request.executor,
+        sleeper = std::make_unique<Sleeper>(region_.base(), request.executor,
                                             DoorbellReceiver(std::move(fds[0]), std::move(fds[1])));
         return {};
       });
   if (!opened) return tl::unexpected<Failure>(opened.error());
-  return sleeper;
+  return lend(std::move(sleeper));
 }
 
 Result<std::shared_ptr<Sleeper>> Context::idle_sleeper() {
