@@ -10,6 +10,7 @@
 #include <client/dataplane/subscription_core.hpp>
 #include <journal/board_steps.hpp>
 #include <journal/recovery.hpp>
+#include <tests/support/aligned_region.hpp>
 
 #include <gtest/gtest.h>
 
@@ -28,20 +29,9 @@ namespace {
 using M = SharedMemory;
 
 constexpr std::uint64_t extent = abi::page_bytes;
-constexpr std::uint64_t region_bytes = 1 << 18;
 constexpr std::uint64_t generation = 9;
 
-struct alignas(abi::cache_line_bytes) Line {
-  std::byte bytes[abi::cache_line_bytes];
-};
-class Region {
- public:
-  explicit Region(std::uint64_t bytes = region_bytes) : lines_(bytes / sizeof(Line)) {}
-  std::byte* base() { return lines_.front().bytes; }
-
- private:
-  std::vector<Line> lines_;
-};
+using Region = test::AlignedRegion;
 
 /// A window of 1 MiB that exists only as numbers.
 struct NumberWindow {
