@@ -9,7 +9,6 @@
 namespace agnocast::abi {
 
 // --- commit word and order ring: sequence number in the upper 48 bits, slot index in the lower 16
-// -----------------------------
 //
 //   63                                    16 15        0
 //   +---------------------------------------+-----------+
@@ -24,7 +23,6 @@ constexpr std::uint32_t slot_of(std::uint64_t entry) noexcept {
 }
 
 // --- slot id: 0 free, sequence live, retired_mark | sequence retired
-// -----------------------------------------------------------
 inline constexpr std::uint64_t retired_mark = std::uint64_t{1} << 63;
 
 // First sequence number of a publisher generation, so that the spaces of successive publishers in
@@ -35,7 +33,6 @@ constexpr std::uint64_t first_sequence_of(std::uint64_t generation) noexcept {
 }
 
 // --- membership word: generation (never re-used) in the upper 48 bits, flags, state
-// --------------------------------------------
 //
 //   63                                    16 15     8 7      0
 //   +---------------------------------------+--------+--------+
@@ -58,7 +55,6 @@ constexpr MemberState state_of(std::uint64_t member) noexcept {
 }
 
 // --- quality of service word, what both sides of a match evaluate
-// ---------------------------------------------------------------
 //
 //   bits 0-15 depth · bit 16 transient_local · bit 17 reliable · bit 18 keep_all
 struct Qos {
@@ -90,7 +86,6 @@ constexpr std::uint32_t window_of(const Qos& requested) noexcept {
 }
 
 // --- intent.op: what a publisher was doing when it died
-// --------------------------------------------------------------------------
 inline constexpr std::uint64_t intent_idle = 0;
 inline constexpr std::uint64_t intent_publish = 1;
 
