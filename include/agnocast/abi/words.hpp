@@ -25,9 +25,10 @@ constexpr std::uint32_t slot_of(std::uint64_t entry) noexcept {
 // --- slot id: 0 free, sequence live, retired_mark | sequence retired
 inline constexpr std::uint64_t retired_mark = std::uint64_t{1} << 63;
 
-// First sequence number of a publisher generation, so that the spaces of successive publishers in
-// one index do not overlap. 2^15 generations × 2^32 messages each fill the 48 bits; the +1 keeps
-// sequence 0 for "nothing yet".
+// First sequence number of a publisher generation: 2^32 apart, so that the spaces of successive
+// publishers in one index do not overlap unless one publishes more than 2^32 messages (five days at
+// 10 kHz; then only this second line of defence is gone). The highest is 2^47, so 48 bits leave room
+// for 2^47 messages. The +1 keeps sequence 0 for "nothing yet".
 constexpr std::uint64_t first_sequence_of(std::uint64_t generation) noexcept {
   return (generation % 0x7fff + 1) << 32;
 }
