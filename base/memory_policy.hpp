@@ -6,12 +6,13 @@
 // buffers, so the statements it checks are the statements that ship.
 //
 // A policy M provides
-//   M::Region                          a mapped region (copyable)
-//   M::word(region, byte_offset)       something with load, store, fetch_or, fetch_and like
-//   std::atomic<std::uint64_t> M::fence()                         atomic_thread_fence(seq_cst)
-//   M::step(Step)                      true; names the statement that follows (crash point,
-//   mutation point) M::holds(Step, bool)               the bool; names a decision M::slot_capacity,
-//   …                array sizes of private memory;  M::ring_count(), …  geometry of the regions
+//   M::Region                     a mapped region (copyable)
+//   M::word(region, byte_offset)  something with load, store, fetch_or, fetch_and like std::atomic
+//   M::fence()                    atomic_thread_fence(seq_cst)
+//   M::step(Step)                 true; names the statement that follows (crash point, mutant)
+//   M::holds(Step, bool)          the bool; names a decision
+//   M::slot_capacity, …           array sizes of private memory
+//   M::ring_count(), …            geometry of the regions
 #pragma once
 
 #include <agnocast/abi/client_region.hpp>

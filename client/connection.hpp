@@ -133,6 +133,16 @@ class Connection {
   std::deque<std::vector<std::byte>> unsent_;
 };
 
+/// The body of leave and drained: an endpoint of this process.
+inline abi::wire::Reference reference(abi::wire::Kind kind, std::uint32_t topic,
+                                      std::uint64_t index, std::uint64_t generation) noexcept {
+  abi::wire::Reference body{};
+  body.kind = kind;
+  body.topic = topic;
+  body.index = index;
+  body.generation = generation;
+  return body;
+}
 /// Copies a name into a packet. False if it does not fit with its terminator.
 bool write_name(abi::wire::Name& name, std::string_view text) noexcept;
 

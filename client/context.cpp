@@ -4,14 +4,12 @@
 
 #include <agnocast/abi/fingerprint.hpp>
 
-#include <poll.h>
 #include <pthread.h>
 #include <signal.h>
 #include <sys/epoll.h>
 #include <sys/eventfd.h>
 #include <unistd.h>
 
-#include <algorithm>
 #include <cerrno>
 #include <cstdio>
 #include <cstdlib>
@@ -25,11 +23,6 @@ using wire::Kind;
 using wire::Opcode;
 
 namespace {
-
-// Passes over an idle publisher: soon after the last publish, then ever more rarely
-// (docs/protocol.md, who runs a pass).
-constexpr int timer_first_ms = 100;
-constexpr int timer_last_ms = 1000;
 
 std::string socket_path() {
   if (const char* named = std::getenv("AGNOCAST_SOCKET"); named != nullptr && *named != '\0')
@@ -317,7 +310,8 @@ Result<std::shared_ptr<SubscriptionEndpoint>> Context::create_subscription(
                                            region_.base(),
                                            made.extent,
                                            request.qos,
-                                           request.quota, request.message_bytes,
+                                           request.quota,
+                                           request.message_bytes,
                                            request.message_alignment},
             sleeper);
         const std::lock_guard lock(endpoints_);
@@ -328,17 +322,32 @@ Result<std::shared_ptr<SubscriptionEndpoint>> Context::create_subscription(
   return subscription;
 }
 
+// A sleeper goes back to the context, not away: its place in the region and its bells stay the process's, and its sleep word goes on counting.
+std::shared_ptr<Sleeper> Context::lend(std::unique_ptr<Sleeper> sleeper) {
+  return {sleeper.release(), [this](Sleeper* returned) noexcept {
+            const std::lock_guard lock(sleepers_);
+            unused_sleepers_.emplace_back(returned);  // within its capacity
+          }};
+}
+
 Result<std::shared_ptr<Sleeper>> Context::create_sleeper() {
   if (Result<void> connected = connect(); !connected)
     return tl::unexpected<Failure>(connected.error());
   wire::ExecutorRequest request{};
+  std::unique_ptr<Sleeper> sleeper;
   {
-    const std::lock_guard lock(endpoints_);
-    if (next_sleeper_ == abi::executor_count_max)
+    const std::lock_guard lock(sleepers_);
+    unused_sleepers_.reserve(abi::executor_count_max);
+    if (!unused_sleepers_.empty()) {
+      sleeper = std::move(unused_sleepers_.back());
+      unused_sleepers_.pop_back();
+    } else if (next_sleeper_ == abi::executor_count_max) {
       return fail(Errc::limit_reached, "executors of one process");
-    request.executor = next_sleeper_++;
+    } else {
+      request.executor = next_sleeper_++;
+    }
   }
-  std::shared_ptr<Sleeper> sleeper;
+  if (sleeper != nullptr) return lend(std::move(sleeper));
   Result<void> opened =
       connection_->request(Opcode::open_executor, request, [&](Incoming& packet) -> Result<void> {
         if (packet.header().opcode != Opcode::executor_opened ||
@@ -346,12 +355,12 @@ Result<std::shared_ptr<Sleeper>> Context::create_sleeper() {
           return fail(Errc::protocol_violation, "a new executor");
         }
         const auto fds = packet.packet.fds();
-        sleeper = std::make_shared<Sleeper>(region_.base(), request.executor,
+        sleeper = std::make_unique<Sleeper>(region_.base(), request.executor,
                                             DoorbellReceiver(std::move(fds[0]), std::move(fds[1])));
         return {};
       });
   if (!opened) return tl::unexpected<Failure>(opened.error());
-  return sleeper;
+  return lend(std::move(sleeper));
 }
 
 Result<std::shared_ptr<Sleeper>> Context::idle_sleeper() {
@@ -363,20 +372,6 @@ Result<std::shared_ptr<Sleeper>> Context::idle_sleeper() {
   }
   return idle_sleeper_;
 }
-
-namespace {
-
-wire::Reference reference(Kind kind, std::uint32_t topic, std::uint64_t index,
-                          std::uint64_t generation) noexcept {
-  wire::Reference body{};
-  body.kind = kind;
-  body.topic = topic;
-  body.index = index;
-  body.generation = generation;
-  return body;
-}
-
-}  // namespace
 
 void Context::destroy(const std::shared_ptr<PublisherEndpoint>& publisher) noexcept {
   if (!is_connected()) return;
@@ -402,312 +397,6 @@ void Context::destroy(const std::shared_ptr<SubscriptionEndpoint>& subscription)
 
 void Context::release(const Received& received) noexcept {
   if (received.link->release(received.taken.slot)) wake_control();
-}
-
-// --- control thread ---
-
-void Context::serve() noexcept {
-  int timeout = timer_last_ms;
-  bool was_reclaimable = false;
-  for (;;) {
-    try {
-      if (!serve_once(timeout)) break;
-      const auto all = publishers();
-      const bool reclaimable = std::any_of(all.begin(), all.end(), [](const auto& publisher) {
-        return publisher->has_reclaimable();
-      });
-      if (!reclaimable) {
-        timeout = timer_last_ms;
-      } else {
-        timeout = was_reclaimable ? std::min(timeout * 2, timer_last_ms) : timer_first_ms;
-      }
-      was_reclaimable = reclaimable;
-    } catch (const std::bad_alloc&) {
-      // Out of memory in the control thread: nothing is half done that the next round would not do
-      // again.
-      timeout = timer_last_ms;
-    }
-  }
-  connection_ended();
-}
-
-bool Context::serve_once(int timeout_ms) {
-  epoll_event events[4];
-  const int count = ::epoll_wait(epoll_.get(), events, 4, timeout_ms);
-  if (count < 0 && errno != EINTR) return false;
-  for (int i = 0; i < count; ++i) {
-    if (events[i].data.fd == wake_.get()) {
-      std::uint64_t ignored = 0;
-      [[maybe_unused]] const ssize_t got = ::read(wake_.get(), &ignored, sizeof ignored);
-      continue;
-    }
-    for (;;) {
-      Incoming packet;
-      bool unasked = false;
-      const Result<bool> alive = connection_->receive(packet, unasked);
-      if (!alive || !*alive) return false;
-      if (!unasked) break;
-      handle(packet);
-    }
-  }
-  run_errands();
-  connection_->flush();
-  return true;
-}
-
-void Context::connection_ended() noexcept {
-  ended_.store(true, std::memory_order_release);
-  connection_->fail_all();
-  // What is in shared memory goes on without the daemon: publishers still need their passes.
-  for (;;) {
-    pollfd wake{wake_.get(), POLLIN, 0};
-    ::poll(&wake, 1, timer_first_ms);
-    std::uint64_t ignored = 0;
-    [[maybe_unused]] const ssize_t got = ::read(wake_.get(), &ignored, sizeof ignored);
-    try {
-      for (const auto& publisher : publishers()) publisher->run_errands();
-    } catch (const std::bad_alloc&) {  // next time
-    }
-  }
-}
-
-// Passes destroy messages, and destructors are user code: they run without our locks.
-std::vector<std::shared_ptr<PublisherEndpoint>> Context::publishers() const {
-  const std::lock_guard lock(endpoints_);
-  std::vector<std::shared_ptr<PublisherEndpoint>> all;
-  all.reserve(publishers_.size());
-  for (const auto& [key, publisher] : publishers_) all.push_back(publisher);
-  return all;
-}
-
-void Context::handle(Incoming& packet) {
-  switch (packet.header().opcode) {
-    case Opcode::announce:
-      on_announce(packet);
-      break;
-    case Opcode::window_announced:
-      on_window(packet);
-      break;
-    case Opcode::forget:
-      on_forget(packet);
-      break;
-    case Opcode::orphaned:
-      on_orphaned(packet);
-      break;
-    case Opcode::kick:
-      on_kick(packet);
-      break;
-    default:
-      break;  // a newer daemon may say more than we know
-  }
-}
-
-std::shared_ptr<Peer> Context::use(KnownPeer& known) {
-  known.users->fetch_add(1, std::memory_order_relaxed);
-  // The peer itself stays in the table; only the number of its users is shared.
-  return {known.peer.get(), [users = known.users](Peer*) {
-            if (users->fetch_sub(1, std::memory_order_acq_rel) == 1)
-              Context::instance().wake_control();
-          }};
-}
-
-std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
-                                       std::span<UniqueFd> fds, std::size_t& used) {
-  used = 1 + announcement.window_count;
-  if (announcement.window_count > abi::window_count_max || fds.size() < used) return nullptr;
-  const bool own =
-      announcement.client == client_ && announcement.client_generation == client_generation_;
-  KnownPeer& known = peers_[{announcement.client, announcement.client_generation}];
-  if (known.peer == nullptr) {
-    if (own) {
-      known.peer = std::make_unique<Peer>(client_, client_generation_, region_.base());
-    } else {
-      Result<SparseRegion> region =
-          SparseRegion::make(std::move(fds[0]), std::uint64_t{1} << 30, Mapping::Access::read);
-      if (!region || !region->open(0, abi::page_bytes)) {
-        peers_.erase({announcement.client, announcement.client_generation});
-        return nullptr;
-      }
-      known.peer = std::make_unique<Peer>(announcement.client, announcement.client_generation,
-                                          std::move(*region));
-    }
-    known.users = std::make_shared<std::atomic<std::uint64_t>>(0);
-  }
-  for (std::uint32_t i = 0; i < announcement.window_count; ++i) {
-    const auto& window = announcement.window[i];
-    const std::uint64_t arena = reinterpret_cast<std::uint64_t>(arena_.base());
-    const bool inside = window.base >= arena && window.bytes <= arena_.bytes() &&
-                        window.base - arena <= arena_.bytes() - window.bytes;
-    if (!inside) return nullptr;
-    Result<void> added =
-        own ? known.peer->heap().add_own(i, window.base, window.bytes)
-            : known.peer->heap().add(i, window.base, window.bytes, std::move(fds[1 + i]));
-    if (!added) return nullptr;
-  }
-  const std::uint64_t bytes = announcement.kind == Kind::publisher ? abi::publisher_extent_bytes
-                                                                   : abi::subscription_extent_bytes;
-  if (!known.peer->open(announcement.extent, bytes)) return nullptr;
-  return use(known);
-}
-
-void Context::on_announce(Incoming& packet) {
-  wire::Announcement announcement{};
-  if (!packet.read(announcement)) return;
-  std::size_t used = 0;
-  const auto fds = packet.packet.fds();
-  std::shared_ptr<Peer> peer = peer_of(announcement, fds, used);
-  const EndpointKey own{announcement.topic, announcement.own_index};
-  bool linked = false;
-  if (peer != nullptr && announcement.kind == Kind::publisher) {
-    std::shared_ptr<SubscriptionEndpoint> subscription;
-    {
-      const std::lock_guard lock(endpoints_);
-      if (const auto found = subscriptions_.find(own); found != subscriptions_.end())
-        subscription = found->second;
-    }
-    if (subscription != nullptr &&
-        subscription->identity().generation == announcement.own_generation) {
-      linked =
-          subscription
-              ->add_publisher({announcement.index, announcement.generation, announcement.extent,
-                               announcement.first_sequence, abi::unpack_qos(announcement.qos),
-                               announcement.from_start != 0},
-                              std::move(peer))
-              .has_value();
-    }
-  } else if (peer != nullptr && announcement.kind == Kind::subscription &&
-             announcement.doorbell_count >= 1 && announcement.doorbell_count <= 2 &&
-             fds.size() >= used + announcement.doorbell_count) {
-    std::shared_ptr<PublisherEndpoint> publisher;
-    {
-      const std::lock_guard lock(endpoints_);
-      if (const auto found = publishers_.find(own); found != publishers_.end())
-        publisher = found->second;
-    }
-    if (publisher != nullptr && publisher->identity().generation == announcement.own_generation) {
-      const bool both = announcement.doorbell_count == 2;
-      Doorbell bell = both ? Doorbell(std::move(fds[used + 1]), std::move(fds[used]))
-                           : Doorbell(std::move(fds[used]));
-      publisher->attach(
-          {announcement.index, announcement.generation, announcement.extent, announcement.executor},
-          std::move(peer), std::move(bell));
-      linked = true;
-    }
-  }
-  if (!linked)
-    say_unlinked(announcement.kind, announcement.topic, announcement.index,
-                 announcement.generation);
-}
-
-void Context::on_window(Incoming& packet) {
-  wire::WindowAnnounced announced{};
-  if (!packet.read(announced) || packet.packet.descriptor_count != 1) return;
-  const auto found = peers_.find({announced.client, announced.client_generation});
-  if (found == peers_.end())
-    return;  // unmapped meanwhile: the next announcement brings all windows
-  const bool own = announced.client == client_ && announced.client_generation == client_generation_;
-  PeerHeap& heap = found->second.peer->heap();
-  (void)(own ? heap.add_own(announced.window, announced.base, announced.bytes)
-             : heap.add(announced.window, announced.base, announced.bytes,
-                        std::move(packet.packet.fds()[0])));
-  // A taker may have found a message there already and left it.
-  const std::lock_guard lock(endpoints_);
-  for (const auto& [key, subscription] : subscriptions_) subscription->sleeper().wake();
-}
-
-void Context::on_forget(Incoming& packet) {
-  wire::Reference over{};
-  if (!packet.read(over) || over.kind != Kind::subscription) return;
-  for (const auto& publisher : publishers()) {
-    if (publisher->topic_index() == over.topic) publisher->detach(over.index, over.generation);
-  }
-  say_unlinked(Kind::subscription, over.topic, over.index, over.generation);
-}
-
-void Context::on_orphaned(Incoming& packet) {
-  wire::Orphaned gone{};
-  if (!packet.read(gone)) return;
-  const std::lock_guard lock(endpoints_);
-  for (const auto& [key, subscription] : subscriptions_) {
-    if (key.first == gone.topic) subscription->orphan(gone.index, gone.generation);
-  }
-}
-
-void Context::on_kick(Incoming& packet) {
-  wire::Reference whose{};
-  if (!packet.read(whose)) return;
-  for (const auto& publisher : publishers()) {
-    if (publisher->topic_index() == whose.topic && publisher->identity().index == whose.index)
-      publisher->run_errands();
-  }
-}
-
-void Context::say_unlinked(Kind kind, std::uint32_t topic, std::uint64_t index,
-                           std::uint64_t generation) {
-  wire::Unlinked body{};
-  body.kind = kind;
-  body.topic = topic;
-  body.index = index;
-  body.generation = generation;
-  body.seen = connection_->seen();
-  connection_->post(Opcode::unlinked, body);
-}
-
-void Context::run_errands() {
-  for (const auto& publisher : publishers()) {
-    publisher->run_errands();
-    if (!publisher->is_over()) continue;
-    publisher->detach_all();
-    const auto& identity = publisher->identity();
-    {
-      const std::lock_guard lock(endpoints_);
-      publishers_.erase({publisher->topic_index(), identity.index});
-    }
-    connection_->post(Opcode::drained, reference(Kind::publisher, publisher->topic_index(),
-                                                 identity.index, identity.generation));
-  }
-  collect_subscriptions();
-  collect_peers();
-  ask_for_window();
-}
-
-void Context::collect_subscriptions() {
-  const std::lock_guard lock(endpoints_);
-  for (auto it = subscriptions_.begin(); it != subscriptions_.end();) {
-    const std::shared_ptr<SubscriptionEndpoint>& subscription = it->second;
-    for (const auto& link : subscription->collect_unlinked()) {
-      // `unlinked` speaks for the whole process: not while another subscription of ours is linked
-      // to the same publisher.
-      const bool still =
-          std::any_of(subscriptions_.begin(), subscriptions_.end(), [&](const auto& other) {
-            return other.first.first == it->first.first &&
-                   other.second->is_linked_to(link->publisher(), link->generation());
-          });
-      if (!still)
-        say_unlinked(Kind::publisher, it->first.first, link->publisher(), link->generation());
-    }
-    if (subscription->is_empty()) {
-      connection_->post(Opcode::drained,
-                        reference(Kind::subscription, it->first.first, it->first.second,
-                                  subscription->identity().generation));
-      it = subscriptions_.erase(it);
-    } else {
-      ++it;
-    }
-  }
-}
-
-void Context::collect_peers() {
-  for (auto it = peers_.begin(); it != peers_.end();) {
-    if (it->second.users->load(std::memory_order_acquire) != 0) {
-      ++it;
-      continue;
-    }
-    const auto [client, generation] = it->first;
-    it = peers_.erase(it);  // unmapped here, said after
-    if (client != client_ || generation != client_generation_)
-      say_unlinked(Kind::region, 0, client, generation);
-  }
 }
 
 }  // namespace agnocast

@@ -42,7 +42,7 @@ struct EndpointRequest {
   std::string_view node;
   std::uint64_t layout_hash = 0;
   abi::Qos qos;
-  std::uint64_t quota = 0;  // subscriptions: messages held at once, per publisher
+  std::uint64_t quota = 0;          // subscriptions: messages held at once, per publisher
   std::uint64_t message_bytes = 0;  // sizeof the message object; 0 = any
   std::uint64_t message_alignment = 1;
 };
@@ -62,6 +62,7 @@ class Context {
   /// Errors also: type_mismatch, invalid_name, depth_refused.
   [[nodiscard]] Result<std::shared_ptr<SubscriptionEndpoint>> create_subscription(
       const EndpointRequest& request, std::shared_ptr<Sleeper> sleeper);
+  /// At most executor_count_max at a time; one that nobody uses any more is given out again.
   [[nodiscard]] Result<std::shared_ptr<Sleeper>> create_sleeper();
   /// For subscriptions that are only asked: it never arms, so nobody rings it. One for the process.
   [[nodiscard]] Result<std::shared_ptr<Sleeper>> idle_sleeper();
@@ -96,6 +97,7 @@ class Context {
   Result<void> say_hello(const std::string& path);
   Result<void> reserve_arena(std::uint64_t base, std::uint64_t bytes);
   Result<void> open_heap();
+  std::shared_ptr<Sleeper> lend(std::unique_ptr<Sleeper> sleeper);
 
   // control thread
   void serve() noexcept;
@@ -137,7 +139,10 @@ class Context {
   mutable std::mutex endpoints_;
   std::map<EndpointKey, std::shared_ptr<PublisherEndpoint>> publishers_;
   std::map<EndpointKey, std::shared_ptr<SubscriptionEndpoint>> subscriptions_;
+  // Innermost: a sleeper comes back wherever its last user is destroyed, also under `endpoints_`.
+  std::mutex sleepers_;
   std::uint64_t next_sleeper_ = 0;
+  std::vector<std::unique_ptr<Sleeper>> unused_sleepers_;
   std::mutex idle_making_;
   std::shared_ptr<Sleeper> idle_sleeper_;
 

@@ -28,8 +28,9 @@ constinit std::atomic<std::uint64_t> refused_count{0};
 constinit std::atomic<std::uint64_t> internal_error_count{0};
 
 // Private addresses that the allocator takes at its start, measured: 10 MiB at the first mallctl, 6 MiB more at the first
-// block, 2 MiB alignment each time. Under mlockall(MCL_FUTURE) they count against RLIMIT_MEMLOCK.
-constexpr std::size_t metadata_size_bytes = std::size_t{20} << 20;
+// block, 2 MiB alignment each time; with some room to spare. They count against RLIMIT_AS, and under mlockall(MCL_FUTURE) against
+// RLIMIT_MEMLOCK.
+constexpr std::size_t metadata_size_bytes = std::size_t{24} << 20;
 
 // What hand_over() passes on; guarded by there being one caller of attach and add_window.
 constinit std::uintptr_t handed_address = 0;
@@ -111,8 +112,8 @@ struct ArenaName {
 // Tells the allocator that this thread takes from the shared arena; a thread that only frees needs no binding.
 void bind_thread() {
   if (thread_state.bound) [[likely]] return;
-  if (!set("thread.arena", shared_arena)) note_internal_error();
-  thread_state.bound = true;
+  // Not bound (out of memory): this allocation comes from libc, and the next one tries again.
+  thread_state.bound = set("thread.arena", shared_arena);
 }
 
 // A thread that is ending loses its binding when the allocator cleans up after it; destructors of thread data that run later
@@ -151,12 +152,13 @@ class KeepErrno {
   int value_;
 };
 
-// Whether `size` more bytes of private memory may be mapped: PROT_NONE costs nothing and counts as locked all the same.
-bool lock_limit_allows(std::size_t size) {
+// Whether `size` more bytes of private memory may be mapped: PROT_NONE costs nothing and counts as locked, and as addresses (RLIMIT_AS),
+// all the same.
+enum agnocast_heaphook_status room_for(std::size_t size) {
   void* const probe = mmap(nullptr, size, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
-  if (probe == MAP_FAILED) return errno != EAGAIN;
+  if (probe == MAP_FAILED) return errno == EAGAIN ? AGNOCAST_HEAPHOOK_LOCK_LIMIT : AGNOCAST_HEAPHOOK_OS;
   munmap(probe, size);
-  return true;
+  return AGNOCAST_HEAPHOOK_OK;
 }
 
 // What the allocator counts as allocated includes what thread caches keep. Threads that only free are not bound and show up
@@ -297,9 +299,9 @@ enum agnocast_heaphook_status attach(const struct agnocast_heaphook_window& wind
     return AGNOCAST_HEAPHOOK_STATE;
   }
   const LibcOnly inside;
-  if (!lock_limit_allows(metadata_size_bytes)) {
+  if (const auto room = room_for(metadata_size_bytes); room != AGNOCAST_HEAPHOOK_OK) {
     state.store(State::inert, std::memory_order_release);
-    return AGNOCAST_HEAPHOOK_LOCK_LIMIT;
+    return room;
   }
   windows::set_grown(options.grown, options.context);
   if (const auto refused = windows::add(window); refused != AGNOCAST_HEAPHOOK_OK) {

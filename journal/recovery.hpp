@@ -5,18 +5,16 @@
 //
 // The commit is one store (head, P5), so the intent beside head decides every interruption:
 //
-//   label  intent.op   intent.sequence        decision       why it is right
-//   @A     idle        any                    nothing        the last publish had finished, or none
-//   had begun
-//   @B     publishing  head + 1               roll back      not committed: nobody has seen it;
-//   wipe slot and ring entry
-//   @C     publishing  head                   roll forward   committed: nothing to repair, only the
-//   pass after it is missing
-//   @D     publishing  anything else          corrupt        no honest publisher writes it; touch
-//   nothing, count it
-//   @E     unknown     any                    corrupt        likewise
-//   @F     publishing  head + 1, slot >= N    corrupt        likewise: there is no such slot to
-//   wipe
+//   label  intent.op   intent.sequence      decision      why it is right
+//   @A     idle        any                  nothing       the last publish had finished, or none
+//                                                         had begun
+//   @B     publishing  head + 1             roll back     not committed: nobody has seen it; wipe
+//                                                         slot and ring entry
+//   @C     publishing  head                 roll forward  committed: only the pass is missing
+//   @D     publishing  anything else        corrupt       no honest publisher writes it; touch
+//                                                         nothing, count it
+//   @E     unknown     any                  corrupt       likewise
+//   @F     publishing  head + 1, slot >= N  corrupt       likewise: there is no such slot to wipe
 //
 // Whatever the dead process wrote is input: copied once, checked, and after a death still writable
 // by a vfork child of it, so the result (the final head) goes to the board, which only the daemon

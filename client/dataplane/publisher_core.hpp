@@ -10,10 +10,12 @@
 //
 // Three numbers decide everything (h = newest sequence, H = history kept for late joiners, D = a
 // subscription's window):
-//   need  below it nobody may ask for an entry any more        min(h-H+1, min over active s of
-//   max(low_s, h-D_s+1)) past  below it nobody will ever take an entry again        min over active
-//   and leaving s of low_s unk   from it on an unmapped member may have started       min over
-//   unmapped s of since_s
+//   need  below it nobody may ask for an entry any more
+//         min(h-H+1, min over active s of max(low_s, h-D_s+1))
+//   past  below it nobody will ever take an entry again
+//         min over active and leaving s of low_s
+//   unk   from it on an unmapped member may have started
+//         min over unmapped s of since_s
 //
 //            past            need                          h
 //   ---------|---------------|-----------------------------|--->  sequence

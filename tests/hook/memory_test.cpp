@@ -205,6 +205,23 @@ HOOKED_TEST(HookMemory, ATooSmallLockLimitIsNamedAndLeavesNothing) {
   EXPECT_TRUE(is_shared(opaque(malloc(100))));
 }
 
+HOOKED_TEST(HookMemory, TooFewAddressesAreARefusalThatMayBeTriedAgain) {
+  WindowFile file(64 * MiB);
+  rlimit before{};
+  ASSERT_EQ(getrlimit(RLIMIT_AS, &before), 0);
+  const agnocast_heaphook_options options = options_for(AGNOCAST_HEAPHOOK_SCOPE_LOAN);
+  for (const std::size_t room : {4u, 12u, 16u, 20u}) {
+    const rlimit tight{self_status_kib("VmSize") * 1024 + room * MiB, before.rlim_max};
+    ASSERT_EQ(setrlimit(RLIMIT_AS, &tight), 0);
+    EXPECT_EQ(hook().attach(&file.window, &options), AGNOCAST_HEAPHOOK_OS) << room << " MiB of room";
+    EXPECT_EQ(errno, ENOMEM);
+    ASSERT_EQ(setrlimit(RLIMIT_AS, &before), 0);
+  }
+  EXPECT_EQ(hook().attach(&file.window, &options), AGNOCAST_HEAPHOOK_OK) << "may be tried again";
+  Scope scope;
+  EXPECT_TRUE(is_shared(opaque(malloc(100))));
+}
+
 HOOKED_TEST(HookMemory, GrowthIntoTheLockLimitFallsBackToLibc) {
   WindowFile file(1024 * MiB);
   attach(file);

@@ -4,14 +4,16 @@
 // fingerprints of whole states).
 //
 // A scenario S gives
-//   S::State                       everything but memory and threads: private states, messages on
-//   their way, ghosts; plain data S::word_count, S::thread_count runnable(world, thread)        may
-//   this thread take a step now (asked only between two operations)? run(world, thread) performs
-//   the thread's next operation on the machine; its completion changes pc and private state
-//   moves(world, emit)             further moves: emit(kind, thread, argument) for deaths and the
-//   like perform(world, move)           carries one out quiet(world, thread)           per word: 1
-//   when no other living process can change it finished(world)                called where nothing
-//   can move; checks what must hold in the end
+//   S::State                     everything but memory and threads: private states, messages on
+//                                their way, ghosts; plain data
+//   S::word_count, S::thread_count
+//   runnable(world, thread)      may it take a step now (asked only between two operations)?
+//   run(world, thread)           performs its next operation on the machine; the completion of
+//                                the operation changes pc and private state
+//   moves(world, emit)           further moves: emit(thread, argument) for deaths and the like
+//   perform(world, move)         carries one out
+//   quiet(world, thread, words)  per word: 1 when no other living process can change it
+//   finished(world)              called where nothing can move; checks what must hold in the end
 #pragma once
 
 #include <tests/model/machine.hpp>

@@ -11,6 +11,7 @@
 #include <client/dataplane/subscription_core.hpp>
 #include <journal/board_steps.hpp>
 #include <journal/verify.hpp>
+#include <tests/support/aligned_region.hpp>
 
 #include <gtest/gtest.h>
 
@@ -31,23 +32,11 @@ namespace {
 using M = SharedMemory;
 
 constexpr std::uint64_t extent = abi::page_bytes;
-constexpr std::uint64_t region_bytes = 1 << 18;
 constexpr std::uint64_t generation = 3;
 constexpr std::uint64_t payload_words = 24;
 constexpr std::uint64_t poison = 0xdddddddddddddddd;
 
-struct alignas(abi::cache_line_bytes) Line {
-  std::byte bytes[abi::cache_line_bytes];
-};
-/// Zeroed memory with the alignment of a mapping.
-class Region {
- public:
-  explicit Region(std::uint64_t bytes = region_bytes) : lines_(bytes / sizeof(Line)) {}
-  std::byte* base() { return lines_.front().bytes; }
-
- private:
-  std::vector<Line> lines_;
-};
+using Region = test::AlignedRegion;
 
 struct Payload {
   std::uint64_t word[payload_words];

@@ -9,7 +9,6 @@
 namespace agnocast::abi {
 
 // --- commit word and order ring: sequence number in the upper 48 bits, slot index in the lower 16
-// -----------------------------
 //
 //   63                                    16 15        0
 //   +---------------------------------------+-----------+
@@ -24,18 +23,17 @@ constexpr std::uint32_t slot_of(std::uint64_t entry) noexcept {
 }
 
 // --- slot id: 0 free, sequence live, retired_mark | sequence retired
-// -----------------------------------------------------------
 inline constexpr std::uint64_t retired_mark = std::uint64_t{1} << 63;
 
-// First sequence number of a publisher generation, so that the spaces of successive publishers in
-// one index do not overlap. 2^15 generations × 2^32 messages each fill the 48 bits; the +1 keeps
-// sequence 0 for "nothing yet".
+// First sequence number of a publisher generation: 2^32 apart, so that the spaces of successive
+// publishers in one index do not overlap unless one publishes more than 2^32 messages (five days at
+// 10 kHz; then only this second line of defence is gone). The highest is 2^47, so 48 bits leave room
+// for 2^47 messages. The +1 keeps sequence 0 for "nothing yet".
 constexpr std::uint64_t first_sequence_of(std::uint64_t generation) noexcept {
   return (generation % 0x7fff + 1) << 32;
 }
 
 // --- membership word: generation (never re-used) in the upper 48 bits, flags, state
-// --------------------------------------------
 //
 //   63                                    16 15     8 7      0
 //   +---------------------------------------+--------+--------+
@@ -58,7 +56,6 @@ constexpr MemberState state_of(std::uint64_t member) noexcept {
 }
 
 // --- quality of service word, what both sides of a match evaluate
-// ---------------------------------------------------------------
 //
 //   bits 0-15 depth · bit 16 transient_local · bit 17 reliable · bit 18 keep_all
 struct Qos {
@@ -90,7 +87,6 @@ constexpr std::uint32_t window_of(const Qos& requested) noexcept {
 }
 
 // --- intent.op: what a publisher was doing when it died
-// --------------------------------------------------------------------------
 inline constexpr std::uint64_t intent_idle = 0;
 inline constexpr std::uint64_t intent_publish = 1;
 

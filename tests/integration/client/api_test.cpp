@@ -34,7 +34,9 @@ struct PlainNode {
 /// A look-alike of rclcpp::Node: names resolve through an interface of its own, remappings included.
 struct LookAlikeNode : PlainNode {
   struct Topics {
-    std::string resolve_topic_name(const std::string& name) const { return name == "points" ? "/remapped/points" : "/ns/" + name; }
+    std::string resolve_topic_name(const std::string& name) const {
+      return name == "points" ? "/remapped/points" : "/ns/" + name;
+    }
   };
   std::shared_ptr<Topics> get_node_topics_interface() const { return std::make_shared<Topics>(); }
 };
@@ -74,9 +76,12 @@ test::DaemonProcess* Api::daemon = nullptr;
 void fill(Cloud& cloud, std::uint32_t points) {
   cloud.header.frame_id = "a frame whose name does not fit into a string object";
   cloud.fields.resize(3);
-  for (std::size_t i = 0; i < 3; ++i) cloud.fields[i].name = std::string("field ") + "xyz"[i] + " with a long name that is stored elsewhere";
+  for (std::size_t i = 0; i < 3; ++i)
+    cloud.fields[i].name =
+        std::string("field ") + "xyz"[i] + " with a long name that is stored elsewhere";
   cloud.width = points;
-  for (std::uint32_t i = 0; i < points * 4; ++i) cloud.data.push_back(static_cast<std::uint8_t>(i * 7));
+  for (std::uint32_t i = 0; i < points * 4; ++i)
+    cloud.data.push_back(static_cast<std::uint8_t>(i * 7));
 }
 
 TEST_F(Api, ALoanIsTheMessageThatArrives) {
@@ -99,8 +104,11 @@ TEST_F(Api, ALoanIsTheMessageThatArrives) {
   EXPECT_EQ(received->data.data(), payload);
   EXPECT_EQ(*received, copy);
   EXPECT_EQ(received.info().sequence, 1u);
-  const auto now = std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::system_clock::now().time_since_epoch()).count();
-  EXPECT_NEAR(static_cast<double>(received.info().source_timestamp()), static_cast<double>(now), 60e9);
+  const auto now = std::chrono::duration_cast<std::chrono::nanoseconds>(
+                       std::chrono::system_clock::now().time_since_epoch())
+                       .count();
+  EXPECT_NEAR(static_cast<double>(received.info().source_timestamp()), static_cast<double>(now),
+              60e9);
 }
 
 TEST_F(Api, WhatWasBuiltElsewhereIsAdoptedAndSaidSo) {
@@ -140,8 +148,12 @@ TEST_F(Api, CallbacksRunWithoutAnyExecutorAndTakeEitherPointer) {
     list.push_back(width);
     changed.notify_all();
   };
-  auto first = create_subscription<Cloud>(node, "called", QoS(10), [&](const ipc_shared_ptr<const Cloud>& cloud) { note(by_const, cloud->width); });
-  auto second = create_subscription<Cloud>(node, "called", QoS(10), [&](ipc_shared_ptr<Cloud>&& cloud) { note(by_mutable, cloud->width); });
+  auto first = create_subscription<Cloud>(
+      node, "called", QoS(10),
+      [&](const ipc_shared_ptr<const Cloud>& cloud) { note(by_const, cloud->width); });
+  auto second = create_subscription<Cloud>(
+      node, "called", QoS(10),
+      [&](ipc_shared_ptr<Cloud>&& cloud) { note(by_mutable, cloud->width); });
   auto publisher = create_publisher<Cloud>(node, "called", 1);
   for (std::uint32_t width : {1u, 2u, 3u}) {
     auto loan = publisher->borrow_loaned_message();
@@ -149,9 +161,24 @@ TEST_F(Api, CallbacksRunWithoutAnyExecutorAndTakeEitherPointer) {
     ASSERT_TRUE(publisher->publish(std::move(loan)));
   }
   std::unique_lock lock(mutex);
-  EXPECT_TRUE(changed.wait_for(lock, std::chrono::seconds(10), [&] { return by_const.size() == 3 && by_mutable.size() == 3; }));
+  EXPECT_TRUE(changed.wait_for(lock, std::chrono::seconds(10),
+                               [&] { return by_const.size() == 3 && by_mutable.size() == 3; }));
   EXPECT_THAT(by_const, testing::ElementsAre(1, 2, 3));
   EXPECT_THAT(by_mutable, testing::ElementsAre(1, 2, 3));
+}
+
+TEST_F(Api, NodesWithCallbacksComeAndGoWithoutLimit) {
+  struct NumberedNode : PlainNode {
+    std::string name;
+    std::string get_fully_qualified_name() const { return name; }
+  };
+  for (int i = 0; i < 100; ++i) {
+    NumberedNode numbered;
+    numbered.name = "/ns/node" + std::to_string(i);
+    ASSERT_NO_THROW(create_subscription<Cloud>(numbered, "many", QoS(1),
+                                               [](const ipc_shared_ptr<const Cloud>&) {}))
+        << i;
+  }
 }
 
 TEST_F(Api, AHeldMessageOutlivesItsSubscriptionAndItsPublisher) {
@@ -192,15 +219,20 @@ std::string error_of(Function function) {
 }
 
 TEST_F(Api, MistakesAreNamed) {
-  EXPECT_THAT(error_of([&] { create_publisher<Cloud>(node, "/a//b", 1); }), testing::HasSubstr(sentence_of(Errc::invalid_name)));
-  EXPECT_THAT(error_of([&] { create_publisher<Cloud>(node, "/zero", 0); }), testing::HasSubstr("depth of 0"));
-  EXPECT_THAT(error_of([&] { create_publisher<Cloud>(node, "/deep", 100000); }), testing::HasSubstr("above 1000"));
+  EXPECT_THAT(error_of([&] { create_publisher<Cloud>(node, "/a//b", 1); }),
+              testing::HasSubstr(sentence_of(Errc::invalid_name)));
+  EXPECT_THAT(error_of([&] { create_publisher<Cloud>(node, "/zero", 0); }),
+              testing::HasSubstr("depth of 0"));
+  EXPECT_THAT(error_of([&] { create_publisher<Cloud>(node, "/deep", 100000); }),
+              testing::HasSubstr("above 1000"));
   auto publisher = create_publisher<Cloud>(node, "/typed", 1);
-  EXPECT_THAT(error_of([&] { create_subscription<sensor_msgs::msg::PointField>(node, "/typed", QoS(1)); }),
-              testing::HasSubstr(sentence_of(Errc::type_mismatch)));
+  EXPECT_THAT(
+      error_of([&] { create_subscription<sensor_msgs::msg::PointField>(node, "/typed", QoS(1)); }),
+      testing::HasSubstr(sentence_of(Errc::type_mismatch)));
   auto other = create_publisher<Cloud>(node, "/other", 1);
   auto loan = other->borrow_loaned_message();
-  EXPECT_EQ(publisher->publish(std::move(loan)).code, Errc::loan_invalid) << "a loan of another publisher";
+  EXPECT_EQ(publisher->publish(std::move(loan)).code, Errc::loan_invalid)
+      << "a loan of another publisher";
   EXPECT_TRUE(loan) << "the caller still has it";
   EXPECT_TRUE(other->publish(std::move(loan)));
   EXPECT_EQ(other->publish(std::move(loan)).code, Errc::loan_invalid) << "published already";

@@ -10,6 +10,7 @@
 #include <client/dataplane/subscription_core.hpp>
 #include <journal/board_steps.hpp>
 #include <journal/recovery.hpp>
+#include <tests/support/aligned_region.hpp>
 
 #include <gtest/gtest.h>
 
@@ -19,6 +20,7 @@
 #include <random>
 #include <set>
 #include <string>
+#include <tuple>
 #include <vector>
 
 namespace agnocast::dataplane {
@@ -27,20 +29,9 @@ namespace {
 using M = SharedMemory;
 
 constexpr std::uint64_t extent = abi::page_bytes;
-constexpr std::uint64_t region_bytes = 1 << 18;
 constexpr std::uint64_t generation = 9;
 
-struct alignas(abi::cache_line_bytes) Line {
-  std::byte bytes[abi::cache_line_bytes];
-};
-class Region {
- public:
-  explicit Region(std::uint64_t bytes = region_bytes) : lines_(bytes / sizeof(Line)) {}
-  std::byte* base() { return lines_.front().bytes; }
-
- private:
-  std::vector<Line> lines_;
-};
+using Region = test::AlignedRegion;
 
 /// A window of 1 MiB that exists only as numbers.
 struct NumberWindow {
@@ -227,6 +218,79 @@ TEST(Dataplane, AnHonestSubscriptionLosesNothingBesideALyingOne) {
     }
     EXPECT_EQ(honest.lost(), 0u);
     EXPECT_EQ(honest.malformed(), 0u);
+  }
+}
+
+TEST(Dataplane, HoldsEverySlotOfAFullQueueAndSaysWhenThereIsNone) {
+  // Publisher index 7: its link line and its far hold words are not the first ones.
+  constexpr std::uint64_t index = 7;
+  Pair pair;
+  Region wide(std::uint64_t{1} << 20), queue(std::uint64_t{1} << 18);
+  const PublisherWords<M> words{queue.base(), extent};
+  words.head().store(abi::pack_entry(Pair::first(), 0));
+  const abi::Qos offered{1, false, true, false, false};
+  const abi::Qos requested{1000, false, true, false, false};
+  journal::BoardSteps<M>(pair.topic())
+      .add_publisher(index, generation, {offered, 0, extent, abi::slot_count_max, Pair::first()});
+  journal::BoardSteps<M>(pair.topic()).add_subscription(0, 1, {requested, 1, extent, 4096, 0});
+  auto publisher = std::make_unique<PublisherCore<M>>(PublisherCore<M>::Identity{
+      pair.topic(), words, index, generation, Pair::first(), offered, abi::slot_count_max, 0});
+  Freed environment;
+  publisher->attach(0, 1, wide.base(), extent, offsetof(abi::ClientRegionHeader, executor), 0,
+                    environment);
+  LinkCore<M> link({pair.topic(),
+                    words,
+                    {wide.base(), extent, index},
+                    index,
+                    generation,
+                    Pair::first(),
+                    offered,
+                    requested,
+                    16,
+                    16});
+  ASSERT_TRUE(link.link(true));
+  NumberWindow window;
+  std::set<std::uint64_t> held;
+  std::uint64_t number = 0;
+  for (;;) {
+    const std::uint64_t address = window.base + ++number * 16;
+    environment.live.insert(address);
+    if (publisher->publish({address, 16, number}, environment) == PublishOutcome::no_slot) {
+      environment.live.erase(address);
+      break;
+    }
+    const auto taken = link.take(window);
+    ASSERT_TRUE(taken);
+    ASSERT_EQ(taken->address, address);
+    ASSERT_TRUE(held.insert(taken->slot).second) << "a held slot was given out again";
+  }
+  EXPECT_EQ(held.size(), abi::slot_count_max) << "every slot can be held, the far ones too";
+  EXPECT_EQ(environment.live.size(), abi::slot_count_max);
+  for (const std::uint64_t slot : held) link.release(slot);
+  publisher->pass(environment);
+  EXPECT_EQ(publisher->allocated_count(), 0u);
+  EXPECT_TRUE(environment.live.empty());
+}
+
+TEST(Dataplane, RefusesAMessageOfAnotherSizeOrAlignment) {
+  for (const auto& [address, size, is_right] : {std::tuple{0x100010ull, 32ull, true},
+                                                {0x100010ull, 31ull, false},
+                                                {0x100010ull, 0ull, false},
+                                                {0x100014ull, 32ull, false},
+                                                {0x1ffff0ull, 32ull, false},
+                                                {0x200000ull, 0ull, false}}) {
+    Pair pair;
+    journal::BoardSteps<M>(pair.topic()).add_subscription(0, 1, {pair.requested, 1, extent, 8, 0});
+    LinkCore<M> link({pair.topic(), pair.words(), pair.line(0), 0, generation, Pair::first(),
+                      pair.offered, pair.requested, 32, 16});
+    ASSERT_TRUE(link.link(true));
+    auto publisher = std::make_unique<PublisherCore<M>>(PublisherCore<M>::Identity{
+        pair.topic(), pair.words(), 0, generation, Pair::first(), pair.offered, 64, 0});
+    Freed environment;
+    ASSERT_EQ(publisher->publish({address, size, 1}, environment), PublishOutcome::published);
+    NumberWindow window;
+    EXPECT_EQ(link.take(window).has_value(), is_right) << std::hex << address << " + " << size;
+    EXPECT_EQ(link.malformed(), is_right ? 0u : 1u);
   }
 }
 

@@ -1,0 +1,100 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: the examples do what their help says, as separate programs with the preloaded hook, and name what is wrong when something is.
+// Method: run them as a user would, against the real daemon; look at exit status and text.
+
+#include <tests/support/daemon_process.hpp>
+
+#include <gmock/gmock.h>
+#include <sys/wait.h>
+
+#include <array>
+#include <cstdio>
+#include <future>
+#include <string>
+
+namespace agnocast {
+namespace {
+
+using testing::HasSubstr;
+
+struct Outcome {
+  int status;
+  std::string text;  // stdout and stderr
+};
+
+Outcome run(const std::string& command) {
+  std::FILE* const pipe = ::popen(("timeout 60 " + command + " 2>&1").c_str(), "r");
+  Outcome outcome{-1, {}};
+  std::array<char, 4096> buffer;
+  while (pipe != nullptr && std::fgets(buffer.data(), buffer.size(), pipe) != nullptr)
+    outcome.text += buffer.data();
+  const int status = pipe != nullptr ? ::pclose(pipe) : -1;
+  outcome.status = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  return outcome;
+}
+
+std::string example(const std::string& name, const test::DaemonProcess& daemon, bool with_hook) {
+  return "env AGNOCAST_SOCKET=" + daemon.socket_path() +
+         (with_hook ? " LD_PRELOAD=" AGNOCAST_HOOK : "") + " " AGNOCAST_EXAMPLES "/" + name;
+}
+
+TEST(Examples, EveryCloudArrivesIntactAtTwoSubscribers) {
+  test::DaemonProcess daemon({.config = "", .uid = {}, .arguments = {"--log-level", "debug"}});
+  const auto subscribe = [&] {
+    return run(example("cloud_subscriber", daemon, false) + " --count 40 --depth 50");
+  };
+  auto first = std::async(std::launch::async, subscribe);
+  ASSERT_TRUE(daemon.wait_for_log("client=0 pid="));
+  auto second = std::async(std::launch::async, subscribe);
+  ASSERT_TRUE(
+      daemon.wait_for_log("endpoint created kind=subscription topic=/points "
+                          "type=sensor_msgs/msg/PointCloud2 client=1"));
+  const Outcome published = run(example("cloud_publisher", daemon, true) +
+                                " --count 40 --rate 200 --points 20000 --verbose");
+  EXPECT_EQ(published.status, 0) << published.text;
+  EXPECT_THAT(published.text, HasSubstr("published 40: 400000 bytes, 0 adopted"));
+  for (auto* subscriber : {&first, &second}) {
+    const Outcome received = subscriber->get();
+    EXPECT_EQ(received.status, 0) << received.text;
+    EXPECT_THAT(received.text, HasSubstr("40 received, 0 wrong, 0 lost"));
+  }
+}
+
+TEST(Examples, ATalkerIsHeard) {
+  test::DaemonProcess daemon({.config = "", .uid = {}, .arguments = {"--log-level", "debug"}});
+  auto listener = std::async(std::launch::async, [&] {
+    return run(example("listener", daemon, false) + " --count 5 --verbose");
+  });
+  ASSERT_TRUE(daemon.wait_for_log("endpoint created kind=subscription topic=/chatter"));
+  EXPECT_EQ(run(example("talker", daemon, true) + " --count 5 --rate 100").status, 0);
+  const Outcome heard = listener.get();
+  EXPECT_EQ(heard.status, 0) << heard.text;
+  EXPECT_THAT(heard.text, HasSubstr("I heard: 'Hello World: 5'"));
+  EXPECT_THAT(heard.text, HasSubstr("5 received, 0 wrong"));
+}
+
+TEST(Examples, NameWhatIsWrong) {
+  test::DaemonProcess daemon;
+  const Outcome no_hook = run(example("talker", daemon, false) + " --count 1");
+  EXPECT_EQ(no_hook.status, 1);
+  EXPECT_THAT(no_hook.text, HasSubstr("the heap hook is not loaded in this process"));
+  EXPECT_THAT(no_hook.text, HasSubstr("hint: start the process with agnocast-run"));
+  const Outcome no_daemon =
+      run("env AGNOCAST_SOCKET=/nonexistent/socket " AGNOCAST_EXAMPLES "/listener --count 1");
+  EXPECT_EQ(no_daemon.status, 1);
+  EXPECT_THAT(no_daemon.text, HasSubstr("agnocastd does not answer"));
+  const Outcome unknown = run(example("listener", daemon, false) + " --bogus 1");
+  EXPECT_EQ(unknown.status, 2);
+  EXPECT_THAT(unknown.text, HasSubstr("--bogus is unknown"));
+  const Outcome bad_topic = run(example("listener", daemon, false) + " --topic /a//b");
+  EXPECT_EQ(bad_topic.status, 1);
+  EXPECT_THAT(bad_topic.text, HasSubstr("a name is not a ROS 2 name"));
+  const Outcome bad_scan = run(example("cloud_publisher", daemon, true) + " --scan /etc/passwd");
+  EXPECT_EQ(bad_scan.status, 1);
+  EXPECT_THAT(bad_scan.text, HasSubstr("not a scan of 5 float32 per point"));
+  EXPECT_EQ(run(AGNOCAST_EXAMPLES "/talker --help").status, 0);
+}
+
+}  // namespace
+}  // namespace agnocast

@@ -1,0 +1,26 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// AlignedRegion: zeroed private memory with the alignment of a mapping, where a test wants a region without a memfd.
+#pragma once
+
+#include <agnocast/abi/limits.hpp>
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+namespace agnocast::test {
+
+class AlignedRegion {
+ public:
+  explicit AlignedRegion(std::uint64_t bytes = 1 << 18) : lines_(bytes / sizeof(Line)) {}
+  std::byte* base() { return lines_.front().bytes; }
+
+ private:
+  struct alignas(abi::cache_line_bytes) Line {
+    std::byte bytes[abi::cache_line_bytes];
+  };
+  std::vector<Line> lines_;
+};
+
+}  // namespace agnocast::test
