@@ -660,7 +660,7 @@ TEST(DaemonProtocol, UsesNoMemoryForPlacesThatAreOnlyNamed) {
   DaemonProcess daemon;
   Node node(daemon);
   node.publisher("/topic");
-  const std::size_t before = daemon.resident_bytes();
+  const std::size_t before = daemon.shared_bytes();
   for (std::uint32_t topic = 0; topic < abi::topic_count_max; ++topic) {
     node.wire.unlinked(Kind::publisher, topic, topic % abi::publisher_count_max, 1);
     node.wire.unlinked(Kind::subscription, topic, topic % abi::subscription_count_max, 1);
@@ -674,7 +674,7 @@ TEST(DaemonProtocol, UsesNoMemoryForPlacesThatAreOnlyNamed) {
   for (std::uint32_t index = 0; index < abi::subscription_count_max; ++index)
     node.wire.unlinked(Kind::subscription, 0, index, 1);
   node.wire.drain();
-  EXPECT_LT(daemon.resident_bytes(), before + (256 << 10));
+  EXPECT_LT(daemon.shared_bytes(), before + (256 << 10));
 }
 
 // Well-formed requests in any order, of one's own things and of others': whatever somebody claims

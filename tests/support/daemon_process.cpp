@@ -237,6 +237,13 @@ std::size_t DaemonProcess::resident_bytes() const {
   return resident * 4096;
 }
 
+std::size_t DaemonProcess::shared_bytes() const {
+  std::ifstream file("/proc/" + std::to_string(pid_) + "/statm");
+  std::size_t size = 0, resident = 0, shared = 0;
+  file >> size >> resident >> shared;
+  return shared * 4096;
+}
+
 Ended run_daemon(const std::vector<std::string>& arguments, std::optional<uid_t> uid,
                  const std::vector<std::string>& environment) {
   const std::string directory = make_directory();

@@ -59,6 +59,8 @@ class DaemonProcess {
   std::size_t descriptor_count() const;
   /// Resident memory in bytes.
   std::size_t resident_bytes() const;
+  /// Of it, what lies in files and memfds: tables and board, and not what a sanitizer adds.
+  std::size_t shared_bytes() const;
 
  private:
   void begin(const DaemonOptions& options);
