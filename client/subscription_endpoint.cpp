@@ -21,7 +21,7 @@ Result<void> SubscriptionEndpoint::add_publisher(const Publisher& publisher,
                                       self_.qos,
                                       self_.message_bytes,
                                       self_.message_alignment};
-  auto link = std::make_shared<Link>(identity, std::move(peer));
+  auto link = std::make_shared<Link>(identity, std::move(peer), sleeper_, self_.quota);
   if (!link->core_.link(publisher.from_start))
     return fail(Errc::protocol_violation, "an announced publisher is not on the board");
   links_.push_back(std::move(link));
@@ -78,7 +78,7 @@ std::shared_ptr<Link> SubscriptionEndpoint::oldest() const noexcept {
   const std::shared_ptr<Link>* best = nullptr;
   std::uint64_t best_stamp = 0;
   for (const auto& link : links_) {
-    if (link->held_count() >= self_.quota) continue;
+    if (!link->is_ready()) continue;
     const auto stamp = link->core_.next_stamp();
     if (!stamp || (best != nullptr && *stamp >= best_stamp)) continue;
     best = &link;
@@ -115,6 +115,7 @@ std::optional<Received> SubscriptionEndpoint::take() noexcept {
   for (std::size_t round = 0; round <= links_.size(); ++round) {
     const std::shared_ptr<Link> link = oldest();
     if (link == nullptr) return std::nullopt;
+    link->windows_seen_ = link->peer().heap().window_count();
     if (const auto taken = link->core_.take(link->peer().heap())) {
       link->held_.fetch_add(1, std::memory_order_relaxed);
       // The last message of a publisher that is gone: its release is what the control thread waits
@@ -128,8 +129,9 @@ std::optional<Received> SubscriptionEndpoint::take() noexcept {
 
 bool SubscriptionEndpoint::has_news() const noexcept {
   const std::lock_guard lock(mutex_);
-  return !closed_ && std::any_of(links_.begin(), links_.end(),
-                                 [](const auto& link) { return link->core_.has_news(); });
+  return !closed_ && std::any_of(links_.begin(), links_.end(), [](const auto& link) {
+    return link->is_ready() && link->core_.has_news();
+  });
 }
 
 std::uint64_t SubscriptionEndpoint::lost() const noexcept {

@@ -32,8 +32,13 @@ namespace agnocast {
 class Link {
  public:
   using Core = dataplane::LinkCore<SharedMemory>;
-  Link(const Core::Identity& identity, std::shared_ptr<Peer> peer) noexcept
-      : core_(identity), identity_(identity), peer_(std::move(peer)) {}
+  Link(const Core::Identity& identity, std::shared_ptr<Peer> peer, std::shared_ptr<Sleeper> sleeper,
+       std::uint64_t quota) noexcept
+      : core_(identity),
+        identity_(identity),
+        peer_(std::move(peer)),
+        sleeper_(std::move(sleeper)),
+        quota_(quota) {}
 
   std::uint64_t publisher() const noexcept { return identity_.index; }
   std::uint64_t generation() const noexcept { return identity_.generation; }
@@ -45,16 +50,26 @@ class Link {
   /// something to do.
   bool release(std::uint64_t slot) noexcept {
     core_.release(slot);
-    return held_.fetch_sub(1, std::memory_order_acq_rel) == 1 &&
-           closing_.load(std::memory_order_acquire);
+    const std::uint64_t before = held_.fetch_sub(1, std::memory_order_acq_rel);
+    if (before == quota_) sleeper_->wake();  // it may take again: what is unread rings nobody
+    return before == 1 && closing_.load(std::memory_order_acquire);
   }
   std::uint64_t held_count() const noexcept { return held_.load(std::memory_order_acquire); }
 
  private:
   friend class SubscriptionEndpoint;
+  /// May take() get something from it now? False at the quota, and until a missing window is there: asking again would only turn in circles.
+  bool is_ready() const noexcept {
+    return held_count() < quota_ &&
+           (!core_.is_awaiting_window() || peer_->heap().window_count() != windows_seen_);
+  }
+
   Core core_;
   Core::Identity identity_;
   std::shared_ptr<Peer> peer_;
+  std::shared_ptr<Sleeper> sleeper_;
+  std::uint64_t quota_;
+  std::uint64_t windows_seen_ = 0;  // when take() was tried last
   std::atomic<std::uint64_t> held_{0};
   std::atomic<bool> closing_{false};
 };
@@ -76,8 +91,8 @@ class SubscriptionEndpoint {
     std::byte* region;     // this process's client region
     std::uint64_t extent;  // in it
     abi::Qos qos;
-    std::uint64_t quota;  // messages held at once, per publisher
-    std::uint64_t message_bytes = 0;      // sizeof the message object; 0 = any
+    std::uint64_t quota;              // messages held at once, per publisher
+    std::uint64_t message_bytes = 0;  // sizeof the message object; 0 = any
     std::uint64_t message_alignment = 1;
   };
   struct Publisher {

@@ -86,6 +86,7 @@ class LinkCore {
   template <class Windows>
   std::optional<Taken> take(Windows& windows) noexcept {
     const std::uint64_t stored_cursor = cursor_;
+    awaiting_ = 0;
     for (std::uint64_t round = 0; round < 2 * M::ring_count(); ++round) {
       const std::uint64_t head = newest();
       const std::uint64_t newest_sequence = abi::sequence_of(head);
@@ -137,7 +138,10 @@ class LinkCore {
         // In a window that its owner has and this process has not been told of yet: it stays unread
         // until then.
         if constexpr (requires { windows.is_awaited(taken.address, taken.size); }) {
-          if (windows.is_awaited(taken.address, taken.size)) break;
+          if (has_right_shape(taken) && windows.is_awaited(taken.address, taken.size)) {
+            awaiting_ = 1;
+            break;
+          }
         }
         ++malformed_;
         lose(1);
@@ -215,6 +219,8 @@ class LinkCore {
     return orphaned_ != 0 && abi::sequence_of(final_head_) < cursor_;
   }
 
+  /// The last take() left a message because the announcement of its window is missing.
+  bool is_awaiting_window() const noexcept { return awaiting_ != 0; }
   std::uint64_t cursor() const noexcept { return cursor_; }
   std::uint64_t lost() const noexcept { return lost_; }
   std::uint64_t malformed() const noexcept { return malformed_; }
@@ -249,6 +255,7 @@ class LinkCore {
   std::uint64_t lost_ = 0;
   std::uint64_t malformed_ = 0;
   std::uint64_t orphaned_ = 0;
+  std::uint64_t awaiting_ = 0;
   std::uint64_t final_head_ = 0;
 };
 

@@ -14,6 +14,7 @@
 #include <chrono>
 #include <condition_variable>
 #include <cstdlib>
+#include <ctime>
 #include <memory>
 #include <mutex>
 #include <string>
@@ -179,6 +180,40 @@ TEST_F(Api, NodesWithCallbacksComeAndGoWithoutLimit) {
                                                [](const ipc_shared_ptr<const Cloud>&) {}))
         << i;
   }
+}
+
+TEST_F(Api, AtTheHoldQuotaACallbackThreadSleepsAndGoesOnAfterARelease) {
+  std::mutex mutex;
+  std::condition_variable changed;
+  std::vector<ipc_shared_ptr<const Cloud>> held;
+  auto subscription = create_subscription<Cloud>(
+      node, "quota", QoS(10),
+      [&](const ipc_shared_ptr<const Cloud>& cloud) {
+        const std::lock_guard lock(mutex);
+        held.push_back(cloud);
+        changed.notify_all();
+      },
+      SubscriptionOptions().hold_quota(2));
+  auto publisher = create_publisher<Cloud>(node, "quota", 1);
+  for (std::uint32_t width : {1u, 2u, 3u}) {
+    auto loan = publisher->borrow_loaned_message();
+    loan->width = width;
+    ASSERT_TRUE(publisher->publish(std::move(loan)));
+  }
+  std::unique_lock lock(mutex);
+  ASSERT_TRUE(changed.wait_for(lock, std::chrono::seconds(10), [&] { return held.size() == 2; }));
+  // Asleep, not asking in circles: the process uses next to no processor time.
+  const std::clock_t before = std::clock();
+  EXPECT_FALSE(
+      changed.wait_for(lock, std::chrono::milliseconds(500), [&] { return held.size() == 3; }));
+  EXPECT_LT(std::clock() - before, CLOCKS_PER_SEC / 5);
+  ipc_shared_ptr<const Cloud> first = std::move(held.front());
+  held.erase(held.begin());
+  lock.unlock();
+  first.reset();
+  lock.lock();
+  EXPECT_TRUE(changed.wait_for(lock, std::chrono::seconds(10), [&] { return held.size() == 2; }));
+  EXPECT_EQ(held.back()->width, 3u);
 }
 
 TEST_F(Api, AHeldMessageOutlivesItsSubscriptionAndItsPublisher) {
