@@ -1,0 +1,24 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// How topic names resolve: the untyped half of node_like.hpp.
+
+#include <agnocast/node_like.hpp>
+#include <base/names.hpp>
+
+#include <utility>
+
+namespace agnocast::detail {
+
+Result<std::string> expand_topic(const std::string& topic, const std::string& node_name,
+                                 const std::string& node_namespace) {
+  auto expanded = expand_topic_name(topic, node_name, node_namespace);
+  if (!expanded) return fail(Errc::invalid_name, expanded.error().what);
+  return std::move(*expanded);
+}
+
+Result<void> require_topic(const std::string& topic) {
+  if (const auto problem = check_topic_name(topic)) return fail(Errc::invalid_name, problem->what);
+  return {};
+}
+
+}  // namespace agnocast::detail
