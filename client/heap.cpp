@@ -79,7 +79,8 @@ WindowSet windows(void*) noexcept {
   WindowSet set;
   const std::uint64_t count = attached.count.load(std::memory_order_acquire);
   for (std::uint64_t i = 0; i < count; ++i) {
-    (void)set.add(attached.base[i], attached.base[i] + attached.hook->frontier(static_cast<std::uint32_t>(i)));
+    (void)set.add(attached.base[i],
+                  attached.base[i] + attached.hook->frontier(static_cast<std::uint32_t>(i)));
   }
   return set;
 }
@@ -98,7 +99,7 @@ Result<Heap> Heap::find() noexcept {
 }
 
 Result<void> Heap::attach(std::byte* client_region, std::uint64_t base, std::uint64_t length,
-                          int write_fd, int read_fd, Scope scope,
+                          int write_fd, int read_fd, HeapScope scope,
                           void (*grown)() noexcept) noexcept {
   attached.client_region = client_region;
   attached.grown = grown;
@@ -108,8 +109,8 @@ Result<void> Heap::attach(std::byte* client_region, std::uint64_t base, std::uin
       reinterpret_cast<void*>(base),     length, write_fd, read_fd,
       AGNOCAST_HEAPHOOK_WINDOW_RESERVED, 0};
   const agnocast_heaphook_options options{
-      static_cast<std::uint32_t>(scope == Scope::all ? AGNOCAST_HEAPHOOK_SCOPE_ALL
-                                                     : AGNOCAST_HEAPHOOK_SCOPE_LOAN),
+      static_cast<std::uint32_t>(scope == HeapScope::all ? AGNOCAST_HEAPHOOK_SCOPE_ALL
+                                                         : AGNOCAST_HEAPHOOK_SCOPE_LOAN),
       0, store_grown, &attached};
   if (Result<void> opened = result_of(hook_->attach(&window, &options)); !opened) return opened;
   attached.base[0] = base;

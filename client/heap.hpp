@@ -5,6 +5,7 @@
 #pragma once
 
 #include <agnocast/abi/heaphook.h>
+#include <agnocast/heap.hpp>
 #include <agnocast/residency.hpp>
 #include <agnocast/result.hpp>
 
@@ -15,8 +16,6 @@ namespace agnocast {
 
 class Heap {
  public:
-  enum class Scope : std::uint8_t { loan, all };
-
   /// Looks for the hook. Errors: hook_missing (none in this process, or one of another version).
   [[nodiscard]] static Result<Heap> find() noexcept;
 
@@ -24,8 +23,8 @@ class Heap {
   /// without locks of ours, must not allocate. Errors: hook_missing, hook_ineffective (malloc or
   /// new are not the hook's: somebody else replaced them), arena_occupied, lock_limit, os_failure.
   [[nodiscard]] Result<void> attach(std::byte* client_region, std::uint64_t base,
-                                    std::uint64_t length, int write_fd, int read_fd, Scope scope,
-                                    void (*grown)() noexcept) noexcept;
+                                    std::uint64_t length, int write_fd, int read_fd,
+                                    HeapScope scope, void (*grown)() noexcept) noexcept;
   /// The next window.
   [[nodiscard]] Result<void> add_window(std::byte* client_region, std::uint64_t window,
                                         std::uint64_t base, std::uint64_t length, int write_fd,

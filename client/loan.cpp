@@ -2,12 +2,21 @@
 //
 // Loan scopes: how a thread allocates from the shared heap from borrow to publish.
 
+#include <agnocast/heap.hpp>
 #include <agnocast/publisher.hpp>
 #include <client/context.hpp>
 
 #include <atomic>
 #include <new>
 #include <utility>
+
+namespace agnocast {
+
+Result<void> set_heap_scope(HeapScope scope) noexcept {
+  return Context::instance().set_heap_scope(scope);
+}
+
+}  // namespace agnocast
 
 namespace agnocast::detail {
 
