@@ -78,6 +78,10 @@ class Context {
 
   /// Before the heap is open. Errors: invalid_argument.
   [[nodiscard]] Result<void> set_heap_scope(HeapScope scope) noexcept;
+  /// Null until the first publisher; then stays.
+  const Heap* heap() const noexcept {
+    return heap_is_open_.load(std::memory_order_acquire) ? &*heap_ : nullptr;
+  }
   /// How publish adopts foreign memory. Only after a publisher was created.
   SharedHeap shared_heap() const noexcept { return heap_->shared_heap(); }
   /// False in a forked child, and before the first endpoint.

@@ -67,12 +67,17 @@ bool lies_in_heap(const agnocast_heaphook_table& hook, Pointer block) noexcept {
   return block != nullptr && hook.owns(block) != 0;
 }
 
-std::uint64_t enter(void*) noexcept {
+// LoanPauses of the calling thread. Adoption lifts them: publish works during a pause as well.
+thread_local std::uint64_t pause_count = 0;
+
+std::uint64_t begin_adoption(void*) noexcept {
+  for (std::uint64_t i = 0; i < pause_count; ++i) attached.hook->resume();
   attached.hook->enter();
   return attached.hook->spilled();
 }
-std::uint64_t leave(void*) noexcept {
+std::uint64_t end_adoption(void*) noexcept {
   attached.hook->leave();
+  for (std::uint64_t i = 0; i < pause_count; ++i) attached.hook->pause();
   return attached.hook->spilled();
 }
 WindowSet windows(void*) noexcept {
@@ -155,6 +160,18 @@ std::uint64_t Heap::used_bytes() const noexcept {
   return usage.used_bytes;
 }
 
-SharedHeap Heap::shared_heap() const noexcept { return {nullptr, enter, leave, windows}; }
+void Heap::pause() const noexcept {
+  ++pause_count;
+  hook_->pause();
+}
+
+void Heap::resume() const noexcept {
+  hook_->resume();
+  --pause_count;
+}
+
+SharedHeap Heap::shared_heap() const noexcept {
+  return {nullptr, begin_adoption, end_adoption, windows};
+}
 
 }  // namespace agnocast

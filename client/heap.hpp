@@ -33,6 +33,12 @@ class Heap {
   bool wants_window() const noexcept;
   std::uint64_t used_bytes() const noexcept;
 
+  /// The calling thread's scopes, and its pauses, which win over scopes; both nest.
+  void enter() const noexcept { hook_->enter(); }
+  void leave() const noexcept { hook_->leave(); }
+  void pause() const noexcept;
+  void resume() const noexcept;
+
   /// What make_resident needs: scopes and windows of this heap.
   SharedHeap shared_heap() const noexcept;
   const agnocast_heaphook_table& hook() const noexcept { return *hook_; }
