@@ -40,6 +40,16 @@ std::uint64_t domain_id() noexcept {
   return text != nullptr ? std::strtoull(text, nullptr, 10) : 0;
 }
 
+/// The environment may come from whoever starts a setuid program; such a program does not listen.
+Result<HeapScope> scope_from_environment(HeapScope otherwise) noexcept {
+  const char* const text = ::secure_getenv("AGNOCAST_SCOPE");
+  if (text == nullptr || *text == '\0') return otherwise;
+  const std::string_view word = text;
+  if (word == "loan") return HeapScope::loan;
+  if (word == "all") return HeapScope::all;
+  return fail(Errc::invalid_argument, "AGNOCAST_SCOPE must be loan or all");
+}
+
 std::string process_name() {
   char name[16] = "";
   ::pthread_getname_np(::pthread_self(), name, sizeof name);
@@ -182,12 +192,21 @@ void Context::wake_control() noexcept {
 
 // --- creating and destroying ---
 
+Result<void> Context::set_heap_scope(HeapScope scope) noexcept {
+  const std::lock_guard lock(connecting_);
+  if (heap_is_open_.load(std::memory_order_relaxed) && scope != scope_)
+    return fail(Errc::invalid_argument, "the scope of a heap that is open stays as it is");
+  scope_ = scope;
+  return {};
+}
+
 Result<void> Context::open_heap() {
   const std::lock_guard lock(connecting_);
   if (heap_is_open_.load(std::memory_order_relaxed)) return {};
   Result<Heap> found = Heap::find();
   if (!found) return tl::unexpected<Failure>(found.error());
-  Result<void> attached;
+  const Result<HeapScope> scope = scope_from_environment(scope_);
+  if (!scope) return tl::unexpected<Failure>(scope.error());
   wire::WindowRequest request{};
   request.window = 0;
   Result<void> opened =
@@ -197,11 +216,11 @@ Result<void> Context::open_heap() {
           return fail(Errc::protocol_violation, "a heap window");
         const auto fds = packet.packet.fds();
         return found->attach(region_.base(), window.base, window.bytes, fds[0].get(), fds[1].get(),
-                             Heap::Scope::loan,
-                             []() noexcept { Context::instance().wake_control(); });
+                             *scope, []() noexcept { Context::instance().wake_control(); });
       });
   if (!opened) return opened;
   heap_ = *found;
+  scope_ = *scope;
   heap_is_open_.store(true, std::memory_order_release);
   return {};
 }

@@ -76,6 +76,12 @@ class Context {
   /// it. Any thread.
   void release(const Received& received) noexcept;
 
+  /// Before the heap is open. Errors: invalid_argument.
+  [[nodiscard]] Result<void> set_heap_scope(HeapScope scope) noexcept;
+  /// Null until the first publisher; then stays.
+  const Heap* heap() const noexcept {
+    return heap_is_open_.load(std::memory_order_acquire) ? &*heap_ : nullptr;
+  }
   /// How publish adopts foreign memory. Only after a publisher was created.
   SharedHeap shared_heap() const noexcept { return heap_->shared_heap(); }
   /// False in a forked child, and before the first endpoint.
@@ -127,6 +133,7 @@ class Context {
   Mapping board_, arena_;
   SparseRegion region_;
   std::uint64_t client_ = 0, client_generation_ = 0;
+  HeapScope scope_ = HeapScope::loan;
   std::optional<Heap> heap_;
   std::atomic<bool> heap_is_open_{false};
   std::uint64_t window_count_ = 1;  // control thread only, as the next

@@ -67,19 +67,25 @@ bool lies_in_heap(const agnocast_heaphook_table& hook, Pointer block) noexcept {
   return block != nullptr && hook.owns(block) != 0;
 }
 
-std::uint64_t enter(void*) noexcept {
+// LoanPauses of the calling thread. Adoption lifts them: publish works during a pause as well.
+thread_local std::uint64_t pause_count = 0;
+
+std::uint64_t begin_adoption(void*) noexcept {
+  for (std::uint64_t i = 0; i < pause_count; ++i) attached.hook->resume();
   attached.hook->enter();
   return attached.hook->spilled();
 }
-std::uint64_t leave(void*) noexcept {
+std::uint64_t end_adoption(void*) noexcept {
   attached.hook->leave();
+  for (std::uint64_t i = 0; i < pause_count; ++i) attached.hook->pause();
   return attached.hook->spilled();
 }
 WindowSet windows(void*) noexcept {
   WindowSet set;
   const std::uint64_t count = attached.count.load(std::memory_order_acquire);
   for (std::uint64_t i = 0; i < count; ++i) {
-    (void)set.add(attached.base[i], attached.base[i] + attached.hook->frontier(static_cast<std::uint32_t>(i)));
+    (void)set.add(attached.base[i],
+                  attached.base[i] + attached.hook->frontier(static_cast<std::uint32_t>(i)));
   }
   return set;
 }
@@ -98,7 +104,7 @@ Result<Heap> Heap::find() noexcept {
 }
 
 Result<void> Heap::attach(std::byte* client_region, std::uint64_t base, std::uint64_t length,
-                          int write_fd, int read_fd, Scope scope,
+                          int write_fd, int read_fd, HeapScope scope,
                           void (*grown)() noexcept) noexcept {
   attached.client_region = client_region;
   attached.grown = grown;
@@ -108,8 +114,8 @@ Result<void> Heap::attach(std::byte* client_region, std::uint64_t base, std::uin
       reinterpret_cast<void*>(base),     length, write_fd, read_fd,
       AGNOCAST_HEAPHOOK_WINDOW_RESERVED, 0};
   const agnocast_heaphook_options options{
-      static_cast<std::uint32_t>(scope == Scope::all ? AGNOCAST_HEAPHOOK_SCOPE_ALL
-                                                     : AGNOCAST_HEAPHOOK_SCOPE_LOAN),
+      static_cast<std::uint32_t>(scope == HeapScope::all ? AGNOCAST_HEAPHOOK_SCOPE_ALL
+                                                         : AGNOCAST_HEAPHOOK_SCOPE_LOAN),
       0, store_grown, &attached};
   if (Result<void> opened = result_of(hook_->attach(&window, &options)); !opened) return opened;
   attached.base[0] = base;
@@ -154,6 +160,18 @@ std::uint64_t Heap::used_bytes() const noexcept {
   return usage.used_bytes;
 }
 
-SharedHeap Heap::shared_heap() const noexcept { return {nullptr, enter, leave, windows}; }
+void Heap::pause() const noexcept {
+  ++pause_count;
+  hook_->pause();
+}
+
+void Heap::resume() const noexcept {
+  hook_->resume();
+  --pause_count;
+}
+
+SharedHeap Heap::shared_heap() const noexcept {
+  return {nullptr, begin_adoption, end_adoption, windows};
+}
 
 }  // namespace agnocast

@@ -5,6 +5,7 @@
 #pragma once
 
 #include <agnocast/abi/heaphook.h>
+#include <agnocast/heap.hpp>
 #include <agnocast/residency.hpp>
 #include <agnocast/result.hpp>
 
@@ -15,8 +16,6 @@ namespace agnocast {
 
 class Heap {
  public:
-  enum class Scope : std::uint8_t { loan, all };
-
   /// Looks for the hook. Errors: hook_missing (none in this process, or one of another version).
   [[nodiscard]] static Result<Heap> find() noexcept;
 
@@ -24,8 +23,8 @@ class Heap {
   /// without locks of ours, must not allocate. Errors: hook_missing, hook_ineffective (malloc or
   /// new are not the hook's: somebody else replaced them), arena_occupied, lock_limit, os_failure.
   [[nodiscard]] Result<void> attach(std::byte* client_region, std::uint64_t base,
-                                    std::uint64_t length, int write_fd, int read_fd, Scope scope,
-                                    void (*grown)() noexcept) noexcept;
+                                    std::uint64_t length, int write_fd, int read_fd,
+                                    HeapScope scope, void (*grown)() noexcept) noexcept;
   /// The next window.
   [[nodiscard]] Result<void> add_window(std::byte* client_region, std::uint64_t window,
                                         std::uint64_t base, std::uint64_t length, int write_fd,
@@ -33,6 +32,12 @@ class Heap {
   /// True when the newest window is used to three quarters, or a request did not fit.
   bool wants_window() const noexcept;
   std::uint64_t used_bytes() const noexcept;
+
+  /// The calling thread's scopes, and its pauses, which win over scopes; both nest.
+  void enter() const noexcept { hook_->enter(); }
+  void leave() const noexcept { hook_->leave(); }
+  void pause() const noexcept;
+  void resume() const noexcept;
 
   /// What make_resident needs: scopes and windows of this heap.
   SharedHeap shared_heap() const noexcept;

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Loan scopes: how a thread allocates from the shared heap from borrow to publish.
+// Scopes of the shared heap: which allocations of a thread are shared, from borrow to publish and
+// where a program says so itself.
 
+#include <agnocast/heap.hpp>
 #include <agnocast/publisher.hpp>
 #include <client/context.hpp>
 
@@ -9,19 +11,38 @@
 #include <new>
 #include <utility>
 
-namespace agnocast::detail {
+namespace agnocast {
+
+Result<void> set_heap_scope(HeapScope scope) noexcept {
+  return Context::instance().set_heap_scope(scope);
+}
+
+bool LoanScope::open() noexcept {
+  Context::instance().heap()->enter();  // there is a loan, so there is a heap
+  return true;
+}
+void LoanScope::close() noexcept { Context::instance().heap()->leave(); }
+
+bool LoanPause::begin() noexcept {
+  const Heap* const heap = Context::instance().heap();
+  if (heap == nullptr) return false;
+  heap->pause();
+  return true;
+}
+void LoanPause::end() noexcept { Context::instance().heap()->resume(); }
+
+namespace detail {
 
 /// One per thread that ever borrowed; outlives the thread as long as one of its loans does.
-struct LoanScope::Home {
+struct BorrowScope::Home {
   std::atomic<std::uint64_t> owed{0};   // leaves that other threads could not do for it
   std::atomic<std::uint64_t> users{1};  // the thread, and its open loans
 
   void let_go() noexcept {
     if (users.fetch_sub(1, std::memory_order_acq_rel) == 1) delete this;
   }
-  void pay(const SharedHeap& heap) noexcept {
-    for (std::uint64_t n = owed.exchange(0, std::memory_order_acquire); n > 0; --n)
-      heap.leave(heap.context);
+  void pay(const Heap& heap) noexcept {
+    for (std::uint64_t n = owed.exchange(0, std::memory_order_acquire); n > 0; --n) heap.leave();
   }
 };
 
@@ -37,30 +58,30 @@ struct ThreadHome {
 
 }  // namespace
 
-void LoanScope::open() noexcept {
+void BorrowScope::open() noexcept {
   static thread_local ThreadHome<Home> mine;
   if (mine.home == nullptr) mine.home = new (std::nothrow) Home;
   if (mine.home == nullptr)
     return;  // no memory: the loan is built on the ordinary heap and adopted at publish
   current() = mine.home;
-  const SharedHeap heap = Context::instance().shared_heap();
+  const Heap& heap = *Context::instance().heap();
   mine.home->pay(heap);
   mine.home->users.fetch_add(1, std::memory_order_relaxed);
   home_ = mine.home;
-  heap.enter(heap.context);
+  heap.enter();
 }
 
-LoanScope::Home*& LoanScope::current() noexcept {
+BorrowScope::Home*& BorrowScope::current() noexcept {
   static thread_local Home* home = nullptr;
   return home;
 }
 
-void LoanScope::close() noexcept {
+void BorrowScope::close() noexcept {
   Home* const home = std::exchange(home_, nullptr);
   if (home == nullptr) return;
   if (current() == home) {
-    const SharedHeap heap = Context::instance().shared_heap();
-    heap.leave(heap.context);
+    const Heap& heap = *Context::instance().heap();
+    heap.leave();
     home->pay(heap);
   } else {
     home->owed.fetch_add(1, std::memory_order_release);
@@ -68,4 +89,5 @@ void LoanScope::close() noexcept {
   home->let_go();
 }
 
-}  // namespace agnocast::detail
+}  // namespace detail
+}  // namespace agnocast

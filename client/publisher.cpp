@@ -6,6 +6,9 @@
 #include <client/context.hpp>
 #include <client/qos_words.hpp>
 
+#include <algorithm>
+#include <chrono>
+#include <thread>
 #include <utility>
 
 namespace agnocast::detail {
@@ -45,6 +48,14 @@ Errc UntypedPublisher::publish(void* message, std::size_t bytes) noexcept {
 SharedHeap UntypedPublisher::heap() const noexcept { return Context::instance().shared_heap(); }
 std::size_t UntypedPublisher::subscription_count() const noexcept {
   return endpoint_->subscription_count();
+}
+
+bool Patience::wait() noexcept {
+  const auto left = end_ - std::chrono::steady_clock::now();
+  if (left <= left.zero()) return false;
+  std::this_thread::sleep_for(std::min<std::chrono::steady_clock::duration>(left, step_));
+  step_ = std::min(step_ * 2, std::chrono::microseconds(1000));
+  return true;
 }
 
 }  // namespace agnocast::detail

@@ -4,6 +4,7 @@
 #pragma once
 
 #include <agnocast/error.hpp>
+#include <agnocast/heap.hpp>
 #include <agnocast/ipc_shared_ptr.hpp>
 #include <agnocast/message_traits.hpp>
 #include <agnocast/publisher.hpp>

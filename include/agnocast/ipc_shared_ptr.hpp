@@ -31,7 +31,7 @@ namespace detail {
 /// One message in this process's hands. Made and ended by the library.
 struct Block {
   std::atomic<std::uint64_t> users{1};
-  void* message = nullptr;                       // null: published or given back
+  std::atomic<void*> message{nullptr};           // null: published or given back
   void (*end)(Block* block) noexcept = nullptr;  // the last copy is gone; deletes the block
   const void* origin = nullptr;                  // the publisher that lent it; null: received
   MessageInfo info;
@@ -51,13 +51,11 @@ class ipc_shared_ptr {
   ipc_shared_ptr(const ipc_shared_ptr& other) noexcept : ipc_shared_ptr(other.block_) { share(); }
   ipc_shared_ptr(ipc_shared_ptr&& other) noexcept : block_(std::exchange(other.block_, nullptr)) {}
   /// ipc_shared_ptr<T> to ipc_shared_ptr<const T>.
-  template <class U,
-            class = std::enable_if_t<std::is_convertible_v<U*, T*> && !std::is_same_v<U, T>>>
+  template <class U, class = std::enable_if_t<std::is_same_v<const U, T> && !std::is_same_v<U, T>>>
   ipc_shared_ptr(const ipc_shared_ptr<U>& other) noexcept : ipc_shared_ptr(other.block_) {
     share();
   }
-  template <class U,
-            class = std::enable_if_t<std::is_convertible_v<U*, T*> && !std::is_same_v<U, T>>>
+  template <class U, class = std::enable_if_t<std::is_same_v<const U, T> && !std::is_same_v<U, T>>>
   ipc_shared_ptr(ipc_shared_ptr<U>&& other) noexcept
       : block_(std::exchange(other.block_, nullptr)) {}
   ipc_shared_ptr& operator=(ipc_shared_ptr other) noexcept {
@@ -72,7 +70,10 @@ class ipc_shared_ptr {
       block->end(block);
   }
   /// Null if empty, published or moved from.
-  T* get() const noexcept { return block_ != nullptr ? static_cast<T*>(block_->message) : nullptr; }
+  T* get() const noexcept {
+    if (block_ == nullptr) return nullptr;
+    return static_cast<T*>(block_->message.load(std::memory_order_acquire));
+  }
   T& operator*() const noexcept { return *get(); }
   T* operator->() const noexcept { return get(); }
   explicit operator bool() const noexcept { return get() != nullptr; }

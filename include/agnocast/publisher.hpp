@@ -12,9 +12,12 @@
 #include <agnocast/residency.hpp>
 #include <agnocast/result.hpp>
 
+#include <chrono>
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <type_traits>
 #include <utility>
 
 namespace agnocast {
@@ -24,8 +27,8 @@ class PublisherEndpoint;
 /// What publish did. Converts to true when the message was committed; then it is the queue's.
 /// Otherwise the caller still has it.
 struct PublishResult {
-  Errc code =
-      Errc::ok;  ///< ok, no_slot, would_block, heap_exhausted, loan_invalid, user_code_threw
+  Errc code = Errc::ok;  ///< ok, no_slot, would_block, heap_exhausted, loan_invalid,
+                         ///< user_code_threw, shut_down (in a forked child)
   std::uint64_t adopted_bytes =
       0;  ///< bytes outside the shared heap that had to be copied in; 0 = true zero-copy
   explicit operator bool() const noexcept { return code == Errc::ok; }
@@ -36,12 +39,12 @@ namespace detail {
 /// Keeps one thread's allocations in the shared heap from borrow to publish. May be closed by
 /// another thread: then the first one is told, and goes back to its ordinary heap at its next
 /// borrow or publish.
-class AGNOCAST_PUBLIC LoanScope {
+class AGNOCAST_PUBLIC BorrowScope {
  public:
-  LoanScope() noexcept = default;
-  LoanScope(const LoanScope&) = delete;
-  LoanScope& operator=(const LoanScope&) = delete;
-  ~LoanScope() { close(); }
+  BorrowScope() noexcept = default;
+  BorrowScope(const BorrowScope&) = delete;
+  BorrowScope& operator=(const BorrowScope&) = delete;
+  ~BorrowScope() { close(); }
   void open() noexcept;
   void close() noexcept;
 
@@ -49,6 +52,26 @@ class AGNOCAST_PUBLIC LoanScope {
   struct Home;
   static Home*& current() noexcept;  // of the calling thread
   Home* home_ = nullptr;
+};
+
+/// Sleeps between attempts, ever longer up to a millisecond, until the time is up.
+class Patience {
+ public:
+  template <class Rep, class Period>
+  explicit Patience(std::chrono::duration<Rep, Period> timeout) noexcept {
+    // A year is for ever, and an end that can be computed.
+    constexpr auto for_ever = std::chrono::hours(24 * 365);
+    end_ = std::chrono::steady_clock::now() +
+           (timeout < for_ever
+                ? std::chrono::duration_cast<std::chrono::steady_clock::duration>(timeout)
+                : std::chrono::steady_clock::duration(for_ever));
+  }
+  /// False when the time is up; then it did not sleep.
+  AGNOCAST_PUBLIC bool wait() noexcept;
+
+ private:
+  std::chrono::steady_clock::time_point end_;
+  std::chrono::microseconds step_{10};
 };
 
 class AGNOCAST_PUBLIC UntypedPublisher {
@@ -86,8 +109,9 @@ class Publisher {
       : untyped_(std::move(untyped)) {}
 
   /// A message to fill. From here to publish (or its destruction) this thread allocates from the
-  /// shared heap; many loans at once are fine. If the heap is full the memory comes from libc and
-  /// publish says heap_exhausted. Throws what T's constructor throws, and std::bad_alloc.
+  /// shared heap; many loans at once are fine, and LoanScope takes one to other threads. If the heap
+  /// is full the memory comes from libc and publish says heap_exhausted. Throws what T's constructor
+  /// throws, and std::bad_alloc.
   ipc_shared_ptr<T> borrow_loaned_message() {
     auto loan = std::make_unique<Loan>();
     loan->origin = untyped_.get();
@@ -97,19 +121,33 @@ class Publisher {
     return ipc_shared_ptr<T>(loan.release());
   }
 
-  /// Commits a loan of this publisher; every copy of the handle becomes empty. On failure `message`
-  /// is as before.
+  /// Sets a loan aside that will be filled later: from now on the thread that borrowed it allocates
+  /// as if it had not; LoanScope(loan) goes on. The thing to do before another thread gets it to
+  /// publish: that thread cannot end this one's scope, which then lasts to its next borrow. False if it is no loan of this publisher. Any thread,
+  /// but not while another publishes the same loan.
+  bool pause(const ipc_shared_ptr<T>& message) noexcept {
+    Loan* const loan = loan_of(message);
+    if (loan == nullptr || loan->message == nullptr) return false;
+    loan->scope.close();
+    return true;
+  }
+
+  /// Commits a loan of this publisher; every copy of the handle becomes empty, in other threads too.
+  /// Who published through one copy has published for all: publishing another copy, also at the same
+  /// time, is loan_invalid. A thread that still writes to the message then writes to what
+  /// subscriptions read. On failure `message` is as before, though an adopted message has moved.
   PublishResult publish(ipc_shared_ptr<T>&& message) noexcept {
-    auto* const loan = static_cast<Loan*>(message.block());
-    if (loan == nullptr || loan->message == nullptr || loan->origin != untyped_.get())
-      return {Errc::loan_invalid, 0};
-    std::unique_ptr<T> object(static_cast<T*>(std::exchange(loan->message, nullptr)));
+    Loan* const loan = loan_of(message);
+    if (loan == nullptr) return {Errc::loan_invalid, 0};
+    std::unique_ptr<T> object(
+        static_cast<T*>(loan->message.exchange(nullptr, std::memory_order_acq_rel)));
+    if (object == nullptr) return {Errc::loan_invalid, 0};
     const PublishResult result = publish(std::move(object));
     if (result) {
       loan->scope.close();
       message.reset();
     } else {
-      loan->message = object.release();
+      loan->message.store(object.release(), std::memory_order_release);
     }
     return result;
   }
@@ -126,7 +164,24 @@ class Publisher {
     return {code, *adopted};
   }
 
-  /// The same, for callers that must look at the result.
+  /// publish for keep-all: while a subscription has not read enough (would_block), waits for it, at
+  /// most `timeout`; one attempt at least. Nobody rings a publisher, so this asks again and again: 10
+  /// µs after the first refusal, then ever more rarely, every millisecond in the end. So a wait of
+  /// long standing costs a thousand short looks a second, and ends up to a millisecond late.
+  template <class Message, class Rep, class Period>
+  PublishResult publish_for(Message&& message,
+                            std::chrono::duration<Rep, Period> timeout) noexcept {
+    static_assert(!std::is_lvalue_reference_v<Message>, "publish_for(std::move(message), timeout)");
+    detail::Patience patience(timeout);
+    std::uint64_t adopted_bytes = 0;
+    for (;;) {
+      PublishResult result = publish(std::move(message));
+      result.adopted_bytes = adopted_bytes += result.adopted_bytes;
+      if (result.code != Errc::would_block || !patience.wait()) return result;
+    }
+  }
+
+  /// The same as publish, for callers that must look at the result.
   [[nodiscard]] PublishResult try_publish(ipc_shared_ptr<T>&& message) noexcept {
     return publish(std::move(message));
   }
@@ -140,9 +195,14 @@ class Publisher {
 
  private:
   struct Loan : detail::Block {
-    ~Loan() { delete static_cast<T*>(message); }
-    detail::LoanScope scope;  // closed after the message is gone: member order
+    ~Loan() { delete static_cast<T*>(message.load(std::memory_order_relaxed)); }
+    detail::BorrowScope scope;  // closed after the message is gone: member order
   };
+  Loan* loan_of(const ipc_shared_ptr<T>& message) const noexcept {
+    detail::Block* const block = message.block();
+    return block != nullptr && block->origin == untyped_.get() ? static_cast<Loan*>(block)
+                                                               : nullptr;
+  }
   std::shared_ptr<detail::UntypedPublisher> untyped_;
 };
 

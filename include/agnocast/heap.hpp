@@ -1,0 +1,84 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// What a program decides about its shared heap. Everything here is optional: a loan that one thread
+// borrows, fills and publishes has its memory where it must be.
+#pragma once
+
+#include <agnocast/export.hpp>
+#include <agnocast/ipc_shared_ptr.hpp>
+#include <agnocast/result.hpp>
+
+#include <cstdint>
+
+namespace agnocast {
+
+/// Which allocations of a process lie in its shared heap once it has a publisher.
+enum class HeapScope : std::uint8_t {
+  loan,  ///< Those of a thread while it has a loan open. The default.
+  all,   ///< All: a message made anywhere is published without a copy. Such a process must not fork
+  ///< without exec, and everything it allocates counts against its heap quota and is readable
+  ///< by its subscribers.
+};
+
+/// Chooses the scope. The heap is opened with the first publisher, so call this before; what was
+/// allocated earlier stays private. AGNOCAST_SCOPE=loan|all in the environment wins: it is the word
+/// of whoever starts the process. Errors: invalid_argument: the heap is open with the other scope.
+/// Any thread.
+[[nodiscard]] AGNOCAST_PUBLIC Result<void> set_heap_scope(HeapScope scope) noexcept;
+
+/// Takes a loan to another thread: while this object lives, the calling thread allocates from the
+/// shared heap, so that it can fill the message too. Also for a loan that Publisher::pause() set
+/// aside. Nests. Must end in the thread that made it; the loan may be published before. A few
+/// instructions, no system call.
+///
+///     auto loan = publisher->borrow_loaned_message();
+///     loan->points.resize(4);
+///     #pragma omp parallel for
+///     for (int i = 0; i < 4; ++i) {
+///       agnocast::LoanScope scope(loan);
+///       loan->points[i].assign(1000, i);
+///     }
+class LoanScope {
+ public:
+  template <class T>
+  explicit LoanScope(const ipc_shared_ptr<T>& loan) noexcept : is_open_(is_loan(loan) && open()) {}
+  LoanScope(const LoanScope&) = delete;
+  LoanScope& operator=(const LoanScope&) = delete;
+  ~LoanScope() {
+    if (is_open_) close();
+  }
+  /// False if it was given no loan (empty, published, or a received message): then it does nothing.
+  bool is_open() const noexcept { return is_open_; }
+
+ private:
+  template <class T>
+  static bool is_loan(const ipc_shared_ptr<T>& loan) noexcept {
+    return loan && loan.block()->origin != nullptr;
+  }
+  AGNOCAST_PUBLIC static bool open() noexcept;
+  AGNOCAST_PUBLIC static void close() noexcept;
+
+  bool is_open_;
+};
+
+/// While this object lives, the calling thread's allocations are private, whatever loans it has open
+/// and whatever the scope of the heap is: for working memory between borrow and publish. publish
+/// itself may be called meanwhile; a message that is borrowed meanwhile is adopted. Nests. Must end
+/// in the thread that made it. A few instructions, no system call.
+class LoanPause {
+ public:
+  LoanPause() noexcept : is_pause_(begin()) {}
+  LoanPause(const LoanPause&) = delete;
+  LoanPause& operator=(const LoanPause&) = delete;
+  ~LoanPause() {
+    if (is_pause_) end();
+  }
+
+ private:
+  AGNOCAST_PUBLIC static bool begin() noexcept;
+  AGNOCAST_PUBLIC static void end() noexcept;
+
+  bool is_pause_;  // false: the process has no shared heap yet
+};
+
+}  // namespace agnocast

@@ -1,0 +1,28 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// What the public interface needs of a node and of patience, for tests of it.
+#pragma once
+
+#include <chrono>
+#include <thread>
+
+namespace agnocast::test {
+
+struct PlainNode {
+  const char* get_name() const { return "node"; }
+  const char* get_namespace() const { return "/ns"; }
+  const char* get_fully_qualified_name() const { return "/ns/node"; }
+};
+
+/// The next message, or none within ten seconds.
+template <class SubscriptionPointer>
+auto take_soon(const SubscriptionPointer& subscription) {
+  const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(10);
+  for (;;) {
+    auto message = subscription->take();
+    if (message || std::chrono::steady_clock::now() > end) return message;
+    std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  }
+}
+
+}  // namespace agnocast::test
