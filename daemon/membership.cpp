@@ -252,9 +252,11 @@ void Membership::announce_window(ClientIndex owner) {
 
 // --- notices
 
-void Membership::notice(const EndpointRef& ref, Errc code, const std::string& text) {
+void Membership::notice(const EndpointRef& ref, Errc code, const std::string& text,
+                        abi::QosPolicy policy) {
   auto packet = make_body<wire::Notice>(wire::Opcode::notice);
   packet.code = static_cast<std::uint32_t>(code);
+  packet.policy = policy;
   packet.kind = ref.kind;
   packet.topic = number(ref.topic);
   packet.index = ref.index;
@@ -267,16 +269,16 @@ void Membership::notice_mismatches(const EndpointRef& ref) {
   const auto compare = [&](std::uint32_t p, std::uint32_t s) {
     const PublisherRecord& publisher = registry_.publisher(ref.topic, p);
     const SubscriptionRecord& subscription = registry_.subscription(ref.topic, s);
-    if (publisher.state != EndpointState::active || subscription.state != EndpointState::active ||
-        matches(publisher, subscription))
+    if (publisher.state != EndpointState::active || subscription.state != EndpointState::active)
       return;
-    const abi::Qos offered = abi::unpack_qos(publisher.qos);
-    const abi::Qos requested = abi::unpack_qos(subscription.qos);
-    const std::string text = requested.reliable && !offered.reliable
+    const abi::QosPolicy policy =
+        abi::qos_mismatch(abi::unpack_qos(publisher.qos), abi::unpack_qos(subscription.qos));
+    if (policy == abi::QosPolicy::none) return;
+    const std::string text = policy == abi::QosPolicy::reliability
                                  ? "reliable is requested, best effort is offered"
                                  : "transient_local is requested, volatile is offered";
-    notice({Kind::publisher, ref.topic, p}, Errc::qos_incompatible, text);
-    notice({Kind::subscription, ref.topic, s}, Errc::qos_incompatible, text);
+    notice({Kind::publisher, ref.topic, p}, Errc::qos_incompatible, text, policy);
+    notice({Kind::subscription, ref.topic, s}, Errc::qos_incompatible, text, policy);
   };
   if (ref.kind == Kind::publisher) {
     registry_.for_each_subscription(

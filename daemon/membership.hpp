@@ -87,7 +87,8 @@ class Membership {
   void announce(const EndpointRef& ref, ClientIndex to, const wire::Announcement& packet,
                 std::vector<SharedFd> fds);
   void notice_mismatches(const EndpointRef& ref);
-  void notice(const EndpointRef& ref, Errc code, const std::string& text);
+  void notice(const EndpointRef& ref, Errc code, const std::string& text,
+              abi::QosPolicy policy = abi::QosPolicy::none);
   void notice_types(ClientIndex client, TopicIndex topic, const CreateRequest& request);
   void kick(TopicIndex topic, std::uint32_t publisher);
   void kick_publishers_of(const EndpointRef& subscription);

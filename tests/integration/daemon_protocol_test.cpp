@@ -349,6 +349,7 @@ TEST(DaemonProtocol, TellsBothSidesOfAnotherType) {
   EXPECT_EQ(packet.kind, Kind::publisher);
   EXPECT_EQ(packet.index, p.index);
   EXPECT_EQ(packet.generation, p.generation);
+  EXPECT_EQ(packet.policy, abi::QosPolicy::none);
   EXPECT_STREQ(packet.text.text, "another process uses type test/msg/Other");
   auto other_layout = WireClient::endpoint("/topic", reliable);
   other_layout.layout_hash = 2;
@@ -369,6 +370,7 @@ TEST(DaemonProtocol, TellsBothSidesOfAnIncompatibleQuality) {
   for (Node* node : {&publisher, &subscriber}) {
     const auto notice = node->wire.expect<wire::Notice>(Opcode::notice);
     EXPECT_EQ(static_cast<Errc>(notice.code), Errc::qos_incompatible);
+    EXPECT_EQ(notice.policy, abi::QosPolicy::reliability);
     EXPECT_STREQ(notice.text.text, "reliable is requested, best effort is offered");
     EXPECT_TRUE(node->wire.drain().empty()) << "not announced";
   }
@@ -379,8 +381,9 @@ TEST(DaemonProtocol, TellsBothSidesOfAnIncompatibleQuality) {
   const Qos history{1, true, true, false, false};
   publisher.publisher("/durable", reliable);
   subscriber.subscription("/durable", history);
-  EXPECT_STREQ(subscriber.wire.expect<wire::Notice>(Opcode::notice).text.text,
-               "transient_local is requested, volatile is offered");
+  const auto durable = subscriber.wire.expect<wire::Notice>(Opcode::notice);
+  EXPECT_EQ(durable.policy, abi::QosPolicy::durability);
+  EXPECT_STREQ(durable.text.text, "transient_local is requested, volatile is offered");
 }
 
 TEST(DaemonProtocol, RefusesWhatCannotBeCreated) {

@@ -51,6 +51,7 @@ constexpr std::uint64_t fingerprint() noexcept {
           pack_qos({0x1234, true, false, false, false}), pack_qos({0, false, true, false, false}),
           pack_qos({0, false, false, true, false}), window_of({7, false, true, true, false}),
           intent_idle, intent_publish);
+  sum.add(QosPolicy::none, QosPolicy::durability, QosPolicy::reliability);
   sum.add(MemberState::free, MemberState::active, MemberState::leaving, MemberState::orphan,
           MemberState::revoked, MemberState::dead);
   sum.add(order_offset(3), slot_offset(ring_count, 3), link_offset(3), far_hold_offset(5, 3, 1),
@@ -135,7 +136,7 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::Refused, os_errno), offsetof(wire::Refused, text));
   sum.add(sizeof(wire::Notice), offsetof(wire::Notice, header), offsetof(wire::Notice, code),
           offsetof(wire::Notice, kind), offsetof(wire::Notice, topic),
-          offsetof(wire::Notice, reserved), offsetof(wire::Notice, index),
+          offsetof(wire::Notice, policy), offsetof(wire::Notice, index),
           offsetof(wire::Notice, generation), offsetof(wire::Notice, text));
   sum.add(sizeof(wire::Done), offsetof(wire::Done, header));
   sum.add(wire::version, wire::name_bytes, wire::packet_bytes_max, wire::descriptor_count_max,

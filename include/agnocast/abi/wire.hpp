@@ -33,6 +33,7 @@
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
+#include <agnocast/abi/words.hpp>
 
 #include <cstddef>
 #include <cstdint>
@@ -216,7 +217,7 @@ struct Notice {
   std::uint32_t code;  // Errc
   Kind kind;
   std::uint32_t topic;
-  std::uint32_t reserved;
+  QosPolicy policy;  // of qos_incompatible; otherwise none
   std::uint64_t index;
   std::uint64_t generation;
   Name text;

@@ -74,10 +74,17 @@ constexpr Qos unpack_qos(std::uint64_t word) noexcept {
   return {static_cast<std::uint32_t>(word & 0xffff), (word >> 16 & 1) != 0, (word >> 17 & 1) != 0,
           (word >> 18 & 1) != 0, false};
 }
-// Offered against requested (DDS 1.4, 2.2.3): a request may not exceed the offer.
+// Which policy keeps two sides apart, by the number that rmw_qos_policy_kind_t gives it.
+enum class QosPolicy : std::uint32_t { none = 0, durability = 1 << 1, reliability = 1 << 4 };
+// Offered against requested (DDS 1.4, 2.2.3): a request may not exceed the offer. The first policy
+// where it does; the others are not looked at, as in DDS.
+constexpr QosPolicy qos_mismatch(const Qos& offered, const Qos& requested) noexcept {
+  if (requested.reliable && !offered.reliable) return QosPolicy::reliability;
+  if (requested.transient_local && !offered.transient_local) return QosPolicy::durability;
+  return QosPolicy::none;
+}
 constexpr bool qos_match(const Qos& offered, const Qos& requested) noexcept {
-  return (offered.transient_local || !requested.transient_local) &&
-         (offered.reliable || !requested.reliable);
+  return qos_mismatch(offered, requested) == QosPolicy::none;
 }
 // How many of the newest messages a subscription can still ask for. A keep-all one has one more
 // than its bound: while it joins, the publisher may commit one message before it learns that there
