@@ -5,6 +5,8 @@
 
 #include <agnocast/error.hpp>
 #include <agnocast/heap.hpp>
+#include <agnocast/events.hpp>
+#include <agnocast/executor.hpp>
 #include <agnocast/ipc_shared_ptr.hpp>
 #include <agnocast/message_traits.hpp>
 #include <agnocast/publisher.hpp>
