@@ -9,6 +9,7 @@
 #include <agnocast/executor.hpp>
 #include <agnocast/ipc_shared_ptr.hpp>
 #include <agnocast/message_traits.hpp>
+#include <agnocast/node.hpp>
 #include <agnocast/publisher.hpp>
 #include <agnocast/qos.hpp>
 #include <agnocast/result.hpp>

@@ -257,11 +257,5 @@ typename Publisher<T>::SharedPtr create_publisher(Node&& node, const std::string
   if (!publisher) throw Error(publisher.error());
   return std::move(*publisher);
 }
-template <class T, class Node>
-typename Publisher<T>::SharedPtr create_publisher(Node&& node, const std::string& topic,
-                                                  std::size_t depth,
-                                                  const PublisherOptions& options = {}) {
-  return create_publisher<T>(node, topic, QoS(depth), options);
-}
 
 }  // namespace agnocast

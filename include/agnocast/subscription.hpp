@@ -214,13 +214,6 @@ typename Subscription<T>::SharedPtr create_subscription(Node&& node, const std::
   if (!subscription) throw Error(subscription.error());
   return std::move(*subscription);
 }
-template <class T, class Node, class Callback,
-          class = std::enable_if_t<!std::is_same_v<std::decay_t<Callback>, SubscriptionOptions>>>
-typename Subscription<T>::SharedPtr create_subscription(Node&& node, const std::string& topic,
-                                                        std::size_t depth, Callback&& callback,
-                                                        const SubscriptionOptions& options = {}) {
-  return create_subscription<T>(node, topic, QoS(depth), std::forward<Callback>(callback), options);
-}
 template <class T, class Node>
 typename PollingSubscriber<T>::SharedPtr create_subscription(
     Node&& node, const std::string& topic, const QoS& qos,
@@ -228,12 +221,6 @@ typename PollingSubscriber<T>::SharedPtr create_subscription(
   auto subscription = try_create_subscription<T>(node, topic, qos, options);
   if (!subscription) throw Error(subscription.error());
   return std::move(*subscription);
-}
-template <class T, class Node>
-typename PollingSubscriber<T>::SharedPtr create_subscription(
-    Node&& node, const std::string& topic, std::size_t depth,
-    const SubscriptionOptions& options = {}) {
-  return create_subscription<T>(node, topic, QoS(depth), options);
 }
 
 }  // namespace agnocast
