@@ -269,46 +269,21 @@ void Context::on_kick(Incoming& packet) {
 
 namespace {
 
-QosPolicyKind conflict(const abi::Qos& offered, const abi::Qos& requested) noexcept {
-  if (requested.reliable && !offered.reliable) return QosPolicyKind::reliability;
-  if (requested.transient_local && !offered.transient_local) return QosPolicyKind::durability;
-  return QosPolicyKind::invalid;
-}
-
-/// Of the newest active endpoint on the other side that does not match: the notice says that there
-/// is one, the board which.
-QosPolicyKind newest_conflict(std::byte* board, std::uint32_t topic, Kind own_kind,
-                              const abi::Qos& own) noexcept {
-  const std::uint64_t base = abi::topic_offset(topic);
-  const auto word = [&](std::uint64_t offset) {
-    return SharedMemory::word(board, base + offset).load(std::memory_order_acquire);
-  };
-  const bool publishes = own_kind == Kind::publisher;
-  const std::uint64_t high =
-      publishes ? std::min<std::uint64_t>(word(offsetof(abi::TopicHeader, subscription_high)),
-                                          abi::subscription_count_max)
-                : std::min<std::uint64_t>(word(offsetof(abi::TopicHeader, publisher_high)),
-                                          abi::publisher_count_max);
-  QosPolicyKind found = QosPolicyKind::invalid;
-  std::uint64_t newest = 0;
-  for (std::uint64_t i = 0; i < high; ++i) {
-    const std::uint64_t entry =
-        publishes ? abi::subscription_entry_offset(abi::publisher_count_max, i)
-                  : abi::publisher_entry_offset(i);
-    const std::uint64_t member = word(entry + (publishes ? offsetof(abi::SubscriptionEntry, word)
-                                                         : offsetof(abi::PublisherEntry, word)));
-    if (abi::state_of(member) != abi::MemberState::active ||
-        abi::generation_of(member) < newest)
-      continue;
-    const abi::Qos other =
-        abi::unpack_qos(word(entry + (publishes ? offsetof(abi::SubscriptionEntry, qos)
-                                                : offsetof(abi::PublisherEntry, qos))));
-    const QosPolicyKind policy = publishes ? conflict(own, other) : conflict(other, own);
-    if (policy == QosPolicyKind::invalid) continue;
-    found = policy;
-    newest = abi::generation_of(member);
+void tell(EndpointEvents& events, const wire::Notice& notice) noexcept {
+  static_assert(static_cast<int>(QosPolicyKind::durability) ==
+                    static_cast<int>(abi::QosPolicy::durability) &&
+                static_cast<int>(QosPolicyKind::reliability) ==
+                    static_cast<int>(abi::QosPolicy::reliability));
+  switch (static_cast<Errc>(notice.code)) {
+    case Errc::qos_incompatible:
+      events.incompatible_qos(static_cast<QosPolicyKind>(notice.policy));
+      break;
+    case Errc::type_mismatch:
+      events.incompatible_type();
+      break;
+    default:
+      break;  // a newer daemon may say more than we know
   }
-  return found;
 }
 
 }  // namespace
@@ -316,23 +291,16 @@ QosPolicyKind newest_conflict(std::byte* board, std::uint32_t topic, Kind own_ki
 void Context::on_notice(Incoming& packet) {
   wire::Notice notice{};
   if (!packet.read(notice)) return;
-  const auto tell = [&](auto& endpoint, const abi::Qos& qos) {
-    if (static_cast<Errc>(notice.code) == Errc::qos_incompatible)
-      endpoint.events().incompatible_qos(
-          newest_conflict(board_.base(), notice.topic, notice.kind, qos));
-    if (static_cast<Errc>(notice.code) == Errc::type_mismatch)
-      endpoint.events().incompatible_type();
-  };
   const EndpointKey own{notice.topic, notice.index};
   const std::lock_guard lock(endpoints_);
   if (notice.kind == Kind::publisher) {
     const auto found = publishers_.find(own);
     if (found != publishers_.end() && found->second->identity().generation == notice.generation)
-      tell(*found->second, found->second->identity().qos);
+      tell(found->second->events(), notice);
   } else if (notice.kind == Kind::subscription) {
     const auto found = subscriptions_.find(own);
     if (found != subscriptions_.end() && found->second->identity().generation == notice.generation)
-      tell(*found->second, found->second->identity().qos);
+      tell(found->second->events(), notice);
   }
 }
 

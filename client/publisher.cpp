@@ -50,8 +50,7 @@ Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(
   publisher->endpoint_ = std::move(*endpoint);
   if (options.events()) {
     publisher->endpoint_->events().wake_for(options.events(), publisher->runner_->sleeper());
-    publisher->source_ =
-        std::make_shared<PublisherSource>(publisher->endpoint_, options.events());
+    publisher->source_ = std::make_shared<PublisherSource>(publisher->endpoint_, options.events());
     publisher->runner_->callbacks().add(publisher->source_);
   }
   return publisher;

@@ -63,7 +63,8 @@ void serve(NodeCallbacks& node, int epoll) noexcept {
       bool any = false;
       run_turn(node, self, any);
       if (any) continue;
-    } catch (const std::bad_alloc&) {  // of the list; what is unread stays unread until there is memory
+    } catch (
+        const std::bad_alloc&) {  // of the list; what is unread stays unread until there is memory
     }
     node.arm(self);
     epoll_event events[2];
@@ -89,9 +90,8 @@ Result<void> Runner::host_by_thread() {
     ::pthread_sigmask(SIG_SETMASK, &every, &before);
     int error = 0;
     try {
-      thread_ = std::thread([callbacks = callbacks_, epoll = std::move(epoll)] {
-        serve(*callbacks, epoll.get());
-      });
+      thread_ = std::thread(
+          [callbacks = callbacks_, epoll = std::move(epoll)] { serve(*callbacks, epoll.get()); });
     } catch (const std::system_error& refused) {
       error = refused.code().value();
     }

@@ -18,9 +18,9 @@ void NodeCallbacks::add(std::shared_ptr<CallbackSource> source) {
 void NodeCallbacks::remove(CallbackSource& source) noexcept {
   std::shared_ptr<CallbackSource> last;  // goes after the lock: it may be what keeps the callback
   std::unique_lock lock(mutex_);
-  const auto found =
-      std::find_if(sources_.begin(), sources_.end(),
-                   [&](const auto& candidate) { return candidate.get() == &source; });
+  const auto found = std::find_if(sources_.begin(), sources_.end(), [&](const auto& candidate) {
+    return candidate.get() == &source;
+  });
   if (found == sources_.end()) return;
   last = std::move(*found);
   sources_.erase(found);

@@ -19,14 +19,16 @@ enum class Option { none, remap, ignored_with_value, ignored };
 
 constexpr std::array remap_options{std::string_view("-r"), std::string_view("--remap")};
 constexpr std::array ignored_with_value{
-    std::string_view("-p"),          std::string_view("--param"),
-    std::string_view("-e"),          std::string_view("--enclave"),
-    std::string_view("--log-level"), std::string_view("--log-config-file"),
+    std::string_view("-p"),           std::string_view("--param"),
+    std::string_view("-e"),           std::string_view("--enclave"),
+    std::string_view("--log-level"),  std::string_view("--log-config-file"),
     std::string_view("--params-file")};
-constexpr std::array ignored{
-    std::string_view("--enable-rosout-logs"),        std::string_view("--disable-rosout-logs"),
-    std::string_view("--enable-stdout-logs"),        std::string_view("--disable-stdout-logs"),
-    std::string_view("--enable-external-lib-logs"),  std::string_view("--disable-external-lib-logs")};
+constexpr std::array ignored{std::string_view("--enable-rosout-logs"),
+                             std::string_view("--disable-rosout-logs"),
+                             std::string_view("--enable-stdout-logs"),
+                             std::string_view("--disable-stdout-logs"),
+                             std::string_view("--enable-external-lib-logs"),
+                             std::string_view("--disable-external-lib-logs")};
 
 template <class Names>
 bool is_one_of(const Names& names, std::string_view argument) noexcept {

@@ -40,8 +40,7 @@ struct Node::Names {
 
 Node::Node(const std::string& name, const NodeOptions& options) : Node(name, "", options) {}
 
-Node::Node(const std::string& name, const std::string& node_namespace,
-           const NodeOptions& options) {
+Node::Node(const std::string& name, const std::string& node_namespace, const NodeOptions& options) {
   auto names = std::make_shared<Names>();
   names->rules = parse_or_throw(options.arguments()).rules;
   if (options.use_global_arguments()) {
@@ -57,11 +56,9 @@ Node::Node(const std::string& name, const std::string& node_namespace,
                               ? "/" + node_namespace
                               : node_namespace;
   require(check_namespace(names->node_namespace), "namespace", names->node_namespace);
-  if (const RemapRule* rule =
-          find_rule(names->rules, RemapRule::Kind::node_namespace, names->name))
+  if (const RemapRule* rule = find_rule(names->rules, RemapRule::Kind::node_namespace, names->name))
     names->node_namespace = rule->to;
-  names->full =
-      (names->node_namespace == "/" ? "" : names->node_namespace) + "/" + names->name;
+  names->full = (names->node_namespace == "/" ? "" : names->node_namespace) + "/" + names->name;
   require(check_topic_name(names->full), "node", names->full);  // together they may be too long
   names_ = std::move(names);
 }
@@ -73,8 +70,7 @@ const char* Node::get_namespace() const noexcept { return names_->node_namespace
 const char* Node::get_fully_qualified_name() const noexcept { return names_->full.c_str(); }
 
 Result<std::string> Node::try_resolve_topic_name(const std::string& topic) const {
-  Result<std::string> expanded =
-      detail::expand_topic(topic, names_->name, names_->node_namespace);
+  Result<std::string> expanded = detail::expand_topic(topic, names_->name, names_->node_namespace);
   if (!expanded) return expanded;
   return remap_topic(names_->rules, *expanded, names_->name, names_->node_namespace);
 }

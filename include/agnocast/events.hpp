@@ -24,7 +24,7 @@ struct MatchedInfo {
 
 /// Numbers as in rmw_qos_policy_kind_t.
 enum class QosPolicyKind : std::int32_t {
-  invalid = 1 << 0,  ///< the other side was gone before anybody could look
+  invalid = 1 << 0,  ///< nothing was incompatible yet
   durability = 1 << 1,
   reliability = 1 << 4,
 };

@@ -56,8 +56,7 @@ class AGNOCAST_PUBLIC Node {
   /// empty one is "/". Remap rules change both. Throws Error: invalid_name (with the position),
   /// invalid_argument (of the arguments).
   explicit Node(const std::string& name, const NodeOptions& options = {});
-  Node(const std::string& name, const std::string& node_namespace,
-       const NodeOptions& options = {});
+  Node(const std::string& name, const std::string& node_namespace, const NodeOptions& options = {});
   virtual ~Node();
   Node(const Node&) = delete;
   Node& operator=(const Node&) = delete;

@@ -79,9 +79,8 @@ inline constexpr bool takes_message =
 
 /// What create_subscription takes as a callback for messages of type T.
 template <class T, class Callback>
-inline constexpr bool is_callback =
-    takes_message<std::remove_reference_t<Callback>, const T> ||
-    takes_message<std::remove_reference_t<Callback>, T>;
+inline constexpr bool is_callback = takes_message<std::remove_reference_t<Callback>, const T> ||
+                                    takes_message<std::remove_reference_t<Callback>, T>;
 
 template <class Message, class Callback>
 void call(Callback& callback, Block* block) {
