@@ -81,6 +81,11 @@ Result<void> DoorbellReceiver::add_to(int epoll, std::uint64_t eventfd_tag,
   return {};
 }
 
+void DoorbellReceiver::remove_from(int epoll) const noexcept {
+  ::epoll_ctl(epoll, EPOLL_CTL_DEL, eventfd_.get(), nullptr);
+  ::epoll_ctl(epoll, EPOLL_CTL_DEL, datagram_.get(), nullptr);
+}
+
 void DoorbellReceiver::drain() const noexcept {
   // Neither data nor control is taken: the kernel throws both away, descriptors included.
   mmsghdr messages[drain_batch];

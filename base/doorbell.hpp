@@ -68,6 +68,8 @@ class DoorbellReceiver {
   /// Errors: os_failure with errno.
   [[nodiscard]] Result<void> add_to(int epoll, std::uint64_t eventfd_tag,
                                     std::uint64_t datagram_tag) const noexcept;
+  /// The opposite. Nothing happens if they are not in it.
+  void remove_from(int epoll) const noexcept;
   /// Empties the socket; to be called only when the socket was what rang. Never sleeps, and gives
   /// up after a bound: what a flood leaves behind wakes the executor again.
   void drain() const noexcept;

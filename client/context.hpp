@@ -114,6 +114,7 @@ class Context {
   void on_forget(Incoming& packet);
   void on_orphaned(Incoming& packet);
   void on_kick(Incoming& packet);
+  void on_notice(Incoming& packet);
   std::vector<std::shared_ptr<PublisherEndpoint>> publishers() const;
   void run_errands();
   void collect_subscriptions();

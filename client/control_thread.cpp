@@ -119,6 +119,9 @@ void Context::handle(Incoming& packet) {
     case Opcode::kick:
       on_kick(packet);
       break;
+    case Opcode::notice:
+      on_notice(packet);
+      break;
     default:
       break;  // a newer daemon may say more than we know
   }
@@ -261,6 +264,43 @@ void Context::on_kick(Incoming& packet) {
   for (const auto& publisher : publishers()) {
     if (publisher->topic_index() == whose.topic && publisher->identity().index == whose.index)
       publisher->run_errands();
+  }
+}
+
+namespace {
+
+void tell(EndpointEvents& events, const wire::Notice& notice) noexcept {
+  static_assert(static_cast<int>(QosPolicyKind::durability) ==
+                    static_cast<int>(abi::QosPolicy::durability) &&
+                static_cast<int>(QosPolicyKind::reliability) ==
+                    static_cast<int>(abi::QosPolicy::reliability));
+  switch (static_cast<Errc>(notice.code)) {
+    case Errc::qos_incompatible:
+      events.incompatible_qos(static_cast<QosPolicyKind>(notice.policy));
+      break;
+    case Errc::type_mismatch:
+      events.incompatible_type();
+      break;
+    default:
+      break;  // a newer daemon may say more than we know
+  }
+}
+
+}  // namespace
+
+void Context::on_notice(Incoming& packet) {
+  wire::Notice notice{};
+  if (!packet.read(notice)) return;
+  const EndpointKey own{notice.topic, notice.index};
+  const std::lock_guard lock(endpoints_);
+  if (notice.kind == Kind::publisher) {
+    const auto found = publishers_.find(own);
+    if (found != publishers_.end() && found->second->identity().generation == notice.generation)
+      tell(found->second->events(), notice);
+  } else if (notice.kind == Kind::subscription) {
+    const auto found = subscriptions_.find(own);
+    if (found != subscriptions_.end() && found->second->identity().generation == notice.generation)
+      tell(found->second->events(), notice);
   }
 }
 

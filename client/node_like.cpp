@@ -4,20 +4,29 @@
 
 #include <agnocast/node_like.hpp>
 #include <base/names.hpp>
+#include <client/static_text.hpp>
 
 #include <utility>
 
 namespace agnocast::detail {
+namespace {
+
+tl::unexpected<Failure> wrong(const std::string& topic, const NameProblem& problem) {
+  return fail(Errc::invalid_name,
+              static_text("topic '" + topic + "': " + problem.text(), problem.what));
+}
+
+}  // namespace
 
 Result<std::string> expand_topic(const std::string& topic, const std::string& node_name,
                                  const std::string& node_namespace) {
   auto expanded = expand_topic_name(topic, node_name, node_namespace);
-  if (!expanded) return fail(Errc::invalid_name, expanded.error().what);
+  if (!expanded) return wrong(topic, expanded.error());
   return std::move(*expanded);
 }
 
 Result<void> require_topic(const std::string& topic) {
-  if (const auto problem = check_topic_name(topic)) return fail(Errc::invalid_name, problem->what);
+  if (const auto problem = check_topic_name(topic)) return wrong(topic, *problem);
   return {};
 }
 

@@ -5,6 +5,7 @@
 #include <agnocast/publisher.hpp>
 #include <client/context.hpp>
 #include <client/qos_words.hpp>
+#include <client/runner.hpp>
 
 #include <algorithm>
 #include <chrono>
@@ -12,11 +13,32 @@
 #include <utility>
 
 namespace agnocast::detail {
+namespace {
+
+class PublisherSource final : public CallbackSource {
+ public:
+  PublisherSource(std::shared_ptr<PublisherEndpoint> endpoint, EventCallbacks events) noexcept
+      : endpoint_(std::move(endpoint)), events_(std::move(events)) {}
+  bool has_work() const noexcept override { return endpoint_->events().has_pending(); }
+  bool run_one() override { return endpoint_->events().run_one(events_); }
+
+ private:
+  const std::shared_ptr<PublisherEndpoint> endpoint_;
+  const EventCallbacks events_;
+};
+
+}  // namespace
 
 Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(
-    const EndpointName& name, MessageType type, const QoS& qos, void (*destroy)(void*) noexcept) {
+    const EndpointName& name, MessageType type, const QoS& qos, const PublisherOptions& options,
+    void (*destroy)(void*) noexcept) {
   if (Result<void> depth = check_depth(qos); !depth) return tl::unexpected<Failure>(depth.error());
   std::shared_ptr<UntypedPublisher> publisher(new UntypedPublisher(std::move(type), name.topic));
+  if (options.events()) {
+    auto runner = Runner::of_node(name.node);
+    if (!runner) return tl::unexpected<Failure>(runner.error());
+    publisher->runner_ = std::move(*runner);
+  }
   EndpointRequest request;
   request.topic = name.topic;
   request.node = name.node;
@@ -26,10 +48,16 @@ Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(
   auto endpoint = Context::instance().create_publisher(request, destroy);
   if (!endpoint) return tl::unexpected<Failure>(endpoint.error());
   publisher->endpoint_ = std::move(*endpoint);
+  if (options.events()) {
+    publisher->endpoint_->events().wake_for(options.events(), publisher->runner_->sleeper());
+    publisher->source_ = std::make_shared<PublisherSource>(publisher->endpoint_, options.events());
+    publisher->runner_->callbacks().add(publisher->source_);
+  }
   return publisher;
 }
 
 UntypedPublisher::~UntypedPublisher() {
+  if (source_ != nullptr) runner_->callbacks().remove(*source_);
   if (endpoint_ != nullptr) Context::instance().destroy(endpoint_);
 }
 
@@ -56,6 +84,19 @@ bool Patience::wait() noexcept {
   std::this_thread::sleep_for(std::min<std::chrono::steady_clock::duration>(left, step_));
   step_ = std::min(step_ * 2, std::chrono::microseconds(1000));
   return true;
+}
+
+std::uint64_t UntypedPublisher::callback_exception_count() const noexcept {
+  return source_ != nullptr ? source_->exception_count.load(std::memory_order_relaxed) : 0;
+}
+MatchedInfo UntypedPublisher::matched_status() noexcept {
+  return endpoint_->events().matched_status();
+}
+IncompatibleQosInfo UntypedPublisher::incompatible_qos_status() noexcept {
+  return endpoint_->events().incompatible_qos_status();
+}
+IncompatibleTypeInfo UntypedPublisher::incompatible_type_status() noexcept {
+  return endpoint_->events().incompatible_type_status();
 }
 
 }  // namespace agnocast::detail

@@ -109,6 +109,7 @@ void PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr
     attached_.push_back({subscription.index, subscription.generation, executor, std::move(peer)});
     core_->pass(work);
   });
+  events_.gained();
 }
 
 void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) noexcept {
@@ -125,6 +126,7 @@ void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) no
     let_go = std::move(found->peer);
     attached_.erase(found);
   });
+  if (let_go != nullptr) events_.ceased();
 }
 
 void PublisherEndpoint::detach_all() noexcept {

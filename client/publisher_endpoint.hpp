@@ -11,6 +11,7 @@
 
 #include <base/doorbell.hpp>
 #include <client/dataplane/publisher_core.hpp>
+#include <client/endpoint_events.hpp>
 #include <client/peer.hpp>
 
 #include <array>
@@ -75,6 +76,7 @@ class PublisherEndpoint {
   bool is_over() const noexcept;
   std::uint64_t allocated_count() const noexcept;
   std::size_t subscription_count() const noexcept;
+  EndpointEvents& events() noexcept { return events_; }
 
  private:
   // Destroyed by the publishing thread itself; what is more waits for the control thread. A publish
@@ -112,6 +114,7 @@ class PublisherEndpoint {
   std::vector<Attached> attached_;
   std::vector<void*>
       doomed_;  // to be destroyed by the control thread; capacity for every slot from the start
+  EndpointEvents events_;
 };
 
 }  // namespace agnocast

@@ -2,159 +2,139 @@
 
 #include <client/runner.hpp>
 
+#include <client/context.hpp>
+#include <client/executors/executor_core.hpp>
+
 #include <pthread.h>
 #include <signal.h>
 #include <sys/epoll.h>
 
-#include <algorithm>
 #include <cerrno>
-#include <condition_variable>
 #include <map>
 #include <mutex>
 #include <new>
-#include <utility>
+#include <system_error>
 #include <vector>
 
 namespace agnocast {
 namespace {
 
-// A publisher that dies between commit and ring, with the daemon down as well, rings nobody; so
-// nobody sleeps longer than this.
-constexpr int safety_timeout_ms = 1000;
-
-struct ReceivedBlock : detail::Block {
-  Received received;
+struct Place {
+  std::weak_ptr<Runner> runner;
+  ExecutorCore* executor = nullptr;  // it takes back its claims before it goes
 };
+struct Places {
+  std::mutex mutex;  // before those of executors, and those before the ones of nodes
+  std::map<std::string, Place> by_node;
 
-struct Runners {
-  std::mutex mutex;
-  std::map<std::string, std::weak_ptr<Runner>> by_node;
+  void forget_if_unused(const std::string& node) {
+    const auto found = by_node.find(node);
+    if (found != by_node.end() && found->second.executor == nullptr &&
+        found->second.runner.expired())
+      by_node.erase(found);
+  }
 };
-Runners& runners() {
-  static Runners* const all = new Runners;  // immortal, as the context
+Places& places() {
+  static Places* const all = new Places;  // immortal, as the context
   return *all;
+}
+
+// The library's thread of one node.
+void run_turn(NodeCallbacks& node, NodeCallbacks::Host self, bool& any) {
+  std::vector<std::weak_ptr<CallbackSource>> turn;
+  node.list(self, turn);
+  for (const auto& listed : turn) {
+    const auto source = listed.lock();
+    if (source == nullptr) continue;
+    try {
+      any = node.run(self, *source) || any;
+    } catch (...) {
+      // There is nobody to give it to, and ending the process is not the library's business.
+      any = true;
+      source->exception_count.fetch_add(1, std::memory_order_relaxed);
+    }
+  }
+}
+
+void serve(NodeCallbacks& node, int epoll) noexcept {
+  const NodeCallbacks::Host self = &node;
+  while (node.await(self)) {
+    try {
+      bool any = false;
+      run_turn(node, self, any);
+      if (any) continue;
+    } catch (
+        const std::bad_alloc&) {  // of the list; what is unread stays unread until there is memory
+    }
+    node.arm(self);
+    epoll_event events[2];
+    int count = 0;
+    if (!node.has_work(self))
+      count = ::epoll_wait(epoll, events, 2, static_cast<int>(ExecutorCore::sleep_max.count()));
+    node.disarm(self);
+    for (int i = 0; i < count; ++i) {
+      if (events[i].data.u64 == 1) node.drain(self);
+    }
+  }
 }
 
 }  // namespace
 
-detail::Block* take_block(SubscriptionEndpoint& subscription) noexcept {
-  if (!subscription.has_news()) return nullptr;
-  std::unique_ptr<ReceivedBlock> block(new (std::nothrow) ReceivedBlock);
-  if (block == nullptr) return nullptr;
-  auto received = subscription.take();
-  if (!received) return nullptr;
-  block->message = reinterpret_cast<void*>(received->taken.address);
-  block->end = [](detail::Block* last) noexcept {
-    auto* const own = static_cast<ReceivedBlock*>(last);
-    Context::instance().release(own->received);
-    delete own;
-  };
-  block->info.sequence = received->taken.sequence - received->link->first_sequence();
-  block->info.publisher = received->link->generation();
-  block->info.publish_time_ns = received->taken.stamp_ns;
-  block->received = std::move(*received);
-  return block.release();
+Result<void> Runner::host_by_thread() {
+  if (!thread_.joinable()) {
+    UniqueFd epoll(::epoll_create1(EPOLL_CLOEXEC));
+    if (!epoll) return fail(Errc::os_failure, "preparing a callback thread", errno);
+    if (Result<void> added = sleeper()->bells().add_to(epoll.get(), 0, 1); !added) return added;
+    sigset_t every, before;
+    ::sigfillset(&every);
+    ::pthread_sigmask(SIG_SETMASK, &every, &before);
+    int error = 0;
+    try {
+      thread_ = std::thread(
+          [callbacks = callbacks_, epoll = std::move(epoll)] { serve(*callbacks, epoll.get()); });
+    } catch (const std::system_error& refused) {
+      error = refused.code().value();
+    }
+    ::pthread_sigmask(SIG_SETMASK, &before, nullptr);
+    if (error != 0) return fail(Errc::os_failure, "starting a callback thread", error);
+    ::pthread_setname_np(thread_.native_handle(), "agnocast-call");
+  }
+  callbacks_->hand_to(callbacks_.get());
+  return {};
 }
 
-struct Runner::State {
-  struct Entry {
-    std::shared_ptr<SubscriptionEndpoint> subscription;
-    detail::UntypedSubscription::Callback callback;
-    bool removed = false;
-  };
-
-  std::shared_ptr<Sleeper> sleeper;
-  UniqueFd epoll;
-  std::mutex mutex;
-  std::condition_variable idle;
-  std::vector<std::shared_ptr<Entry>> entries;
-  const Entry* running = nullptr;
-  bool stop = false;
-
-  bool has_news() {
-    const std::lock_guard lock(mutex);
-    return std::any_of(entries.begin(), entries.end(),
-                       [](const auto& entry) { return entry->subscription->has_news(); });
-  }
-
-  /// One message of each subscription in turn, so that a fast topic does not starve the others.
-  /// True while there was one.
-  bool dispatch() {
-    std::vector<std::shared_ptr<Entry>> turn;
-    {
-      const std::lock_guard lock(mutex);
-      turn = entries;
-    }
-    bool any = false;
-    for (const std::shared_ptr<Entry>& entry : turn) {
-      {
-        const std::lock_guard lock(mutex);
-        if (entry->removed || stop) continue;
-        running = entry.get();
-      }
-      if (detail::Block* const block = take_block(*entry->subscription)) {
-        any = true;
-        entry->callback(block);
-      }
-      const std::lock_guard lock(mutex);
-      running = nullptr;
-      idle.notify_all();
-    }
-    return any;
-  }
-
-  void run() {
-    for (;;) {
-      while (dispatch()) {
-      }
-      {
-        const std::lock_guard lock(mutex);
-        if (stop) return;
-      }
-      sleeper->arm();
-      if (has_news()) {
-        sleeper->disarm();
-        continue;
-      }
-      epoll_event event{};
-      const int count = ::epoll_wait(epoll.get(), &event, 1, safety_timeout_ms);
-      sleeper->disarm();
-      if (count > 0 && event.data.u64 == 1) sleeper->bells().drain();
-    }
-  }
-};
-
 Result<std::shared_ptr<Runner>> Runner::of_node(const std::string& node) {
-  Runners& all = runners();
+  std::shared_ptr<Runner> runner;  // outside the lock: its destructor takes it
+  Places& all = places();
   const std::lock_guard lock(all.mutex);
-  std::weak_ptr<Runner>& known = all.by_node[node];
-  if (std::shared_ptr<Runner> runner = known.lock()) return runner;
+  Place& place = all.by_node[node];
+  runner = place.runner.lock();
+  if (runner != nullptr) return runner;
   auto sleeper = Context::instance().create_sleeper();
-  if (!sleeper) return tl::unexpected<Failure>(sleeper.error());
-  auto state = std::make_shared<State>();
-  state->sleeper = std::move(*sleeper);
-  state->epoll.reset(::epoll_create1(EPOLL_CLOEXEC));
-  if (!state->epoll) return fail(Errc::os_failure, "preparing a callback thread", errno);
-  if (Result<void> added = state->sleeper->bells().add_to(state->epoll.get(), 0, 1); !added)
-    return tl::unexpected<Failure>(added.error());
-
-  std::shared_ptr<Runner> runner(new Runner(state));
-  sigset_t every, before;
-  ::sigfillset(&every);
-  ::pthread_sigmask(SIG_SETMASK, &every, &before);
-  runner->thread_ = std::thread([state] { state->run(); });
-  ::pthread_sigmask(SIG_SETMASK, &before, nullptr);
-  ::pthread_setname_np(runner->thread_.native_handle(), "agnocast-call");
-  known = runner;
+  if (!sleeper) {
+    all.forget_if_unused(node);
+    return tl::unexpected<Failure>(sleeper.error());
+  }
+  runner.reset(new Runner(std::make_shared<NodeCallbacks>(node, std::move(*sleeper))));
+  if (Result<void> hosted = place.executor != nullptr ? place.executor->adopt(runner->callbacks_)
+                                                      : runner->host_by_thread();
+      !hosted)
+    return tl::unexpected<Failure>(hosted.error());
+  place.runner = runner;
   return runner;
 }
 
 Runner::~Runner() {
   {
-    const std::lock_guard lock(state_->mutex);
-    state_->stop = true;
+    Places& all = places();
+    const std::lock_guard lock(all.mutex);
+    const auto place = all.by_node.find(callbacks_->node());
+    if (place != all.by_node.end() && place->second.executor != nullptr)
+      place->second.executor->drop(*callbacks_);
+    all.forget_if_unused(callbacks_->node());
   }
-  state_->sleeper->wake();
+  callbacks_->stop();
+  if (!thread_.joinable()) return;
   if (thread_.get_id() == std::this_thread::get_id()) {
     thread_.detach();
   } else {
@@ -162,31 +142,49 @@ Runner::~Runner() {
   }
 }
 
-const std::shared_ptr<Sleeper>& Runner::sleeper() const noexcept { return state_->sleeper; }
-
-void Runner::add(const std::shared_ptr<SubscriptionEndpoint>& subscription,
-                 detail::UntypedSubscription::Callback callback) {
-  auto entry =
-      std::make_shared<State::Entry>(State::Entry{subscription, std::move(callback), false});
-  {
-    const std::lock_guard lock(state_->mutex);
-    state_->entries.push_back(std::move(entry));
+Result<void> Runner::claim(const std::string& node, ExecutorCore& executor) {
+  std::shared_ptr<Runner> runner;
+  Places& all = places();
+  const std::lock_guard lock(all.mutex);
+  Place& place = all.by_node[node];
+  if (place.executor != nullptr)
+    return fail(Errc::invalid_argument, "the node has been added to an executor already");
+  runner = place.runner.lock();
+  if (runner != nullptr) {
+    if (Result<void> adopted = executor.adopt(runner->callbacks_); !adopted) return adopted;
   }
-  state_->sleeper->wake();
+  place.executor = &executor;
+  return {};
 }
 
-void Runner::remove(const SubscriptionEndpoint& subscription) noexcept {
-  std::unique_lock lock(state_->mutex);
-  auto& entries = state_->entries;
-  const auto found = std::find_if(entries.begin(), entries.end(), [&](const auto& entry) {
-    return entry->subscription.get() == &subscription;
-  });
-  if (found == entries.end()) return;
-  const std::shared_ptr<State::Entry> entry = *found;
-  entry->removed = true;
-  entries.erase(found);
-  if (thread_.get_id() != std::this_thread::get_id())
-    state_->idle.wait(lock, [&] { return state_->running != entry.get(); });
+Result<void> Runner::release(const std::string& node, ExecutorCore& executor) {
+  std::shared_ptr<Runner> runner;
+  Places& all = places();
+  const std::lock_guard lock(all.mutex);
+  const auto place = all.by_node.find(node);
+  if (place == all.by_node.end() || place->second.executor != &executor)
+    return fail(Errc::invalid_argument, "the node is not in this executor");
+  place->second.executor = nullptr;
+  executor.drop(node);
+  runner = place->second.runner.lock();
+  if (runner == nullptr) {
+    all.by_node.erase(place);
+    return {};
+  }
+  return runner->host_by_thread();
+}
+
+void Runner::release_all(ExecutorCore& executor) noexcept {
+  std::vector<std::string> nodes;
+  {
+    Places& all = places();
+    const std::lock_guard lock(all.mutex);
+    for (const auto& [node, place] : all.by_node) {
+      if (place.executor == &executor) nodes.push_back(node);
+    }
+  }
+  // Without a thread a node's callbacks wait until its next executor.
+  for (const std::string& node : nodes) (void)release(node, executor);
 }
 
 }  // namespace agnocast

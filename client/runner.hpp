@@ -1,11 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Runner: calls the callbacks of one node's subscriptions, one at a time, on a thread of the
-// library. It sleeps on the node's bells and costs nothing while nothing comes.
+// Runner: the callbacks of one node for as long as anything of the node has callbacks, and the
+// library thread that runs them while no executor does.
+//
+// Runners are found by the node's fully qualified name, and so are the claims of executors: a node
+// may be added to an executor before or after its first subscription, and any type of node fits. All
+// changes of host go through here, under one mutex, so that a node has one host at any time. The
+// thread is made when it is needed first; while an executor is the host it waits.
 #pragma once
 
-#include <agnocast/subscription.hpp>
-#include <client/context.hpp>
+#include <agnocast/result.hpp>
+#include <client/executors/node_callbacks.hpp>
 
 #include <memory>
 #include <string>
@@ -14,31 +19,38 @@
 
 namespace agnocast {
 
+class ExecutorCore;
+
 class Runner {
  public:
   /// The one of the node with this fully qualified name; made with its first subscription, gone
-  /// with its last.
+  /// with its last. Errors: limit_reached (every sleeper of the process is in use), os_failure, and
+  /// those of connecting.
   [[nodiscard]] static Result<std::shared_ptr<Runner>> of_node(const std::string& node);
   ~Runner();
   Runner(const Runner&) = delete;
   Runner& operator=(const Runner&) = delete;
 
-  const std::shared_ptr<Sleeper>& sleeper() const noexcept;
-  void add(const std::shared_ptr<SubscriptionEndpoint>& subscription,
-           detail::UntypedSubscription::Callback callback);
-  /// Afterwards its callback is not running and will not run, unless this is called from inside it.
-  void remove(const SubscriptionEndpoint& subscription) noexcept;
+  NodeCallbacks& callbacks() const noexcept { return *callbacks_; }
+  const std::shared_ptr<Sleeper>& sleeper() const noexcept { return callbacks_->sleeper(); }
+
+  /// The callbacks of this node are run by `executor`, those of today and those to come. Errors:
+  /// invalid_argument (an executor has it already), os_failure.
+  [[nodiscard]] static Result<void> claim(const std::string& node, ExecutorCore& executor);
+  /// They are run by the library's thread again. Errors: invalid_argument (it is not this
+  /// executor's), os_failure (no thread can be made).
+  [[nodiscard]] static Result<void> release(const std::string& node, ExecutorCore& executor);
+  /// All nodes of an executor that goes.
+  static void release_all(ExecutorCore& executor) noexcept;
 
  private:
-  struct State;  // shared with the thread: the last subscription may go inside its own callback
-  explicit Runner(std::shared_ptr<State> state) noexcept : state_(std::move(state)) {}
+  explicit Runner(std::shared_ptr<NodeCallbacks> callbacks) noexcept
+      : callbacks_(std::move(callbacks)) {}
+  Result<void> host_by_thread();
 
-  std::shared_ptr<State> state_;
+  // Shared with the thread: the last subscription may go inside its own callback.
+  const std::shared_ptr<NodeCallbacks> callbacks_;
   std::thread thread_;
 };
-
-/// A received message as a Block, or null when there is none (or no memory for it: then it stays
-/// unread).
-detail::Block* take_block(SubscriptionEndpoint& subscription) noexcept;
 
 }  // namespace agnocast

@@ -9,6 +9,8 @@
 
 #include <time.h>
 
+#include <memory>
+#include <new>
 #include <utility>
 
 namespace agnocast {
@@ -27,6 +29,62 @@ std::uint64_t MessageInfo::source_timestamp() const noexcept {
   return now_ns(CLOCK_REALTIME) - now_ns(CLOCK_MONOTONIC) + publish_time_ns;
 }
 
+namespace {
+
+struct ReceivedBlock : detail::Block {
+  Received received;
+};
+
+/// A received message as a Block, or null when there is none (or no memory for it: then it stays
+/// unread).
+detail::Block* take_block(SubscriptionEndpoint& subscription) noexcept {
+  if (!subscription.has_news()) return nullptr;
+  std::unique_ptr<ReceivedBlock> block(new (std::nothrow) ReceivedBlock);
+  if (block == nullptr) return nullptr;
+  auto received = subscription.take();
+  if (!received) return nullptr;
+  block->message = reinterpret_cast<void*>(received->taken.address);
+  block->end = [](detail::Block* last) noexcept {
+    auto* const own = static_cast<ReceivedBlock*>(last);
+    Context::instance().release(own->received);
+    delete own;
+  };
+  block->info.sequence = received->taken.sequence - received->link->first_sequence();
+  block->info.publisher = received->link->generation();
+  block->info.publish_time_ns = received->taken.stamp_ns;
+  block->received = std::move(*received);
+  return block.release();
+}
+
+class SubscriptionSource final : public CallbackSource {
+ public:
+  SubscriptionSource(std::shared_ptr<SubscriptionEndpoint> endpoint,
+                     detail::UntypedSubscription::Callback callback,
+                     detail::EventCallbacks events) noexcept
+      : endpoint_(std::move(endpoint)),
+        callback_(std::move(callback)),
+        events_(std::move(events)) {}
+
+  bool has_work() const noexcept override {
+    return endpoint_->events().has_pending() || (callback_ != nullptr && endpoint_->has_news());
+  }
+  bool run_one() override {
+    if (endpoint_->events().run_one(events_)) return true;
+    if (callback_ == nullptr) return false;
+    detail::Block* const block = take_block(*endpoint_);
+    if (block == nullptr) return false;
+    callback_(block);
+    return true;
+  }
+
+ private:
+  const std::shared_ptr<SubscriptionEndpoint> endpoint_;
+  const detail::UntypedSubscription::Callback callback_;
+  const detail::EventCallbacks events_;
+};
+
+}  // namespace
+
 namespace detail {
 
 Result<std::shared_ptr<UntypedSubscription>> UntypedSubscription::create(
@@ -36,12 +94,13 @@ Result<std::shared_ptr<UntypedSubscription>> UntypedSubscription::create(
   std::shared_ptr<UntypedSubscription> subscription(new UntypedSubscription);
   subscription->topic_ = name.topic;
   std::shared_ptr<Sleeper> sleeper;
-  if (callback) {
+  if (callback || options.events()) {
     auto runner = Runner::of_node(name.node);
     if (!runner) return tl::unexpected<Failure>(runner.error());
     subscription->runner_ = std::move(*runner);
     sleeper = subscription->runner_->sleeper();
-  } else {
+  }
+  if (!callback) {
     auto idle = Context::instance().idle_sleeper();
     if (!idle) return tl::unexpected<Failure>(idle.error());
     sleeper = std::move(*idle);
@@ -58,13 +117,18 @@ Result<std::shared_ptr<UntypedSubscription>> UntypedSubscription::create(
   auto endpoint = Context::instance().create_subscription(request, std::move(sleeper));
   if (!endpoint) return tl::unexpected<Failure>(endpoint.error());
   subscription->endpoint_ = std::move(*endpoint);
-  if (callback) subscription->runner_->add(subscription->endpoint_, std::move(callback));
+  if (subscription->runner_ != nullptr) {
+    subscription->endpoint_->events().wake_for(options.events(), subscription->runner_->sleeper());
+    subscription->source_ = std::make_shared<SubscriptionSource>(
+        subscription->endpoint_, std::move(callback), options.events());
+    subscription->runner_->callbacks().add(subscription->source_);
+  }
   return subscription;
 }
 
 UntypedSubscription::~UntypedSubscription() {
   if (endpoint_ == nullptr) return;
-  if (runner_ != nullptr) runner_->remove(*endpoint_);
+  if (source_ != nullptr) runner_->callbacks().remove(*source_);
   Context::instance().destroy(endpoint_);
 }
 
@@ -72,6 +136,18 @@ Block* UntypedSubscription::take() noexcept { return take_block(*endpoint_); }
 std::uint64_t UntypedSubscription::lost() const noexcept { return endpoint_->lost(); }
 std::size_t UntypedSubscription::publisher_count() const noexcept {
   return endpoint_->publisher_count();
+}
+std::uint64_t UntypedSubscription::callback_exception_count() const noexcept {
+  return source_ != nullptr ? source_->exception_count.load(std::memory_order_relaxed) : 0;
+}
+MatchedInfo UntypedSubscription::matched_status() noexcept {
+  return endpoint_->events().matched_status();
+}
+IncompatibleQosInfo UntypedSubscription::incompatible_qos_status() noexcept {
+  return endpoint_->events().incompatible_qos_status();
+}
+IncompatibleTypeInfo UntypedSubscription::incompatible_type_status() noexcept {
+  return endpoint_->events().incompatible_type_status();
 }
 
 }  // namespace detail

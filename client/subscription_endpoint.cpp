@@ -25,6 +25,7 @@ Result<void> SubscriptionEndpoint::add_publisher(const Publisher& publisher,
   if (!link->core_.link(publisher.from_start))
     return fail(Errc::protocol_violation, "an announced publisher is not on the board");
   links_.push_back(std::move(link));
+  events_.gained();
   sleeper_->wake();  // what was committed before the link existed could not ring for it
   return {};
 }
@@ -32,8 +33,9 @@ Result<void> SubscriptionEndpoint::add_publisher(const Publisher& publisher,
 void SubscriptionEndpoint::orphan(std::uint64_t publisher, std::uint64_t generation) noexcept {
   const std::lock_guard lock(mutex_);
   for (const auto& link : links_) {
-    if (link->publisher() == publisher && link->generation() == generation)
-      link->core_.observe_publisher();
+    if (link->publisher() != publisher || link->generation() != generation) continue;
+    link->core_.observe_publisher();
+    if (!std::exchange(link->ceased_, true)) events_.ceased();
   }
   sleeper_->wake();
 }

@@ -14,6 +14,7 @@
 
 #include <agnocast/result.hpp>
 #include <client/dataplane/subscription_core.hpp>
+#include <client/endpoint_events.hpp>
 #include <client/peer.hpp>
 #include <client/sleeper.hpp>
 
@@ -72,6 +73,7 @@ class Link {
   std::uint64_t windows_seen_ = 0;  // when take() was tried last
   std::atomic<std::uint64_t> held_{0};
   std::atomic<bool> closing_{false};
+  bool ceased_ = false;  // counted as a publisher that is gone
 };
 
 /// A message in the hands of this process. Whoever drops it calls link->release(taken.slot) exactly
@@ -140,6 +142,7 @@ class SubscriptionEndpoint {
   std::uint64_t lost() const noexcept;
   std::uint64_t malformed() const noexcept;
   std::size_t publisher_count() const noexcept;
+  EndpointEvents& events() noexcept { return events_; }
 
  private:
   void drop_beyond_depth() noexcept;
@@ -152,6 +155,7 @@ class SubscriptionEndpoint {
   std::uint64_t lost_before_ = 0;  // of links that are over
   std::uint64_t malformed_before_ = 0;
   bool closed_ = false;
+  EndpointEvents events_;
 };
 
 }  // namespace agnocast

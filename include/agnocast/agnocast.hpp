@@ -4,9 +4,12 @@
 #pragma once
 
 #include <agnocast/error.hpp>
+#include <agnocast/events.hpp>
+#include <agnocast/executor.hpp>
 #include <agnocast/heap.hpp>
 #include <agnocast/ipc_shared_ptr.hpp>
 #include <agnocast/message_traits.hpp>
+#include <agnocast/node.hpp>
 #include <agnocast/publisher.hpp>
 #include <agnocast/qos.hpp>
 #include <agnocast/result.hpp>

@@ -35,6 +35,12 @@ inline constexpr bool has_topics_interface<
     std::void_t<decltype(std::declval<Node&>().get_node_topics_interface()->resolve_topic_name(
         std::string()))>> = true;
 template <class Node, class = void>
+inline constexpr bool has_try_resolve = false;
+template <class Node>
+inline constexpr bool has_try_resolve<
+    Node, std::void_t<decltype(std::declval<Node&>().try_resolve_topic_name(std::string()))>> =
+    true;
+template <class Node, class = void>
 inline constexpr bool has_resolve = false;
 template <class Node>
 inline constexpr bool has_resolve<
@@ -59,7 +65,11 @@ template <class Node>
 [[nodiscard]] Result<EndpointName> resolve(Node& node, const std::string& topic) {
   EndpointName name;
   name.node = node.get_fully_qualified_name();
-  if constexpr (has_topics_interface<Node>) {
+  if constexpr (has_try_resolve<Node>) {
+    Result<std::string> resolved = node.try_resolve_topic_name(topic);
+    if (!resolved) return tl::unexpected<Failure>(resolved.error());
+    name.topic = std::move(*resolved);
+  } else if constexpr (has_topics_interface<Node>) {
     name.topic = node.get_node_topics_interface()->resolve_topic_name(topic);
   } else if constexpr (has_resolve<Node>) {
     name.topic = node.resolve_topic_name(topic);

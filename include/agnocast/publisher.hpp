@@ -5,6 +5,7 @@
 // so).
 #pragma once
 
+#include <agnocast/events.hpp>
 #include <agnocast/ipc_shared_ptr.hpp>
 #include <agnocast/message_type.hpp>
 #include <agnocast/node_like.hpp>
@@ -23,6 +24,11 @@
 namespace agnocast {
 
 class PublisherEndpoint;
+class Runner;
+class CallbackSource;
+
+/// Options of a publisher: its event callbacks (events.hpp).
+class PublisherOptions : public detail::EventOptions<PublisherOptions> {};
 
 /// What publish did. Converts to true when the message was committed; then it is the queue's.
 /// Otherwise the caller still has it.
@@ -77,7 +83,8 @@ class Patience {
 class AGNOCAST_PUBLIC UntypedPublisher {
  public:
   [[nodiscard]] static Result<std::shared_ptr<UntypedPublisher>> create(
-      const EndpointName& name, MessageType type, const QoS& qos, void (*destroy)(void*) noexcept);
+      const EndpointName& name, MessageType type, const QoS& qos, const PublisherOptions& options,
+      void (*destroy)(void*) noexcept);
   ~UntypedPublisher();
   UntypedPublisher(const UntypedPublisher&) = delete;
   UntypedPublisher& operator=(const UntypedPublisher&) = delete;
@@ -87,6 +94,10 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   const MessageType& type() const noexcept { return type_; }
   const std::string& topic() const noexcept { return topic_; }
   std::size_t subscription_count() const noexcept;
+  std::uint64_t callback_exception_count() const noexcept;
+  MatchedInfo matched_status() noexcept;
+  IncompatibleQosInfo incompatible_qos_status() noexcept;
+  IncompatibleTypeInfo incompatible_type_status() noexcept;
 
  private:
   UntypedPublisher(MessageType type, std::string topic) noexcept
@@ -94,6 +105,8 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   MessageType type_;
   std::string topic_;
   std::shared_ptr<PublisherEndpoint> endpoint_;
+  std::shared_ptr<Runner> runner_;  // this and the next only with event callbacks
+  std::shared_ptr<CallbackSource> source_;
 };
 
 }  // namespace detail
@@ -192,6 +205,18 @@ class Publisher {
   const char* get_topic_name() const noexcept { return untyped_->topic().c_str(); }
   /// Matched subscriptions that this process has mapped; a moment ago.
   std::size_t get_subscription_count() const noexcept { return untyped_->subscription_count(); }
+  /// Of event callbacks, in the library's thread (see Subscription).
+  std::uint64_t get_callback_exception_count() const noexcept {
+    return untyped_->callback_exception_count();
+  }
+  /// Changes are counted since the last call (events.hpp).
+  MatchedInfo get_matched_status() noexcept { return untyped_->matched_status(); }
+  IncompatibleQosInfo get_incompatible_qos_status() noexcept {
+    return untyped_->incompatible_qos_status();
+  }
+  IncompatibleTypeInfo get_type_mismatch_status() noexcept {
+    return untyped_->incompatible_type_status();
+  }
 
  private:
   struct Loan : detail::Block {
@@ -211,13 +236,13 @@ class Publisher {
 /// (include/agnocast/error.hpp).
 template <class T, class Node>
 [[nodiscard]] Result<typename Publisher<T>::SharedPtr> try_create_publisher(
-    Node&& node, const std::string& topic, const QoS& qos) {
+    Node&& node, const std::string& topic, const QoS& qos, const PublisherOptions& options = {}) {
   Result<detail::EndpointName> name = detail::resolve(detail::dereference(node), topic);
   if (!name) return tl::unexpected<Failure>(name.error());
   Result<MessageType> type = message_type_of<T>();
   if (!type) return tl::unexpected<Failure>(type.error());
   auto untyped = detail::UntypedPublisher::create(
-      *name, std::move(*type), qos,
+      *name, std::move(*type), qos, options,
       [](void* message) noexcept { delete static_cast<T*>(message); });
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
   return std::make_shared<Publisher<T>>(std::move(*untyped));
@@ -226,15 +251,11 @@ template <class T, class Node>
 /// The same; throws agnocast::Error.
 template <class T, class Node>
 typename Publisher<T>::SharedPtr create_publisher(Node&& node, const std::string& topic,
-                                                  const QoS& qos) {
-  auto publisher = try_create_publisher<T>(node, topic, qos);
+                                                  const QoS& qos,
+                                                  const PublisherOptions& options = {}) {
+  auto publisher = try_create_publisher<T>(node, topic, qos, options);
   if (!publisher) throw Error(publisher.error());
   return std::move(*publisher);
-}
-template <class T, class Node>
-typename Publisher<T>::SharedPtr create_publisher(Node&& node, const std::string& topic,
-                                                  std::size_t depth) {
-  return create_publisher<T>(node, topic, QoS(depth));
 }
 
 }  // namespace agnocast

@@ -18,8 +18,8 @@ class QoS {
  public:
   /// Keep-last: a publisher keeps that many messages for late joiners if it is transient-local; a
   /// subscription gets that many unread messages, whatever the publisher's depth is. 0 and depths
-  /// above the daemon's limit are refused at creation.
-  explicit QoS(std::size_t depth) noexcept : depth_(depth) {}
+  /// above the daemon's limit are refused at creation. A number where a QoS is wanted is a depth.
+  QoS(std::size_t depth) noexcept : depth_(depth) {}
   /// From an rclcpp::QoS or whatever else has depth(), history(), reliability() and durability() in
   /// rmw's numbers.
   template <class Like, class = decltype(std::declval<const Like&>().depth(),

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Subscription: messages by callback or by take(). A received message is read-only memory of its
+// Subscription: messages by callback, by take(), or only ever the newest (PollingSubscriber). A received message is read-only memory of its
 // publisher, valid as long as it is held: also after the subscription, its node or the publisher's
 // process are gone.
 #pragma once
 
+#include <agnocast/events.hpp>
 #include <agnocast/ipc_shared_ptr.hpp>
 #include <agnocast/message_type.hpp>
 #include <agnocast/node_like.hpp>
@@ -15,6 +16,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <mutex>
 #include <string>
 #include <type_traits>
 #include <utility>
@@ -23,9 +25,10 @@ namespace agnocast {
 
 class Runner;
 class SubscriptionEndpoint;
+class CallbackSource;
 
-/// Options of a subscription, with setters.
-class SubscriptionOptions {
+/// Options of a subscription, with setters; those of the event callbacks are in events.hpp.
+class SubscriptionOptions : public detail::EventOptions<SubscriptionOptions> {
  public:
   /// Messages held at once per publisher, at most; what is beyond stays unread (default 64).
   SubscriptionOptions& hold_quota(std::size_t messages) noexcept {
@@ -42,8 +45,8 @@ namespace detail {
 class AGNOCAST_PUBLIC UntypedSubscription {
  public:
   using Callback = std::function<void(Block*)>;  // takes over one use of the block
-  /// Without a callback: for take(). With one: run by the runner of `node_key` (a library thread
-  /// unless an executor has it).
+  /// Without a callback: for take(). Callbacks are run by the node's executor, or by a library
+  /// thread of the node.
   [[nodiscard]] static Result<std::shared_ptr<UntypedSubscription>> create(
       const EndpointName& name, const MessageType& type, const QoS& qos,
       const SubscriptionOptions& options, Callback callback);
@@ -55,29 +58,52 @@ class AGNOCAST_PUBLIC UntypedSubscription {
   Block* take() noexcept;
   std::uint64_t lost() const noexcept;
   std::size_t publisher_count() const noexcept;
+  std::uint64_t callback_exception_count() const noexcept;
+  MatchedInfo matched_status() noexcept;
+  IncompatibleQosInfo incompatible_qos_status() noexcept;
+  IncompatibleTypeInfo incompatible_type_status() noexcept;
   const std::string& topic() const noexcept { return topic_; }
 
  private:
   UntypedSubscription() noexcept = default;
   std::string topic_;
   std::shared_ptr<SubscriptionEndpoint> endpoint_;
-  std::shared_ptr<Runner> runner_;
+  std::shared_ptr<Runner> runner_;  // this and the next only with callbacks
+  std::shared_ptr<CallbackSource> source_;
 };
+
+template <class Callback, class T>
+inline constexpr bool takes_message =
+    std::is_invocable_v<Callback&, ipc_shared_ptr<T>> ||
+    std::is_invocable_v<Callback&, ipc_shared_ptr<T>, const MessageInfo&>;
+
+/// What create_subscription takes as a callback for messages of type T.
+template <class T, class Callback>
+inline constexpr bool is_callback = takes_message<std::remove_reference_t<Callback>, const T> ||
+                                    takes_message<std::remove_reference_t<Callback>, T>;
+
+template <class Message, class Callback>
+void call(Callback& callback, Block* block) {
+  if constexpr (std::is_invocable_v<Callback&, ipc_shared_ptr<Message>>) {
+    callback(ipc_shared_ptr<Message>(block));
+  } else {
+    const MessageInfo info = block->info;  // the callback may let the message go first
+    callback(ipc_shared_ptr<Message>(block), info);
+  }
+}
 
 /// How a user's callback is called: with ipc_shared_ptr<const T> if it takes that, else with
 /// ipc_shared_ptr<T> (rclcpp users' habit; the memory is read-only all the same).
 template <class T, class Callback>
 UntypedSubscription::Callback erase(Callback&& callback) {
-  static_assert(std::is_invocable_v<Callback&, ipc_shared_ptr<const T>> ||
-                    std::is_invocable_v<Callback&, ipc_shared_ptr<T>>,
+  static_assert(is_callback<T, Callback>,
                 "a subscription's callback takes agnocast::ipc_shared_ptr<const T> or "
-                "agnocast::ipc_shared_ptr<T>");
-  return [call = std::forward<Callback>(callback)](Block* block) mutable {
-    if constexpr (std::is_invocable_v<Callback&, ipc_shared_ptr<const T>>) {
-      call(ipc_shared_ptr<const T>(block));
-    } else {
-      call(ipc_shared_ptr<T>(block));
-    }
+                "agnocast::ipc_shared_ptr<T>, and after it a const agnocast::MessageInfo& if it "
+                "wants one");
+  return [function = std::forward<Callback>(callback)](Block* block) mutable {
+    using Function = decltype(function);
+    using Message = std::conditional_t<takes_message<Function, const T>, const T, T>;
+    call<Message>(function, block);
   };
 }
 
@@ -97,44 +123,101 @@ class Subscription {
   /// Messages that were dropped because this subscription's depth was exceeded.
   std::uint64_t get_lost_count() const noexcept { return untyped_->lost(); }
   std::size_t get_publisher_count() const noexcept { return untyped_->publisher_count(); }
+  /// Exceptions that left a callback of this subscription in the library's thread. There is nobody
+  /// to give them to; in an executor they leave spin() instead and are not counted.
+  std::uint64_t get_callback_exception_count() const noexcept {
+    return untyped_->callback_exception_count();
+  }
+  /// Changes are counted since the last call (events.hpp).
+  MatchedInfo get_matched_status() noexcept { return untyped_->matched_status(); }
+  IncompatibleQosInfo get_incompatible_qos_status() noexcept {
+    return untyped_->incompatible_qos_status();
+  }
+  IncompatibleTypeInfo get_type_mismatch_status() noexcept {
+    return untyped_->incompatible_type_status();
+  }
   const char* get_topic_name() const noexcept { return untyped_->topic().c_str(); }
 
  private:
   std::shared_ptr<detail::UntypedSubscription> untyped_;
 };
 
-/// A subscription, or why there is none. With a callback it is called for each message by the
-/// node's executor, or by a library thread of the node.
-template <class T, class Node>
-[[nodiscard]] Result<typename Subscription<T>::SharedPtr> try_create_subscription(
-    Node&& node, const std::string& topic, const QoS& qos,
-    detail::UntypedSubscription::Callback callback = nullptr,
-    const SubscriptionOptions& options = {}) {
-  Result<detail::EndpointName> name = detail::resolve(detail::dereference(node), topic);
+/// A subscription without a callback. Beside take() it has the habit of Autoware's polling
+/// subscribers: take_data() is whatever is newest now.
+template <class T>
+class PollingSubscriber : public Subscription<T> {
+ public:
+  using SharedPtr = std::shared_ptr<PollingSubscriber>;
+  using Subscription<T>::Subscription;
+
+  /// The newest message, the same again while there is no newer one, empty before the first. What
+  /// came in between is skipped (it is not counted as lost). The subscription keeps holding it.
+  ipc_shared_ptr<const T> take_data() noexcept {
+    const std::lock_guard lock(mutex_);
+    while (auto newer = this->take()) newest_ = std::move(newer);
+    return newest_;
+  }
+  /// The older spelling.
+  ipc_shared_ptr<const T> takeData() noexcept { return take_data(); }
+
+ private:
+  std::mutex mutex_;
+  ipc_shared_ptr<const T> newest_;
+};
+
+namespace detail {
+
+template <class Made, class T, class Node>
+Result<std::shared_ptr<Made>> make_subscription(Node& node, const std::string& topic,
+                                                const QoS& qos,
+                                                UntypedSubscription::Callback callback,
+                                                const SubscriptionOptions& options) {
+  Result<EndpointName> name = resolve(dereference(node), topic);
   if (!name) return tl::unexpected<Failure>(name.error());
   const Result<MessageType> type = message_type_of<T>();
   if (!type) return tl::unexpected<Failure>(type.error());
-  auto untyped =
-      detail::UntypedSubscription::create(*name, *type, qos, options, std::move(callback));
+  auto untyped = UntypedSubscription::create(*name, *type, qos, options, std::move(callback));
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
-  return std::make_shared<Subscription<T>>(std::move(*untyped));
+  return std::make_shared<Made>(std::move(*untyped));
 }
 
-/// The same; throws agnocast::Error.
-template <class T, class Node, class Callback>
-typename Subscription<T>::SharedPtr create_subscription(Node&& node, const std::string& topic,
-                                                        const QoS& qos, Callback&& callback,
-                                                        const SubscriptionOptions& options = {}) {
-  auto subscription = try_create_subscription<T>(
+}  // namespace detail
+
+/// A subscription whose callback is called for each message, by the node's executor or by a library
+/// thread of the node; or why there is none. `callback` takes ipc_shared_ptr<const T> (or of T), by
+/// value, const reference or rvalue, and then a const MessageInfo& if it wants one.
+template <class T, class Node, class Callback,
+          class = std::enable_if_t<!std::is_same_v<std::decay_t<Callback>, SubscriptionOptions>>>
+[[nodiscard]] Result<typename Subscription<T>::SharedPtr> try_create_subscription(
+    Node&& node, const std::string& topic, const QoS& qos, Callback&& callback,
+    const SubscriptionOptions& options = {}) {
+  return detail::make_subscription<Subscription<T>, T>(
       node, topic, qos, detail::erase<T>(std::forward<Callback>(callback)), options);
-  if (!subscription) throw Error(subscription.error());
-  return std::move(*subscription);
 }
 /// Without a callback: for take().
 template <class T, class Node>
+[[nodiscard]] Result<typename PollingSubscriber<T>::SharedPtr> try_create_subscription(
+    Node&& node, const std::string& topic, const QoS& qos,
+    const SubscriptionOptions& options = {}) {
+  return detail::make_subscription<PollingSubscriber<T>, T>(node, topic, qos, nullptr, options);
+}
+
+/// The same; these throw agnocast::Error.
+template <class T, class Node, class Callback,
+          class = std::enable_if_t<!std::is_same_v<std::decay_t<Callback>, SubscriptionOptions>>>
 typename Subscription<T>::SharedPtr create_subscription(Node&& node, const std::string& topic,
-                                                        const QoS& qos) {
-  auto subscription = try_create_subscription<T>(node, topic, qos);
+                                                        const QoS& qos, Callback&& callback,
+                                                        const SubscriptionOptions& options = {}) {
+  auto subscription =
+      try_create_subscription<T>(node, topic, qos, std::forward<Callback>(callback), options);
+  if (!subscription) throw Error(subscription.error());
+  return std::move(*subscription);
+}
+template <class T, class Node>
+typename PollingSubscriber<T>::SharedPtr create_subscription(
+    Node&& node, const std::string& topic, const QoS& qos,
+    const SubscriptionOptions& options = {}) {
+  auto subscription = try_create_subscription<T>(node, topic, qos, options);
   if (!subscription) throw Error(subscription.error());
   return std::move(*subscription);
 }

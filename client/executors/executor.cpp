@@ -1,0 +1,168 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// The public face of executors: how long to run callbacks, how long to look, when to sleep.
+
+#include <agnocast/executor.hpp>
+#include <client/executors/executor_core.hpp>
+#include <client/runner.hpp>
+
+#include <algorithm>
+#include <atomic>
+#include <utility>
+
+namespace agnocast {
+namespace {
+
+using Clock = ExecutorCore::Clock;
+
+// How often a future that others fulfil is looked at.
+constexpr std::chrono::milliseconds future_look{10};
+// Looks between two readings of the clock.
+constexpr int looks_per_clock = 16;
+
+void pause_core() noexcept {
+#if defined(__x86_64__)
+  __builtin_ia32_pause();
+#elif defined(__aarch64__)
+  asm volatile("yield" ::: "memory");
+#endif
+}
+
+/// Negative: never over.
+Clock::time_point after(std::chrono::nanoseconds duration) noexcept {
+  const Clock::time_point now = Clock::now();
+  if (duration < std::chrono::nanoseconds(0) || duration >= Clock::time_point::max() - now)
+    return Clock::time_point::max();
+  return now + std::chrono::duration_cast<Clock::duration>(duration);
+}
+Clock::time_point bound_of(std::chrono::nanoseconds max_duration) noexcept {
+  return max_duration > std::chrono::nanoseconds(0) ? after(max_duration)
+                                                    : Clock::time_point::max();
+}
+
+/// Until `deadline`, rounded up so that a sleep does not end just before it.
+std::chrono::milliseconds time_until(Clock::time_point deadline) noexcept {
+  const Clock::time_point now = Clock::now();
+  if (deadline <= now) return std::chrono::milliseconds(0);
+  if (deadline - now >= ExecutorCore::sleep_max) return ExecutorCore::sleep_max;
+  return std::chrono::ceil<std::chrono::milliseconds>(deadline - now);
+}
+
+}  // namespace
+
+struct Executor::State {
+  std::unique_ptr<ExecutorCore> core;
+  std::chrono::nanoseconds spin_budget;
+  std::atomic<bool> is_spinning{false};
+};
+
+/// One spin function at a time.
+class Executor::Spinning {
+ public:
+  explicit Spinning(State& state) : state_(state) {
+    if (state_.is_spinning.exchange(true, std::memory_order_acq_rel))
+      throw Error({Errc::invalid_argument, 0, "this executor is spinning already"});
+  }
+  ~Spinning() { state_.is_spinning.store(false, std::memory_order_release); }
+  Spinning(const Spinning&) = delete;
+  Spinning& operator=(const Spinning&) = delete;
+
+ private:
+  State& state_;
+};
+
+Executor::Executor(std::chrono::nanoseconds spin_budget) {
+  auto core = ExecutorCore::make();
+  if (!core) throw Error(core.error());
+  state_.reset(new State{std::move(*core), spin_budget});
+}
+
+Executor::~Executor() { Runner::release_all(*state_->core); }
+
+void Executor::add_node_of_name(const std::string& node) {
+  if (Result<void> claimed = Runner::claim(node, *state_->core); !claimed)
+    throw Error(claimed.error());
+}
+
+void Executor::remove_node_of_name(const std::string& node) {
+  if (Result<void> released = Runner::release(node, *state_->core); !released)
+    throw Error(released.error());
+}
+
+void Executor::cancel() noexcept { state_->core->cancel(); }
+bool Executor::is_spinning() const noexcept {
+  return state_->is_spinning.load(std::memory_order_acquire);
+}
+
+/// False at `deadline` or when cancelled. True may be wrong: whoever is woken looks.
+bool Executor::wait_for_work(Clock::time_point deadline) {
+  ExecutorCore& core = *state_->core;
+  if (state_->spin_budget > std::chrono::nanoseconds(0)) {
+    const Clock::time_point end = std::min(after(state_->spin_budget), deadline);
+    do {
+      for (int i = 0; i < looks_per_clock; ++i) {
+        if (core.is_cancelled()) return false;
+        if (core.has_work()) return true;
+        pause_core();
+      }
+    } while (Clock::now() < end);
+  }
+  if (core.is_cancelled() || Clock::now() >= deadline) return false;
+  if (!core.prepare()) core.sleep(time_until(deadline));
+  return !core.is_cancelled();
+}
+
+void Executor::spin() {
+  const Spinning spinning(*state_);
+  while (!state_->core->take_cancel()) {
+    if (!state_->core->run_next()) wait_for_work(Clock::time_point::max());
+  }
+}
+
+void Executor::spin_some(std::chrono::nanoseconds max_duration) {
+  const Spinning spinning(*state_);
+  if (!state_->core->take_cancel()) state_->core->run_turn(bound_of(max_duration));
+}
+
+void Executor::spin_all(std::chrono::nanoseconds max_duration) {
+  const Spinning spinning(*state_);
+  const Clock::time_point deadline = bound_of(max_duration);
+  while (!state_->core->take_cancel() && state_->core->run_turn(deadline) != 0) {
+  }
+}
+
+void Executor::spin_once(std::chrono::nanoseconds timeout) {
+  const Spinning spinning(*state_);
+  const Clock::time_point deadline = after(timeout);
+  while (!state_->core->take_cancel()) {
+    if (state_->core->run_next() || Clock::now() >= deadline) return;
+    wait_for_work(deadline);
+  }
+}
+
+FutureReturnCode Executor::spin_until(bool (*is_ready)(const void*), const void* future,
+                                      std::chrono::nanoseconds timeout) {
+  const Spinning spinning(*state_);
+  const Clock::time_point deadline = after(timeout);
+  for (;;) {
+    if (is_ready(future)) return FutureReturnCode::SUCCESS;
+    if (state_->core->take_cancel()) return FutureReturnCode::INTERRUPTED;
+    if (Clock::now() >= deadline) return FutureReturnCode::TIMEOUT;
+    if (!state_->core->run_next()) wait_for_work(std::min(deadline, after(future_look)));
+  }
+}
+
+int Executor::fd() const noexcept { return state_->core->fd(); }
+
+Executor::Readiness Executor::prepare() noexcept {
+  return state_->core->prepare() ? Readiness::work_ready : Readiness::armed;
+}
+
+std::size_t Executor::dispatch() {
+  const Spinning spinning(*state_);
+  state_->core->sleep(std::chrono::milliseconds(0));
+  if (state_->core->take_cancel()) return 0;
+  return state_->core->run_turn(Clock::time_point::max());
+}
+
+}  // namespace agnocast

@@ -1,0 +1,134 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <client/executors/executor_core.hpp>
+
+#include <sys/epoll.h>
+#include <sys/eventfd.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <utility>
+
+namespace agnocast {
+namespace {
+
+// Of everything that is edge-triggered and never read: which one it was does not matter.
+constexpr std::uint64_t eventfd_tag = 0;
+constexpr int events_max = 16;
+
+}  // namespace
+
+Result<std::unique_ptr<ExecutorCore>> ExecutorCore::make() {
+  UniqueFd epoll(::epoll_create1(EPOLL_CLOEXEC));
+  UniqueFd wake(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
+  if (!epoll || !wake) return fail(Errc::os_failure, "preparing an executor", errno);
+  epoll_event event{};
+  event.events = EPOLLIN | EPOLLET;
+  event.data.u64 = eventfd_tag;
+  if (::epoll_ctl(epoll.get(), EPOLL_CTL_ADD, wake.get(), &event) != 0)
+    return fail(Errc::os_failure, "preparing an executor", errno);
+  return std::unique_ptr<ExecutorCore>(new ExecutorCore(std::move(epoll), std::move(wake)));
+}
+
+ExecutorCore::~ExecutorCore() = default;
+
+Result<void> ExecutorCore::adopt(std::shared_ptr<NodeCallbacks> node) {
+  {
+    const std::lock_guard lock(mutex_);
+    const std::uint64_t tag = ++last_tag_;
+    hosted_.reserve(hosted_.size() + 1);
+    if (Result<void> added = node->sleeper()->bells().add_to(epoll_.get(), eventfd_tag, tag);
+        !added)
+      return added;
+    hosted_.push_back({node, tag});
+  }
+  node->hand_to(this);
+  return {};
+}
+
+void ExecutorCore::wake() noexcept {
+  const int before = errno;
+  const std::uint64_t one = 1;
+  [[maybe_unused]] const ssize_t written = ::write(wake_.get(), &one, sizeof one);
+  errno = before;
+}
+
+void ExecutorCore::cancel() noexcept {
+  cancelled_.store(true, std::memory_order_release);
+  wake();
+}
+
+void ExecutorCore::begin_turn() {
+  turn_.clear();
+  next_ = 0;
+  const std::lock_guard lock(mutex_);
+  for (const Hosted& hosted : hosted_) {
+    listed_.clear();
+    hosted.node->list(this, listed_);
+    for (auto& source : listed_) turn_.push_back({hosted.node, std::move(source)});
+  }
+}
+
+bool ExecutorCore::run_one_of_turn() {
+  while (next_ < turn_.size()) {
+    const Turn& entry = turn_[next_++];
+    const auto node = entry.node.lock();
+    const auto source = entry.source.lock();
+    if (node != nullptr && source != nullptr && node->run(this, *source)) return true;
+  }
+  return false;
+}
+
+bool ExecutorCore::run_next() {
+  if (run_one_of_turn()) return true;
+  begin_turn();
+  return run_one_of_turn();
+}
+
+std::size_t ExecutorCore::run_turn(Clock::time_point deadline) {
+  std::size_t count = 0;
+  const auto is_over = [&] { return is_cancelled() || Clock::now() >= deadline; };
+  while (!is_over() && run_one_of_turn()) ++count;
+  if (count != 0 || is_over()) return count;
+  begin_turn();
+  while (run_one_of_turn()) {
+    ++count;
+    if (is_over()) break;
+  }
+  return count;
+}
+
+bool ExecutorCore::has_work() const noexcept {
+  const std::lock_guard lock(mutex_);
+  return std::any_of(hosted_.begin(), hosted_.end(),
+                     [this](const Hosted& hosted) { return hosted.node->has_work(this); });
+}
+
+bool ExecutorCore::prepare() noexcept {
+  const std::lock_guard lock(mutex_);
+  for (const Hosted& hosted : hosted_) hosted.node->arm(this);
+  const bool work = std::any_of(hosted_.begin(), hosted_.end(), [this](const Hosted& hosted) {
+    return hosted.node->has_work(this);
+  });
+  if (!work) return false;
+  for (const Hosted& hosted : hosted_) hosted.node->disarm(this);
+  return true;
+}
+
+void ExecutorCore::sleep(std::chrono::milliseconds timeout) noexcept {
+  epoll_event events[events_max];
+  const int count =
+      ::epoll_wait(epoll_.get(), events, events_max, static_cast<int>(timeout.count()));
+  const std::lock_guard lock(mutex_);
+  for (const Hosted& hosted : hosted_) hosted.node->disarm(this);
+  for (int i = 0; i < count; ++i) {
+    const std::uint64_t tag = events[i].data.u64;
+    if (tag == eventfd_tag) continue;
+    const auto found = std::find_if(hosted_.begin(), hosted_.end(),
+                                    [&](const Hosted& hosted) { return hosted.tag == tag; });
+    if (found != hosted_.end()) found->node->drain(this);
+  }
+}
+
+}  // namespace agnocast

@@ -1,0 +1,118 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <client/executors/node_callbacks.hpp>
+
+#include <algorithm>
+#include <utility>
+
+namespace agnocast {
+
+void NodeCallbacks::add(std::shared_ptr<CallbackSource> source) {
+  {
+    const std::lock_guard lock(mutex_);
+    sources_.push_back(std::move(source));
+  }
+  sleeper_->wake();
+}
+
+void NodeCallbacks::remove(CallbackSource& source) noexcept {
+  std::shared_ptr<CallbackSource> last;  // goes after the lock: it may be what keeps the callback
+  std::unique_lock lock(mutex_);
+  const auto found = std::find_if(sources_.begin(), sources_.end(), [&](const auto& candidate) {
+    return candidate.get() == &source;
+  });
+  if (found == sources_.end()) return;
+  last = std::move(*found);
+  sources_.erase(found);
+  source.removed_ = true;
+  if (running_thread_ != std::this_thread::get_id())
+    changed_.wait(lock, [&] { return running_ != &source; });
+  lock.unlock();
+}
+
+void NodeCallbacks::hand_to(Host host) noexcept {
+  {
+    const std::lock_guard lock(mutex_);
+    if (armed_) sleeper_->disarm();
+    armed_ = false;
+    host_ = host;
+    changed_.notify_all();
+  }
+  sleeper_->wake();  // whoever sleeps on its bells shall look who is the host
+}
+
+bool NodeCallbacks::await(Host host) noexcept {
+  std::unique_lock lock(mutex_);
+  changed_.wait(lock, [&] { return stopped_ || host_ == host; });
+  return !stopped_;
+}
+
+void NodeCallbacks::stop() noexcept {
+  {
+    const std::lock_guard lock(mutex_);
+    if (armed_) sleeper_->disarm();  // the next user of the sleeper begins awake
+    armed_ = false;
+    stopped_ = true;
+    changed_.notify_all();
+  }
+  sleeper_->wake();
+}
+
+void NodeCallbacks::list(Host host, std::vector<std::weak_ptr<CallbackSource>>& sources) const {
+  const std::lock_guard lock(mutex_);
+  if (host_ == host) sources.insert(sources.end(), sources_.begin(), sources_.end());
+}
+
+bool NodeCallbacks::has_work(Host host) const noexcept {
+  const std::lock_guard lock(mutex_);
+  return host_ == host && running_ == nullptr && !stopped_ &&
+         std::any_of(sources_.begin(), sources_.end(),
+                     [](const auto& source) { return source->has_work(); });
+}
+
+struct NodeCallbacks::Ending {
+  NodeCallbacks& node;
+  Host host;
+  ~Ending() {
+    const std::lock_guard lock(node.mutex_);
+    node.running_ = nullptr;
+    node.running_thread_ = {};
+    node.changed_.notify_all();
+    if (node.host_ != host) node.sleeper_->wake();  // the new one has seen nothing meanwhile
+  }
+};
+
+bool NodeCallbacks::run(Host host, CallbackSource& source) {
+  if (!source.has_work()) return false;
+  {
+    const std::lock_guard lock(mutex_);
+    if (host_ != host || running_ != nullptr || source.removed_ || stopped_) return false;
+    running_ = &source;
+    running_thread_ = std::this_thread::get_id();
+  }
+  const Ending ending{*this, host};
+  return source.run_one();
+}
+
+void NodeCallbacks::arm(Host host) noexcept {
+  const std::lock_guard lock(mutex_);
+  if (host_ != host || stopped_) return;
+  sleeper_->arm();
+  armed_ = true;
+}
+
+void NodeCallbacks::disarm(Host host) noexcept {
+  const std::lock_guard lock(mutex_);
+  if (host_ != host || !armed_) return;
+  sleeper_->disarm();
+  armed_ = false;
+}
+
+void NodeCallbacks::drain(Host host) noexcept {
+  sleeper_->bells().drain();
+  // What a former host takes out of the bell was perhaps meant for the new one.
+  const std::lock_guard lock(mutex_);
+  if (host_ != host) sleeper_->wake();
+}
+
+}  // namespace agnocast

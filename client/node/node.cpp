@@ -1,0 +1,84 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <agnocast/node.hpp>
+#include <base/names.hpp>
+#include <client/node/arguments.hpp>
+#include <client/static_text.hpp>
+
+#include <iterator>
+#include <utility>
+
+namespace agnocast {
+namespace {
+
+Arguments parse_or_throw(const std::vector<std::string>& arguments) {
+  Result<Arguments> parsed = parse_arguments(arguments);
+  if (!parsed) throw Error(parsed.error());
+  return std::move(*parsed);
+}
+
+void require(const std::optional<NameProblem>& problem, const char* what, const std::string& name) {
+  if (!problem) return;
+  const std::string text = std::string(what) + " '" + name + "': " + problem->text();
+  throw Error({Errc::invalid_name, 0, static_text(text, problem->what)});
+}
+
+}  // namespace
+
+void init(int argc, char const* const* argv) {
+  set_global_rules(parse_or_throw({argv, argv + argc}).rules);
+}
+
+std::vector<std::string> remove_ros_arguments(int argc, char const* const* argv) {
+  return parse_or_throw({argv, argv + argc}).others;
+}
+
+struct Node::Names {
+  std::string name, node_namespace, full;
+  std::vector<RemapRule> rules;
+};
+
+Node::Node(const std::string& name, const NodeOptions& options) : Node(name, "", options) {}
+
+Node::Node(const std::string& name, const std::string& node_namespace, const NodeOptions& options) {
+  auto names = std::make_shared<Names>();
+  names->rules = parse_or_throw(options.arguments()).rules;
+  if (options.use_global_arguments()) {
+    std::vector<RemapRule> all = global_rules();
+    names->rules.insert(names->rules.end(), std::make_move_iterator(all.begin()),
+                        std::make_move_iterator(all.end()));
+  }
+  require(check_node_name(name), "node name", name);
+  names->name = name;
+  if (const RemapRule* rule = find_rule(names->rules, RemapRule::Kind::node_name, name))
+    names->name = rule->to;
+  names->node_namespace = node_namespace.empty() || node_namespace.front() != '/'
+                              ? "/" + node_namespace
+                              : node_namespace;
+  require(check_namespace(names->node_namespace), "namespace", names->node_namespace);
+  if (const RemapRule* rule = find_rule(names->rules, RemapRule::Kind::node_namespace, names->name))
+    names->node_namespace = rule->to;
+  names->full = (names->node_namespace == "/" ? "" : names->node_namespace) + "/" + names->name;
+  require(check_topic_name(names->full), "node", names->full);  // together they may be too long
+  names_ = std::move(names);
+}
+
+Node::~Node() = default;
+
+const char* Node::get_name() const noexcept { return names_->name.c_str(); }
+const char* Node::get_namespace() const noexcept { return names_->node_namespace.c_str(); }
+const char* Node::get_fully_qualified_name() const noexcept { return names_->full.c_str(); }
+
+Result<std::string> Node::try_resolve_topic_name(const std::string& topic) const {
+  Result<std::string> expanded = detail::expand_topic(topic, names_->name, names_->node_namespace);
+  if (!expanded) return expanded;
+  return remap_topic(names_->rules, *expanded, names_->name, names_->node_namespace);
+}
+
+std::string Node::resolve_topic_name(const std::string& topic) const {
+  Result<std::string> resolved = try_resolve_topic_name(topic);
+  if (!resolved) throw Error(resolved.error());
+  return std::move(*resolved);
+}
+
+}  // namespace agnocast

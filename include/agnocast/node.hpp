@@ -1,0 +1,99 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Node: a name in the ROS graph, and the remap rules of its command line. Publishers and
+// subscriptions belong to a node by its name; any other class that node_like.hpp describes (an
+// rclcpp::Node) does as well.
+#pragma once
+
+#include <agnocast/export.hpp>
+#include <agnocast/publisher.hpp>
+#include <agnocast/qos.hpp>
+#include <agnocast/result.hpp>
+#include <agnocast/subscription.hpp>
+
+#include <memory>
+#include <string>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+namespace agnocast {
+
+/// Takes the ROS arguments of the command line (`--ros-args … --`) for all nodes that are created
+/// later; the last call counts. Optional. It installs no signal handler. Throws Error:
+/// invalid_argument, invalid_name.
+AGNOCAST_PUBLIC void init(int argc, char const* const* argv);
+/// The arguments without those for ROS; the program's name stays the first. Throws as init().
+[[nodiscard]] AGNOCAST_PUBLIC std::vector<std::string> remove_ros_arguments(
+    int argc, char const* const* argv);
+
+/// Options of a node, with setters.
+class NodeOptions {
+ public:
+  /// ROS arguments of this node alone; its rules come before those of init(). As on a command line:
+  /// {"--ros-args", "-r", "from:=to"}.
+  NodeOptions& arguments(std::vector<std::string> arguments) {
+    return arguments_ = std::move(arguments), *this;
+  }
+  /// False: what init() was given does not count for this node.
+  NodeOptions& use_global_arguments(bool use) noexcept { return use_global_ = use, *this; }
+
+  const std::vector<std::string>& arguments() const noexcept { return arguments_; }
+  bool use_global_arguments() const noexcept { return use_global_; }
+
+ private:
+  std::vector<std::string> arguments_;
+  bool use_global_ = true;
+};
+
+/// Names do not change after construction; any thread may call anything. Its endpoints do not keep
+/// it alive, nor it them.
+class AGNOCAST_PUBLIC Node {
+ public:
+  using SharedPtr = std::shared_ptr<Node>;
+
+  /// A name is one token; a namespace begins with a slash (one is added if it is missing), and the
+  /// empty one is "/". Remap rules change both. Throws Error: invalid_name (with the position),
+  /// invalid_argument (of the arguments).
+  explicit Node(const std::string& name, const NodeOptions& options = {});
+  Node(const std::string& name, const std::string& node_namespace, const NodeOptions& options = {});
+  virtual ~Node();
+  Node(const Node&) = delete;
+  Node& operator=(const Node&) = delete;
+
+  const char* get_name() const noexcept;
+  const char* get_namespace() const noexcept;
+  const char* get_fully_qualified_name() const noexcept;
+
+  /// What this node calls `topic`, fully qualified and remapped. Errors: invalid_name.
+  [[nodiscard]] Result<std::string> try_resolve_topic_name(const std::string& topic) const;
+  /// The same; throws Error.
+  std::string resolve_topic_name(const std::string& topic) const;
+
+  /// The members below are the free functions of publisher.hpp and subscription.hpp. They throw
+  /// Error.
+  template <class T>
+  typename Publisher<T>::SharedPtr create_publisher(const std::string& topic, const QoS& qos,
+                                                    const PublisherOptions& options = {}) {
+    return agnocast::create_publisher<T>(*this, topic, qos, options);
+  }
+  template <class T, class Callback,
+            class = std::enable_if_t<!std::is_same_v<std::decay_t<Callback>, SubscriptionOptions>>>
+  typename Subscription<T>::SharedPtr create_subscription(const std::string& topic, const QoS& qos,
+                                                          Callback&& callback,
+                                                          const SubscriptionOptions& options = {}) {
+    return agnocast::create_subscription<T>(*this, topic, qos, std::forward<Callback>(callback),
+                                            options);
+  }
+  template <class T>
+  typename PollingSubscriber<T>::SharedPtr create_subscription(
+      const std::string& topic, const QoS& qos, const SubscriptionOptions& options = {}) {
+    return agnocast::create_subscription<T>(*this, topic, qos, options);
+  }
+
+ private:
+  struct Names;
+  std::shared_ptr<const Names> names_;
+};
+
+}  // namespace agnocast
