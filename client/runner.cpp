@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <client/forked_child.hpp>
 #include <client/runner.hpp>
 
 #include <pthread.h>
@@ -125,6 +126,8 @@ struct Runner::State {
 };
 
 Result<std::shared_ptr<Runner>> Runner::of_node(const std::string& node) {
+  if (Result<void> refused = refuse_forked_child(); !refused)
+    return tl::unexpected<Failure>(refused.error());
   Runners& all = runners();
   const std::lock_guard lock(all.mutex);
   std::weak_ptr<Runner>& known = all.by_node[node];
@@ -150,6 +153,10 @@ Result<std::shared_ptr<Runner>> Runner::of_node(const std::string& node) {
 }
 
 Runner::~Runner() {
+  if (is_forked_child()) {
+    new std::thread(std::move(thread_));  // left alone: the thread is the parent's
+    return;
+  }
   {
     const std::lock_guard lock(state_->mutex);
     state_->stop = true;
@@ -176,6 +183,7 @@ void Runner::add(const std::shared_ptr<SubscriptionEndpoint>& subscription,
 }
 
 void Runner::remove(const SubscriptionEndpoint& subscription) noexcept {
+  if (is_forked_child()) return;
   std::unique_lock lock(state_->mutex);
   auto& entries = state_->entries;
   const auto found = std::find_if(entries.begin(), entries.end(), [&](const auto& entry) {
