@@ -3,6 +3,7 @@
 #include <client/context.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
+#include <client/forked_child.hpp>
 
 #include <pthread.h>
 #include <signal.h>
@@ -81,10 +82,11 @@ Context& Context::instance() noexcept {
 }
 
 bool Context::is_connected() const noexcept {
-  return pid_.load(std::memory_order_acquire) == ::getpid();
+  return !is_forked_child() && is_connected_.load(std::memory_order_acquire);
 }
 
 std::string Context::detail() const {
+  if (is_forked_child()) return {};
   const std::lock_guard lock(connecting_);
   return detail_;
 }
@@ -92,15 +94,14 @@ std::string Context::detail() const {
 // --- connecting ---
 
 Result<void> Context::connect() {
+  if (Result<void> refused = refuse_forked_child(); !refused) return refused;
   const std::lock_guard lock(connecting_);
-  const int pid = pid_.load(std::memory_order_acquire);
-  if (pid != 0) {
-    if (pid != ::getpid())
-      return fail(Errc::shut_down, "this process is a forked child of one that uses agnocast");
+  if (is_connected_.load(std::memory_order_relaxed)) {
     if (ended_.load(std::memory_order_acquire))
       return fail(Errc::daemon_not_running, "the connection to agnocastd has ended");
     return {};
   }
+  if (Result<void> known = recognise_forked_children(); !known) return known;
   const std::string path = socket_path();
   detail_ = path;
   if (Result<void> said = say_hello(path); !said) {
@@ -110,7 +111,7 @@ Result<void> Context::connect() {
     board_.reset();
     return said;
   }
-  pid_.store(::getpid(), std::memory_order_release);
+  is_connected_.store(true, std::memory_order_release);
   // The control thread takes no signals: those are the application's.
   sigset_t all, before;
   ::sigfillset(&all);
@@ -185,6 +186,7 @@ Result<void> Context::reserve_arena(std::uint64_t base, std::uint64_t bytes) {
 }
 
 void Context::wake_control() noexcept {
+  if (is_forked_child()) return;  // it would wake the parent's
   const std::uint64_t one = 1;
   [[maybe_unused]] const ssize_t written =
       ::write(wake_.get(), &one, sizeof one);  // full: it is awake anyway
@@ -193,6 +195,7 @@ void Context::wake_control() noexcept {
 // --- creating and destroying ---
 
 Result<void> Context::set_heap_scope(HeapScope scope) noexcept {
+  if (Result<void> refused = refuse_forked_child(); !refused) return refused;
   const std::lock_guard lock(connecting_);
   if (heap_is_open_.load(std::memory_order_relaxed) && scope != scope_)
     return fail(Errc::invalid_argument, "the scope of a heap that is open stays as it is");
@@ -344,6 +347,7 @@ Result<std::shared_ptr<SubscriptionEndpoint>> Context::create_subscription(
 // A sleeper goes back to the context, not away: its place in the region and its bells stay the process's, and its sleep word goes on counting.
 std::shared_ptr<Sleeper> Context::lend(std::unique_ptr<Sleeper> sleeper) {
   return {sleeper.release(), [this](Sleeper* returned) noexcept {
+            if (is_forked_child()) return;
             const std::lock_guard lock(sleepers_);
             unused_sleepers_.emplace_back(returned);  // within its capacity
           }};
@@ -383,6 +387,8 @@ Result<std::shared_ptr<Sleeper>> Context::create_sleeper() {
 }
 
 Result<std::shared_ptr<Sleeper>> Context::idle_sleeper() {
+  if (Result<void> refused = refuse_forked_child(); !refused)
+    return tl::unexpected<Failure>(refused.error());
   const std::lock_guard lock(idle_making_);
   if (idle_sleeper_ == nullptr) {
     auto made = create_sleeper();
@@ -406,15 +412,17 @@ void Context::destroy(const std::shared_ptr<PublisherEndpoint>& publisher) noexc
 void Context::destroy(const std::shared_ptr<SubscriptionEndpoint>& subscription) noexcept {
   if (!is_connected()) return;
   const auto& identity = subscription->identity();
-  subscription->close();
+  // Closed after the daemon knows: the control thread says `drained` of what is closed.
   (void)connection_->request(
       Opcode::leave,
       reference(Kind::subscription, identity.topic_index, identity.index, identity.generation),
       [](Incoming&) -> Result<void> { return {}; });
+  subscription->close();
   wake_control();
 }
 
 void Context::release(const Received& received) noexcept {
+  if (is_forked_child()) return;  // the hold is the parent's
   if (received.link->release(received.taken.slot)) wake_control();
 }
 

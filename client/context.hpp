@@ -128,7 +128,7 @@ class Context {
   void connection_ended() noexcept;
 
   mutable std::mutex connecting_;
-  std::atomic<int> pid_{0};  // of the process that connected; 0 = nobody yet
+  std::atomic<bool> is_connected_{false};  // a forked child inherits it
   std::string detail_;
   std::unique_ptr<Connection> connection_;
   Mapping board_, arena_;

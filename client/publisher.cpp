@@ -4,6 +4,7 @@
 
 #include <agnocast/publisher.hpp>
 #include <client/context.hpp>
+#include <client/forked_child.hpp>
 #include <client/qos_words.hpp>
 #include <client/runner.hpp>
 
@@ -59,6 +60,10 @@ Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(
 UntypedPublisher::~UntypedPublisher() {
   if (source_ != nullptr) runner_->callbacks().remove(*source_);
   if (endpoint_ != nullptr) Context::instance().destroy(endpoint_);
+}
+
+Errc UntypedPublisher::state() const noexcept {
+  return is_forked_child() ? Errc::shut_down : Errc::ok;
 }
 
 Errc UntypedPublisher::publish(void* message, std::size_t bytes) noexcept {

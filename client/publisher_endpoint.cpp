@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <client/forked_child.hpp>
 #include <client/publisher_endpoint.hpp>
 
 #include <time.h>
@@ -169,6 +170,7 @@ std::uint64_t PublisherEndpoint::allocated_count() const noexcept {
   return core_->allocated_count();
 }
 std::size_t PublisherEndpoint::subscription_count() const noexcept {
+  if (is_forked_child()) return 0;
   const std::lock_guard lock(mutex_);
   return attached_.size();
 }

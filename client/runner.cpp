@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <client/forked_child.hpp>
 #include <client/runner.hpp>
 
 #include <client/context.hpp>
@@ -104,6 +105,8 @@ Result<void> Runner::host_by_thread() {
 }
 
 Result<std::shared_ptr<Runner>> Runner::of_node(const std::string& node) {
+  if (Result<void> refused = refuse_forked_child(); !refused)
+    return tl::unexpected<Failure>(refused.error());
   std::shared_ptr<Runner> runner;  // outside the lock: its destructor takes it
   Places& all = places();
   const std::lock_guard lock(all.mutex);
@@ -125,6 +128,10 @@ Result<std::shared_ptr<Runner>> Runner::of_node(const std::string& node) {
 }
 
 Runner::~Runner() {
+  if (is_forked_child()) {
+    new std::thread(std::move(thread_));  // left alone: the thread is the parent's
+    return;
+  }
   {
     Places& all = places();
     const std::lock_guard lock(all.mutex);
@@ -143,6 +150,7 @@ Runner::~Runner() {
 }
 
 Result<void> Runner::claim(const std::string& node, ExecutorCore& executor) {
+  if (Result<void> refused = refuse_forked_child(); !refused) return refused;
   std::shared_ptr<Runner> runner;
   Places& all = places();
   const std::lock_guard lock(all.mutex);
@@ -158,6 +166,7 @@ Result<void> Runner::claim(const std::string& node, ExecutorCore& executor) {
 }
 
 Result<void> Runner::release(const std::string& node, ExecutorCore& executor) {
+  if (Result<void> refused = refuse_forked_child(); !refused) return refused;
   std::shared_ptr<Runner> runner;
   Places& all = places();
   const std::lock_guard lock(all.mutex);
@@ -175,6 +184,7 @@ Result<void> Runner::release(const std::string& node, ExecutorCore& executor) {
 }
 
 void Runner::release_all(ExecutorCore& executor) noexcept {
+  if (is_forked_child()) return;
   std::vector<std::string> nodes;
   {
     Places& all = places();

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <client/forked_child.hpp>
 #include <client/subscription_endpoint.hpp>
 
 #include <algorithm>
@@ -109,6 +110,7 @@ void SubscriptionEndpoint::drop_beyond_depth() noexcept {
 }
 
 std::optional<Received> SubscriptionEndpoint::take() noexcept {
+  if (is_forked_child()) return std::nullopt;
   const std::lock_guard lock(mutex_);
   if (closed_) return std::nullopt;
   drop_beyond_depth();
@@ -130,6 +132,7 @@ std::optional<Received> SubscriptionEndpoint::take() noexcept {
 }
 
 bool SubscriptionEndpoint::has_news() const noexcept {
+  if (is_forked_child()) return false;
   const std::lock_guard lock(mutex_);
   return !closed_ && std::any_of(links_.begin(), links_.end(), [](const auto& link) {
     return link->is_ready() && link->core_.has_news();
@@ -137,6 +140,7 @@ bool SubscriptionEndpoint::has_news() const noexcept {
 }
 
 std::uint64_t SubscriptionEndpoint::lost() const noexcept {
+  if (is_forked_child()) return 0;
   const std::lock_guard lock(mutex_);
   std::uint64_t sum = lost_before_;
   for (const auto& link : links_) sum += link->core_.lost();
@@ -144,6 +148,7 @@ std::uint64_t SubscriptionEndpoint::lost() const noexcept {
 }
 
 std::uint64_t SubscriptionEndpoint::malformed() const noexcept {
+  if (is_forked_child()) return 0;
   const std::lock_guard lock(mutex_);
   std::uint64_t sum = malformed_before_;
   for (const auto& link : links_) sum += link->core_.malformed();
@@ -151,6 +156,7 @@ std::uint64_t SubscriptionEndpoint::malformed() const noexcept {
 }
 
 std::size_t SubscriptionEndpoint::publisher_count() const noexcept {
+  if (is_forked_child()) return 0;
   const std::lock_guard lock(mutex_);
   return links_.size();
 }

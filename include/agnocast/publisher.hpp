@@ -89,6 +89,8 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   UntypedPublisher(const UntypedPublisher&) = delete;
   UntypedPublisher& operator=(const UntypedPublisher&) = delete;
 
+  /// ok; shut_down in a forked child, where nothing can be published.
+  Errc state() const noexcept;
   Errc publish(void* message, std::size_t bytes) noexcept;
   SharedHeap heap() const noexcept;
   const MessageType& type() const noexcept { return type_; }
@@ -168,6 +170,7 @@ class Publisher {
   /// Commits a message that was made anywhere. What of it lies outside the shared heap is adopted.
   /// On failure `message` is as before.
   PublishResult publish(std::unique_ptr<T>&& message) noexcept {
+    if (const Errc state = untyped_->state(); state != Errc::ok) return {state, 0};
     if (message == nullptr) return {Errc::loan_invalid, 0};
     const Result<std::uint64_t> adopted =
         make_resident(message, untyped_->type(), untyped_->heap());

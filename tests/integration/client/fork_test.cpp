@@ -1,0 +1,262 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: a program may fork, exec and spawn while loans are open, messages are held and callbacks run:
+// the child is told what it cannot do and can do no harm, the parent goes on as if nothing happened.
+// Method: real processes with the real daemon and hook; one process per case, which forks. A child
+// that hangs or crashes fails its case.
+
+#include <agnocast/agnocast.hpp>
+#include <tests/support/daemon_process.hpp>
+#include <tests/support/own_process.hpp>
+#include <tests/support/plain_node.hpp>
+
+#include <sensor_msgs/msg/point_cloud2.hpp>
+
+#include <gmock/gmock.h>
+
+#include <spawn.h>
+#include <sys/syscall.h>
+
+#include <atomic>
+#include <cstdlib>
+#include <memory>
+#include <optional>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+namespace agnocast {
+namespace {
+
+using Cloud = sensor_msgs::msg::PointCloud2;
+using test::Child;
+using test::in_own_process;
+using test::PlainNode;
+using test::take_soon;
+
+Cloud cloud_of(std::uint32_t number) {
+  Cloud cloud;
+  cloud.width = number;
+  cloud.header.frame_id = "a frame whose name does not fit into a string object";
+  cloud.data.assign(50000, static_cast<std::uint8_t>(number));
+  return cloud;
+}
+
+/// A process in the middle of everything.
+struct Busy {
+  Subscription<Cloud>::SharedPtr subscription =
+      create_subscription<Cloud>(PlainNode(), "points", QoS(10));
+  std::atomic<std::uint32_t> called{0};
+  Subscription<Cloud>::SharedPtr with_callback = create_subscription<Cloud>(
+      PlainNode(), "points", QoS(10),
+      [this](const ipc_shared_ptr<const Cloud>& cloud) { called = cloud->width; });
+  Publisher<Cloud>::SharedPtr publisher = create_publisher<Cloud>(PlainNode(), "points", 10);
+  ipc_shared_ptr<const Cloud> held;
+  ipc_shared_ptr<Cloud> loan;
+
+  Busy() {
+    EXPECT_TRUE(publisher->publish(std::make_unique<Cloud>(cloud_of(1))));
+    held = take_soon(subscription);
+    EXPECT_TRUE(held);
+    loan = publisher->borrow_loaned_message();
+    *loan = cloud_of(2);
+  }
+  Busy(const Busy&) = delete;
+  Busy& operator=(const Busy&) = delete;
+
+  /// What the parent does after its children.
+  void expect_unharmed() {
+    EXPECT_EQ(*held, cloud_of(1));
+    EXPECT_EQ(*loan, cloud_of(2));
+    const PublishResult result = publisher->publish(std::move(loan));
+    EXPECT_TRUE(result) << sentence_of(result.code);
+    EXPECT_EQ(result.adopted_bytes, 0u);
+    held = take_soon(subscription);
+    ASSERT_TRUE(held);
+    EXPECT_EQ(*held, cloud_of(2));
+    EXPECT_TRUE(test::eventually([&] { return called == 2; })) << "the callback thread goes on";
+  }
+};
+
+/// A child whose expectations count.
+template <class Body>
+Child child_of(Body body) {
+  return Child([&]() noexcept {
+    body();
+    std::fflush(nullptr);
+    return testing::Test::HasFailure() ? 1 : 0;
+  });
+}
+
+class Fork : public testing::Test {
+ protected:
+  void SetUp() override { ::setenv("AGNOCAST_SOCKET", daemon_.socket_path().c_str(), 1); }
+  void TearDown() override { EXPECT_TRUE(daemon_.is_running()); }
+  test::DaemonProcess daemon_;
+};
+
+TEST_F(Fork, AChildLooksAtMessagesAndWhatItWritesIsItsOwn) {
+  EXPECT_TRUE(in_own_process([] {
+    Busy busy;
+    Child child = child_of([&] {
+      EXPECT_EQ(*busy.held, cloud_of(1));
+      EXPECT_EQ(*busy.loan, cloud_of(2));
+      busy.loan->data[0] = 99;
+      busy.loan->data.resize(200000, 5);
+      busy.loan->header.frame_id = "another text that does not fit into a string object either";
+      EXPECT_EQ(busy.loan->data[0], 99);
+      EXPECT_EQ(busy.loan->data[49999], 2);
+      busy.loan.reset();
+      busy.held.reset();
+    });
+    EXPECT_EQ(child.wait(), 0);
+    busy.expect_unharmed();
+  }));
+}
+
+void expect_detached(Busy& busy) {
+  const auto publisher = try_create_publisher<Cloud>(PlainNode(), "points", QoS(1));
+  ASSERT_FALSE(publisher);
+  EXPECT_EQ(publisher.error().code, Errc::shut_down);
+  EXPECT_THAT(publisher.error().what, testing::HasSubstr("forked"));
+  const auto asked = try_create_subscription<Cloud>(PlainNode(), "points", QoS(1));
+  ASSERT_FALSE(asked);
+  EXPECT_THAT(asked.error().what, testing::HasSubstr("forked"));
+  try {
+    create_subscription<Cloud>(PlainNode(), "points", QoS(1),
+                               [](const ipc_shared_ptr<const Cloud>&) {});
+    ADD_FAILURE() << "a subscription with a callback";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), Errc::shut_down);
+    EXPECT_THAT(error.what(), testing::HasSubstr("forked"));
+  }
+  EXPECT_EQ(busy.publisher->publish(std::move(busy.loan)).code, Errc::shut_down);
+  EXPECT_TRUE(busy.loan) << "the caller still has it";
+  auto message = std::make_unique<Cloud>();
+  EXPECT_EQ(busy.publisher->publish(std::move(message)).code, Errc::shut_down);
+  EXPECT_NE(message, nullptr);
+  EXPECT_FALSE(busy.subscription->take());
+  EXPECT_EQ(busy.publisher->get_subscription_count(), 0u);
+  EXPECT_EQ(set_heap_scope(HeapScope::all).error().code, Errc::shut_down);
+}
+
+TEST_F(Fork, InAChildCreationAndPublishSayShutDownAndTakeFindsNothing) {
+  EXPECT_TRUE(in_own_process([] {
+    Busy busy;
+    EXPECT_TRUE(busy.publisher->publish(std::make_unique<Cloud>(cloud_of(7)))) << "one to take";
+    Child child = child_of([&] {
+      expect_detached(busy);
+      auto fresh = busy.publisher->borrow_loaned_message();
+      *fresh = cloud_of(3);
+      EXPECT_EQ(busy.publisher->publish(std::move(fresh)).code, Errc::shut_down);
+      Child grandchild = child_of([&] { expect_detached(busy); });
+      EXPECT_EQ(grandchild.wait(), 0);
+    });
+    EXPECT_EQ(child.wait(), 0);
+    EXPECT_EQ(take_soon(busy.subscription)->width, 7u);
+    busy.expect_unharmed();
+  }));
+}
+
+TEST_F(Fork, AChildThatRanNoForkHandlersIsKnownToo) {
+  EXPECT_TRUE(in_own_process([] {
+    Busy busy;
+    const auto pid = static_cast<pid_t>(::syscall(SYS_clone, SIGCHLD, 0, 0, 0, 0));
+    if (pid == 0) {
+      // Its windows are not there: nothing of the message may be touched.
+      const bool publish_says =
+          busy.publisher->publish(std::move(busy.loan)).code == Errc::shut_down;
+      const bool take_says = !busy.subscription->take();
+      ::_exit(publish_says && take_says ? 0 : 1);
+    }
+    int status = -1;
+    ASSERT_EQ(::waitpid(pid, &status, 0), pid);
+    EXPECT_EQ(status, 0);
+    busy.expect_unharmed();
+  }));
+}
+
+TEST_F(Fork, AChildThatDestroysEverythingAndExitsHarmsNobody) {
+  EXPECT_TRUE(in_own_process([] {
+    static std::optional<Busy> busy;
+    busy.emplace();
+    std::fflush(nullptr);
+    Child destroys = child_of([&] { busy.reset(); });
+    EXPECT_EQ(destroys.wait(), 0);
+    Child exits([]() noexcept -> int { std::exit(0); });  // destroys it among its statics
+    EXPECT_EQ(exits.wait(), 0);
+    busy->expect_unharmed();
+    busy.reset();
+  }));
+  EXPECT_THAT(daemon_.log(), testing::Not(testing::HasSubstr("warning")));
+}
+
+TEST_F(Fork, ProgramsStartedMeanwhileInheritNothing) {
+  EXPECT_TRUE(in_own_process([] {
+    Busy busy;
+    char shell[] = "/bin/sh", option[] = "-c";
+    char command[] = "! ls -l /proc/self/fd /proc/$$/fd | grep -E 'memfd|socket|anon_inode'";
+    char* const arguments[] = {shell, option, command, nullptr};
+    int status = -1;
+
+    Child forked([&]() noexcept {
+      ::execv(shell, arguments);
+      return 127;
+    });
+    EXPECT_EQ(forked.wait(), 0) << "fork and exec";
+    pid_t pid = -1;
+    ASSERT_EQ(::posix_spawn(&pid, shell, nullptr, nullptr, arguments, environ), 0);
+    ASSERT_EQ(::waitpid(pid, &status, 0), pid);
+    EXPECT_EQ(status, 0) << "posix_spawn";
+    pid = ::vfork();
+    if (pid == 0) {
+      ::execv(shell, arguments);
+      ::_exit(127);
+    }
+    ASSERT_EQ(::waitpid(pid, &status, 0), pid);
+    EXPECT_EQ(status, 0) << "vfork";
+    EXPECT_EQ(std::system(command), 0);
+    busy.expect_unharmed();
+  }));
+}
+
+TEST_F(Fork, ForkingWhileThreadsPublishAndTakeDisturbsNobody) {
+  EXPECT_TRUE(in_own_process([] {
+    Busy busy;
+    std::atomic<bool> stop{false};
+    std::vector<std::thread> threads;
+    for (int i = 0; i < 2; ++i) {
+      threads.emplace_back([&] {
+        const std::string topic = "storm";
+        auto subscription = create_subscription<Cloud>(PlainNode(), topic, QoS(1));
+        auto publisher = create_publisher<Cloud>(PlainNode(), topic, 1);
+        for (std::uint32_t n = 0; !stop; ++n) {
+          auto loan = publisher->borrow_loaned_message();
+          *loan = cloud_of(n);
+          const PublishResult result = publisher->publish(std::move(loan));
+          EXPECT_TRUE(result) << sentence_of(result.code);
+          if (const auto message = subscription->take()) {
+            EXPECT_EQ(*message, cloud_of(message->width));
+          }
+        }
+      });
+    }
+    for (int i = 0; i < 40; ++i) {
+      Child child = child_of([&] {
+        expect_detached(busy);
+        busy.subscription.reset();
+        busy.with_callback.reset();
+        busy.publisher.reset();
+        busy.loan.reset();
+      });
+      EXPECT_EQ(child.wait(), 0) << "child " << i;
+    }
+    stop = true;
+    for (std::thread& thread : threads) thread.join();
+    busy.expect_unharmed();
+  }));
+}
+
+}  // namespace
+}  // namespace agnocast
