@@ -78,6 +78,14 @@ Errc UntypedPublisher::publish(void* message, std::size_t bytes) noexcept {
   return Errc::internal;
 }
 
+void UntypedPublisher::count_adoption(const Result<std::uint64_t>& adopted) noexcept {
+  if (adopted) {
+    endpoint_->count_adopted(*adopted);
+  } else if (adopted.error().code == Errc::heap_exhausted) {
+    endpoint_->count_heap_exhausted();
+  }
+}
+
 SharedHeap UntypedPublisher::heap() const noexcept { return Context::instance().shared_heap(); }
 std::size_t UntypedPublisher::subscription_count() const noexcept {
   return endpoint_->subscription_count();

@@ -78,7 +78,22 @@ dataplane::PublishOutcome PublisherEndpoint::publish(void* message, std::uint64_
     outcome =
         core_->publish({reinterpret_cast<std::uint64_t>(message), bytes, monotonic_ns()}, work);
   });
+  if (outcome == dataplane::PublishOutcome::no_slot)
+    count(offsetof(abi::PublisherEndpoint, refused_no_slot), 1);
+  if (outcome == dataplane::PublishOutcome::would_block)
+    count(offsetof(abi::PublisherEndpoint, refused_would_block), 1);
   return outcome;
+}
+
+void PublisherEndpoint::count(std::size_t counter, std::uint64_t more) noexcept {
+  identity_.core.words.counter(counter).fetch_add(more, std::memory_order_relaxed);
+}
+void PublisherEndpoint::count_adopted(std::uint64_t bytes) noexcept {
+  count(offsetof(abi::PublisherEndpoint, adopted_messages), 1);
+  count(offsetof(abi::PublisherEndpoint, adopted_bytes), bytes);
+}
+void PublisherEndpoint::count_heap_exhausted() noexcept {
+  count(offsetof(abi::PublisherEndpoint, refused_heap_exhausted), 1);
 }
 
 std::size_t PublisherEndpoint::executor_of(const Peer& peer, std::uint64_t executor,

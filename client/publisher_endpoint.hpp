@@ -58,6 +58,9 @@ class PublisherEndpoint {
   /// belongs to the queue; otherwise it stays the caller's. System calls: none while nobody sleeps,
   /// one per sleeper for the first two, one more for all others.
   dataplane::PublishOutcome publish(void* message, std::uint64_t bytes) noexcept;
+  /// For agnocast-ctl: a message was adopted, or the shared heap had no room to adopt it. Any thread.
+  void count_adopted(std::uint64_t bytes) noexcept;
+  void count_heap_exhausted() noexcept;
 
   // --- control thread
   // ------------------------------------------------------------------------------------------------------------
@@ -105,6 +108,7 @@ class PublisherEndpoint {
 
   template <class Do>
   void with_queue(Do work) noexcept;
+  void count(std::size_t counter, std::uint64_t more) noexcept;
   std::size_t executor_of(const Peer& peer, std::uint64_t executor, Doorbell bell);
 
   Identity identity_;

@@ -106,7 +106,20 @@ void SubscriptionEndpoint::drop_beyond_depth() noexcept {
     }
     if (oldest_link == nullptr) return;
     oldest_link->core_.skip();
+    note_losses(*oldest_link);
   }
+}
+
+// Into the client region, where agnocast-ctl reads it.
+void SubscriptionEndpoint::note_losses(Link& link) noexcept {
+  const std::uint64_t lost = link.core_.lost() - std::exchange(link.lost_noted_, link.core_.lost());
+  if (lost == 0) return;  // what is malformed is lost as well
+  const std::uint64_t malformed =
+      link.core_.malformed() - std::exchange(link.malformed_noted_, link.core_.malformed());
+  const dataplane::SubscriptionWords<SharedMemory> words{self_.region, self_.extent};
+  using Counters = abi::SubscriptionCounters;
+  words.counter(offsetof(Counters, lost)).fetch_add(lost, std::memory_order_relaxed);
+  words.counter(offsetof(Counters, malformed)).fetch_add(malformed, std::memory_order_relaxed);
 }
 
 std::optional<Received> SubscriptionEndpoint::take() noexcept {
@@ -120,7 +133,9 @@ std::optional<Received> SubscriptionEndpoint::take() noexcept {
     const std::shared_ptr<Link> link = oldest();
     if (link == nullptr) return std::nullopt;
     link->windows_seen_ = link->peer().heap().window_count();
-    if (const auto taken = link->core_.take(link->peer().heap())) {
+    const auto taken = link->core_.take(link->peer().heap());
+    note_losses(*link);
+    if (taken) {
       link->held_.fetch_add(1, std::memory_order_relaxed);
       // The last message of a publisher that is gone: its release is what the control thread waits
       // for.

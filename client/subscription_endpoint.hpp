@@ -71,6 +71,7 @@ class Link {
   std::shared_ptr<Sleeper> sleeper_;
   std::uint64_t quota_;
   std::uint64_t windows_seen_ = 0;  // when take() was tried last
+  std::uint64_t lost_noted_ = 0, malformed_noted_ = 0;
   std::atomic<std::uint64_t> held_{0};
   std::atomic<bool> closing_{false};
   bool ceased_ = false;  // counted as a publisher that is gone
@@ -146,6 +147,7 @@ class SubscriptionEndpoint {
 
  private:
   void drop_beyond_depth() noexcept;
+  void note_losses(Link& link) noexcept;
   std::shared_ptr<Link> oldest() const noexcept;
 
   Identity self_;

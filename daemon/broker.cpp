@@ -3,12 +3,14 @@
 #include <daemon/broker.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
+#include <agnocast/version.hpp>
 #include <base/check.hpp>
 #include <base/names.hpp>
 
 #include <fcntl.h>
 #include <sys/epoll.h>
 #include <sys/socket.h>
+#include <unistd.h>
 
 #include <array>
 #include <cerrno>
@@ -26,12 +28,16 @@ constexpr unsigned packets_per_turn = 32;
 // How often a process without a connection is looked at.
 constexpr int detached_interval_ms = 250;
 
-std::uint64_t now_ms() noexcept {
+// A dump that an observer has not read by then is thrown away, and the observer with it.
+constexpr std::uint64_t observer_patience_ms = 5'000;
+
+std::uint64_t now_ns() noexcept {
   timespec now{};
   ::clock_gettime(CLOCK_MONOTONIC, &now);
-  return static_cast<std::uint64_t>(now.tv_sec) * 1000 +
-         static_cast<std::uint64_t>(now.tv_nsec) / 1'000'000;
+  return static_cast<std::uint64_t>(now.tv_sec) * 1'000'000'000 +
+         static_cast<std::uint64_t>(now.tv_nsec);
 }
+std::uint64_t now_ms() noexcept { return now_ns() / 1'000'000; }
 
 std::string hexadecimal(std::uint64_t value) {
   char text[32];
@@ -82,6 +88,8 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
       doorbells_(listener.bells_directory()),
       membership_(registry_, regions_, doorbells_, *this),
       by_client_(abi::client_count_max, nullptr),
+      since_ns_(abi::client_count_max, 0),
+      started_ns_(now_ns()),
       spare_(::open("/dev/null", O_RDONLY | O_CLOEXEC)) {
   registry_.create(incarnation);
   regions_.sign_board(incarnation);
@@ -124,6 +132,7 @@ void Broker::accept_all() {
 }
 
 void Broker::turn_away() {
+  ++counters_.connections_refused;
   spare_.reset();
   {
     auto socket = listener_.socket().accept();
@@ -144,7 +153,11 @@ void Broker::accept(PacketSocket socket) {
     return;
   }
   const std::uint32_t uid = identity->uid;
-  if (connections_[uid] >= options_.config.quota.clients) {
+  Connections& used = connections_[uid];
+  // Who has all the clients he may have can still look at them: such a connection can only observe.
+  const bool only_observes = used.clients >= options_.config.quota.clients;
+  if (only_observes && used.observers >= abi::observer_count_max) {
+    ++counters_.connections_refused;
     send_refused(
         socket, Errc::quota_exceeded,
         "this user may have " + std::to_string(options_.config.quota.clients) + " connections");
@@ -174,7 +187,8 @@ void Broker::accept(PacketSocket socket) {
   }
   peer->connection = *connection;
   peer->process = *process;
-  ++connections_[uid];
+  peer->counts_as_observer = only_observes;
+  ++(only_observes ? used.observers : used.clients);
   peers_.emplace(id, std::move(peer));
 }
 
@@ -184,6 +198,8 @@ void Broker::on_readable(PeerId id) {
     const auto found = peers_.find(id);
     if (found == peers_.end() || found->second->session.closed()) return;
     Peer& peer = *found->second;
+    const bool observes = peer.session.role() == Role::observer;
+    if (observes && turn > 0) return;  // a dump is work
     // A blocked writer is woken here as well: the handler does not tell the events apart.
     if (peer.wants_writable && turn == 0) {
       flush(peer);
@@ -201,8 +217,12 @@ void Broker::on_readable(PeerId id) {
     }
     if (packet->credentials && !peer.session.identity().confirmed)
       confirm(peer.session.identity(), *packet->credentials);
+    if (observes && peer.session.has_output()) {
+      disconnect(peer, "an observer asks before it has read");
+      return;
+    }
     const Envelope envelope{packet->descriptor_count, packet->truncated, packet->descriptors_lost};
-    serve(peer, decode({buffer.data(), packet->bytes}, envelope, peer.session.greeted()));
+    serve(peer, decode({buffer.data(), packet->bytes}, envelope, peer.session.role()));
   }
 }
 
@@ -245,6 +265,9 @@ void Broker::disconnect(Peer& peer, std::string_view why) {
   peer.connection = 0;
   peer.session.close();
   if (!peer.session.greeted()) {
+    if (peer.session.role() == Role::observer)
+      log_.write(LogLevel::debug, "observer gone",
+                 {{"pid", peer.session.identity().pid}, {"why", why}});
     drop(peer.id);
     return;
   }
@@ -273,6 +296,10 @@ void Broker::reap_peer(Peer& peer, std::string_view how) {
   const std::uint32_t uid = peer.session.identity().uid;
   drop(id);
   const Reaped reaped = reap(client, registry_, regions_, doorbells_, membership_);
+  ++counters_.clients_reaped;
+  counters_.intents_rolled_back += reaped.rolled_back;
+  counters_.intents_rolled_forward += reaped.rolled_forward;
+  counters_.intents_corrupt += reaped.corrupt;
   note(reaped.corrupt == 0 ? LogLevel::info : LogLevel::warning, uid, "client gone",
        {{"client", number(client)},
         {"pid", pid},
@@ -291,9 +318,13 @@ void Broker::drop(PeerId id) {
   Peer& peer = *found->second;
   dispatcher_.remove(peer.connection);
   dispatcher_.remove(peer.process);
-  const auto count = connections_.find(peer.session.identity().uid);
-  AGNOCAST_CHECK(count != connections_.end() && count->second > 0);
-  if (--count->second == 0) connections_.erase(count);
+  const auto user = connections_.find(peer.session.identity().uid);
+  AGNOCAST_CHECK(user != connections_.end());
+  std::uint64_t& count = peer.counts_as_observer ? user->second.observers : user->second.clients;
+  AGNOCAST_CHECK(count > 0);
+  --count;
+  if (user->second.clients + user->second.observers == 0) connections_.erase(user);
+  if (peer.session.role() == Role::observer) --observer_count_;
   peers_.erase(found);
 }
 
@@ -316,11 +347,24 @@ void Broker::tick() {
     }
     for (const PeerId id : gone) reap_peer(*peers_.at(id), "process let go of its region");
   }
+  drop_slow_observers(now);
   log_.flush();
 }
 
 int Broker::due_ms() const noexcept {
-  return detached_count_ > 0 || flush_later_ ? detached_interval_ms : 10'000;
+  if (detached_count_ > 0 || flush_later_) return detached_interval_ms;
+  return observer_count_ > 0 ? 1'000 : 10'000;
+}
+
+void Broker::drop_slow_observers(std::uint64_t now) {
+  if (observer_count_ == 0) return;
+  std::vector<PeerId> slow;
+  for (const auto& [id, peer] : peers_) {
+    if (peer->session.role() == Role::observer && peer->session.has_output() &&
+        now - peer->asked_ms > observer_patience_ms)
+      slow.push_back(id);
+  }
+  for (const PeerId id : slow) disconnect(*peers_.at(id), "an observer does not read");
 }
 
 // --- Post
@@ -374,6 +418,7 @@ void Broker::refuse(Peer& peer, std::uint64_t request, Errc code, int os_errno,
   packet.os_errno = static_cast<std::uint32_t>(os_errno);
   packet.text = name_of(text);
   const std::uint32_t uid = peer.session.identity().uid;
+  ++counters_.requests_refused;
   log_.write_limited("refused uid=" + std::to_string(uid), LogLevel::warning, "request refused",
                      {{"pid", peer.session.identity().pid},
                       {"uid", uid},
@@ -410,6 +455,12 @@ void Broker::serve(Peer& peer, const Request& request) {
     } else if constexpr (std::is_same_v<Body, wire::Unlinked>) {
       id = body.header.request;
       served = membership_.unlinked(*peer.session.client(), body);
+    } else if constexpr (std::is_same_v<Body, wire::Observe>) {
+      id = body.header.request;
+      served = observe(peer, body);
+    } else if constexpr (std::is_same_v<Body, wire::Dump>) {
+      id = body.header.request;
+      served = dump(peer, body);
     } else {
       id = body.request;
       served = refusal(body.code, body.text);
@@ -424,15 +475,24 @@ void Broker::serve(Peer& peer, const Request& request) {
     disconnect(peer, "a packet could not be parsed");
 }
 
-Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
-  Session& session = peer.session;
-  if (hello.fingerprint != abi::fingerprint())
-    return refusal(Errc::layout_mismatch,
-                   "the library has layout " + hexadecimal(hello.fingerprint) +
-                       ", the daemon has layout " + hexadecimal(abi::fingerprint()));
-  if (!session.identity().confirmed)
+Result<void> Broker::check_caller(const Peer& peer, std::uint64_t fingerprint) {
+  if (fingerprint != abi::fingerprint())
+    return refusal(Errc::layout_mismatch, "the library has layout " + hexadecimal(fingerprint) +
+                                              ", the daemon has layout " +
+                                              hexadecimal(abi::fingerprint()));
+  if (!peer.session.identity().confirmed)
     return refusal(Errc::permission_denied,
                    "the process that connected is not the one that says hello");
+  return {};
+}
+
+Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
+  Session& session = peer.session;
+  if (auto known = check_caller(peer, hello.fingerprint); !known) return known;
+  if (peer.counts_as_observer)
+    return refusal(
+        Errc::quota_exceeded,
+        "this user may have " + std::to_string(options_.config.quota.clients) + " connections");
   std::string_view name;
   AGNOCAST_CHECK(text_of(hello.process_name, name));
   const auto client = registry_.add_client({session.identity().uid, session.identity().gid,
@@ -447,6 +507,8 @@ Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
   }
   session.greet(*client);
   by_client_[number(*client)] = &peer;
+  since_ns_[number(*client)] = now_ns();
+  ++counters_.clients_registered;
   auto packet = make_body<wire::Welcome>(wire::Opcode::welcome, hello.header.request);
   packet.fingerprint = abi::fingerprint();
   packet.incarnation = registry_.incarnation();
@@ -584,7 +646,87 @@ Result<void> Broker::create(Peer& peer, const CreateRequest& request) {
   return created;
 }
 
+// --- observers
+
+Result<void> Broker::observe(Peer& peer, const wire::Observe& request) {
+  if (auto known = check_caller(peer, request.fingerprint); !known) return known;
+  Connections& used = connections_[peer.session.identity().uid];
+  if (!peer.counts_as_observer) {
+    if (used.observers >= abi::observer_count_max)
+      return refusal(
+          Errc::quota_exceeded,
+          "this user may have " + std::to_string(abi::observer_count_max) + " observers");
+    --used.clients;
+    ++used.observers;
+    peer.counts_as_observer = true;
+  }
+  peer.session.observe();
+  ++observer_count_;
+  auto packet = make_body<wire::Observed>(wire::Opcode::observed, request.header.request);
+  packet.fingerprint = abi::fingerprint();
+  packet.incarnation = registry_.incarnation();
+  packet.client_region_bytes = Registry::client_region_bytes;
+  reply(peer, packet_of(packet), {regions_.board_reader()});
+  log_.write(LogLevel::debug, "observer",
+             {{"pid", peer.session.identity().pid}, {"uid", peer.session.identity().uid}});
+  return {};
+}
+
+Result<void> Broker::dump(Peer& peer, const wire::Dump& request) {
+  peer.asked_ms = now_ms();
+  for (Outgoing& packet : make_dump(registry_, facts(), request.header.request))
+    peer.session.push(std::move(packet));
+  flush(peer);
+  return {};
+}
+
+DumpFacts Broker::facts() const {
+  const std::uint64_t now = now_ns();
+  DumpFacts facts;
+  wire::DumpDaemon& daemon = facts.daemon;
+  daemon.version_major = AGNOCAST_VERSION_MAJOR;
+  daemon.version_minor = AGNOCAST_VERSION_MINOR;
+  daemon.version_patch = AGNOCAST_VERSION_PATCH;
+  daemon.pid = static_cast<std::uint32_t>(::getpid());
+  daemon.uid = ::geteuid();
+  daemon.incarnation = registry_.incarnation();
+  daemon.uptime_ns = now - started_ns_;
+  daemon.arena_base = options_.arena.base;
+  daemon.arena_bytes = options_.arena.bytes;
+  daemon.window_bytes = options_.arena.window_bytes;
+  daemon.windows_used = plan_.used_count();
+  daemon.unlocked_count = regions_.unlocked_count();
+  daemon.counters = counters_;
+  const Config::Limits& limits = options_.config.limits;
+  daemon.limits = {limits.clients,
+                   limits.topics,
+                   limits.publishers_per_topic,
+                   limits.subscriptions_per_topic,
+                   limits.slots_per_publisher,
+                   limits.depth_max,
+                   options_.config.heap.windows_per_process};
+  const Config::Quota& quota = options_.config.quota;
+  daemon.quota = {quota.clients,   quota.publishers, quota.subscriptions,
+                  quota.executors, quota.heap_bytes, quota.held_messages};
+  for (const auto& [uid, used] : connections_) {
+    facts.users[uid] = {used.clients, used.observers};
+    daemon.connections += used.clients;
+    daemon.observers += used.observers;
+  }
+  facts.process_of = [this, now](ClientIndex client) {
+    DumpFacts::Process process;
+    const Peer* const peer = by_client_[number(client)];
+    if (peer != nullptr)
+      process.state = peer->detached ? wire::ProcessState::orphaned : wire::ProcessState::connected;
+    process.age_ns = now - since_ns_[number(client)];
+    process.region = regions_.region_reader(client);
+    return process;
+  };
+  return facts;
+}
+
 void Broker::on_ended(ClientIndex client) {
+  regions_.close_client(client);
   const ClientRecord& record = registry_.client(client);
   for (std::uint64_t w = 0; w < record.window_count; ++w)
     AGNOCAST_CHECK(plan_.give_back(record.window[w].base));

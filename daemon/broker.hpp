@@ -16,6 +16,7 @@
 #include <daemon/config.hpp>
 #include <daemon/dispatcher.hpp>
 #include <daemon/doorbells.hpp>
+#include <daemon/dump.hpp>
 #include <daemon/listener.hpp>
 #include <daemon/log.hpp>
 #include <daemon/membership.hpp>
@@ -62,6 +63,13 @@ class Broker final : private Post {
     Dispatcher::Token process = 0;
     bool wants_writable = false;
     bool detached = false;  // without a connection, but alive and mapping its region
+    bool counts_as_observer = false;
+    std::uint64_t asked_ms = 0;  // of an observer: when its last dump was made
+  };
+  /// Connections of one user.
+  struct Connections {
+    std::uint64_t clients = 0;
+    std::uint64_t observers = 0;
   };
 
   // Post
@@ -82,10 +90,15 @@ class Broker final : private Post {
   void reap_peer(Peer& peer, std::string_view how);
 
   void serve(Peer& peer, const Request& request);
+  [[nodiscard]] Result<void> check_caller(const Peer& peer, std::uint64_t fingerprint);
   [[nodiscard]] Result<void> hello(Peer& peer, const wire::Hello& hello);
   [[nodiscard]] Result<void> open_window(Peer& peer, const wire::WindowRequest& request);
   [[nodiscard]] Result<void> open_executor(Peer& peer, const wire::ExecutorRequest& request);
   [[nodiscard]] Result<void> create(Peer& peer, const CreateRequest& request);
+  [[nodiscard]] Result<void> observe(Peer& peer, const wire::Observe& request);
+  [[nodiscard]] Result<void> dump(Peer& peer, const wire::Dump& request);
+  DumpFacts facts() const;
+  void drop_slow_observers(std::uint64_t now);
   void refuse(Peer& peer, std::uint64_t request, Errc code, int os_errno, std::string_view text);
   void reply(Peer& peer, std::span<const std::byte> packet, std::vector<SharedFd> fds = {});
   void on_ended(ClientIndex client);
@@ -108,7 +121,11 @@ class Broker final : private Post {
   Membership membership_;
   std::unordered_map<PeerId, std::unique_ptr<Peer>> peers_;
   std::vector<Peer*> by_client_;
-  std::unordered_map<std::uint32_t, std::uint64_t> connections_;  // per uid
+  std::unordered_map<std::uint32_t, Connections> connections_;  // by uid
+  std::vector<std::uint64_t> since_ns_;                         // when each client said hello
+  std::uint64_t started_ns_;
+  std::uint64_t observer_count_ = 0;
+  wire::DaemonCounters counters_{};
   std::string detail_;
   PeerId last_peer_ = 0;
   std::uint64_t detached_count_ = 0;  // processes without a connection

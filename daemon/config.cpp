@@ -182,7 +182,8 @@ class Reader {
     if (value < key.least || value > key.most) return out_of_range(key, place, written);
     if (key.unit != 0 && value % key.unit != 0) {
       report(place, key.full(), written + " is no multiple of " + bytes_text(key.unit),
-             "use whole pages");
+             "the next ones are " + bytes_text(value / key.unit * key.unit) + " and " +
+                 bytes_text((value / key.unit + 1) * key.unit));
       return;
     }
     key.set_number(config_, value);

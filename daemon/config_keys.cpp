@@ -10,7 +10,7 @@ namespace agnocast::daemon {
 namespace config_keys {
 namespace {
 
-constexpr std::uint64_t page = abi::page_bytes;
+constexpr std::uint64_t granule = abi::window_granule_bytes;
 constexpr std::uint64_t mib = std::uint64_t{1} << 20;
 constexpr std::uint64_t tib = std::uint64_t{1} << 40;
 // A doorbell is a socket two names below: "/doorbells/" and up to 16 bytes.
@@ -41,7 +41,7 @@ constexpr Key keys[] = {
     {"daemon", "log_level", Kind::level, 0, 0, 0, "", 0, AGNOCAST_NUMBER(daemon.log_level),
      "error, warning, notice, info or debug"},
 
-    {"heap", "window_bytes", Kind::bytes, 64 * mib, 16 * tib, page, "auto", 0,
+    {"heap", "window_bytes", Kind::bytes, 64 * mib, 16 * tib, granule, "auto", 0,
      AGNOCAST_NUMBER(heap.window_bytes),
      "addresses of one heap window, memory only as it is used; auto: 16GiB, at most a quarter of "
      "the memory"},
@@ -49,10 +49,10 @@ constexpr Key keys[] = {
      AGNOCAST_NUMBER(heap.windows_per_process), "the first and its growth"},
     // Below 4 GiB lie programs that are not position-independent; 2^56 is more than any machine
     // has.
-    {"heap", "arena_base", Kind::bytes, std::uint64_t{1} << 32, std::uint64_t{1} << 56, page,
+    {"heap", "arena_base", Kind::bytes, std::uint64_t{1} << 32, std::uint64_t{1} << 56, granule,
      "auto", 0, AGNOCAST_NUMBER(heap.arena_base),
      "where the range of all windows begins in every client; auto: what this machine leaves free"},
-    {"heap", "arena_bytes", Kind::bytes, 64 * mib, std::uint64_t{1} << 55, page, "auto", 0,
+    {"heap", "arena_bytes", Kind::bytes, 64 * mib, std::uint64_t{1} << 55, granule, "auto", 0,
      AGNOCAST_NUMBER(heap.arena_bytes), "length of that range; auto: from the address bits"},
 
     {"limits", "depth_max", Kind::count, 1, abi::depth_max, 0, "", 0,

@@ -68,7 +68,8 @@ std::variant<Options, Exit> parse_options(int argc, const char* const* argv) {
   app.add_option("--config", config,
                  std::string("configuration; ") + default_config_file + " if it exists")
       ->type_name("FILE");
-  app.add_flag("--foreground", options.foreground, "stay, without a supervisor process");
+  app.add_flag("--foreground", options.foreground,
+               "stay in the foreground; it always does, so this changes nothing");
   app.add_option("--log-level", level, std::string(log_level_names))->type_name("LEVEL");
   app.add_flag("--check-config", options.check_config,
                "look for mistakes in the configuration and end");

@@ -58,7 +58,7 @@ Reaped reap(ClientIndex client, Registry& registry, Regions& regions, Doorbells&
   membership.forget_client(client);
   doorbells.close_client(client);
   // Others keep what they map; nobody new is told of it.
-  regions.close_client(client);
+  regions.bury_client(client);
   membership.settle_all();
   return reaped;
 }

@@ -121,6 +121,12 @@ Result<SharedFd> Regions::window_writer(ClientIndex client, std::uint64_t window
   return share(std::move(writer));
 }
 
+void Regions::bury_client(ClientIndex client) noexcept {
+  SharedFd reader = region_reader(client);
+  close_client(client);
+  clients_[number(client)].region_reader = std::move(reader);
+}
+
 void Regions::close_client(ClientIndex client) noexcept {
   clients_[number(client)] = ClientMemory();
 }

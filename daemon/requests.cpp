@@ -131,26 +131,41 @@ Request decode_unlinked(Packet packet) {
   return body;
 }
 
+Request decode_observe(Packet packet) { return body_of<wire::Observe>(packet); }
+Request decode_dump(Packet packet) { return body_of<wire::Dump>(packet); }
+
 struct Row {
   wire::Opcode opcode;
   std::size_t bytes;
+  Role role;  // of the connection that may say it
   Request (*decode)(Packet packet);
 };
 
 constexpr Row rows[] = {
-    {wire::Opcode::hello, sizeof(wire::Hello), decode_hello},
-    {wire::Opcode::open_window, sizeof(wire::WindowRequest), decode_window},
-    {wire::Opcode::open_executor, sizeof(wire::ExecutorRequest), decode_executor},
-    {wire::Opcode::create_publisher, sizeof(wire::CreateEndpoint), decode_create},
-    {wire::Opcode::create_subscription, sizeof(wire::CreateEndpoint), decode_create},
-    {wire::Opcode::leave, sizeof(wire::Reference), decode_reference<LeaveRequest>},
-    {wire::Opcode::drained, sizeof(wire::Reference), decode_reference<DrainedRequest>},
-    {wire::Opcode::unlinked, sizeof(wire::Unlinked), decode_unlinked},
+    {wire::Opcode::hello, sizeof(wire::Hello), Role::unknown, decode_hello},
+    {wire::Opcode::open_window, sizeof(wire::WindowRequest), Role::client, decode_window},
+    {wire::Opcode::open_executor, sizeof(wire::ExecutorRequest), Role::client, decode_executor},
+    {wire::Opcode::create_publisher, sizeof(wire::CreateEndpoint), Role::client, decode_create},
+    {wire::Opcode::create_subscription, sizeof(wire::CreateEndpoint), Role::client, decode_create},
+    {wire::Opcode::leave, sizeof(wire::Reference), Role::client, decode_reference<LeaveRequest>},
+    {wire::Opcode::drained, sizeof(wire::Reference), Role::client,
+     decode_reference<DrainedRequest>},
+    {wire::Opcode::unlinked, sizeof(wire::Unlinked), Role::client, decode_unlinked},
+    {wire::Opcode::observe, sizeof(wire::Observe), Role::unknown, decode_observe},
+    {wire::Opcode::dump, sizeof(wire::Dump), Role::observer, decode_dump},
 };
+
+// Why a connection in this role does not say that.
+const char* out_of_place(Role role, wire::Opcode opcode) noexcept {
+  if (role == Role::unknown) return "the first request must be hello";
+  if (role == Role::observer) return "an observer asks for dumps and nothing else";
+  return opcode == wire::Opcode::hello ? "hello is said once"
+                                       : "a client does not observe; observers connect for that";
+}
 
 }  // namespace
 
-Request decode(std::span<const std::byte> packet, const Envelope& envelope, bool greeted) {
+Request decode(std::span<const std::byte> packet, const Envelope& envelope, Role role) {
   const auto end = [](std::uint64_t request, const char* text) {
     return Rejected{request, Errc::protocol_violation, text, true};
   };
@@ -174,9 +189,8 @@ Request decode(std::span<const std::byte> packet, const Envelope& envelope, bool
     return refuse(header, Errc::protocol_violation,
                   "a request of " + std::to_string(packet.size()) + " bytes should have " +
                       std::to_string(row->bytes));
-  if (greeted == (header.opcode == wire::Opcode::hello))
-    return refuse(header, Errc::protocol_violation,
-                  greeted ? "hello is said once" : "the first request must be hello");
+  if (role != row->role)
+    return refuse(header, Errc::protocol_violation, out_of_place(role, header.opcode));
   return row->decode(packet);
 }
 

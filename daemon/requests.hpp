@@ -8,6 +8,7 @@
 // to the sender is for the membership to know.
 #pragma once
 
+#include <agnocast/abi/observe.hpp>
 #include <agnocast/abi/wire.hpp>
 #include <agnocast/abi/words.hpp>
 #include <agnocast/error.hpp>
@@ -50,8 +51,13 @@ struct Rejected {
   bool ends_connection = false;
 };
 
-using Request = std::variant<wire::Hello, wire::WindowRequest, wire::ExecutorRequest, CreateRequest,
-                             LeaveRequest, DrainedRequest, wire::Unlinked, Rejected>;
+using Request =
+    std::variant<wire::Hello, wire::WindowRequest, wire::ExecutorRequest, CreateRequest,
+                 LeaveRequest, DrainedRequest, wire::Unlinked, wire::Observe, wire::Dump, Rejected>;
+
+/// How far a connection has come, and so what may be said on it: hello makes it a client, observe
+/// an observer, for good.
+enum class Role : std::uint8_t { unknown, client, observer };
 
 /// What arrived with the bytes.
 struct Envelope {
@@ -60,8 +66,8 @@ struct Envelope {
   bool descriptors_lost = false;
 };
 
-/// `greeted`: the connection has said hello. Never reads beyond `packet`.
-Request decode(std::span<const std::byte> packet, const Envelope& envelope, bool greeted);
+/// Never reads beyond `packet`.
+Request decode(std::span<const std::byte> packet, const Envelope& envelope, Role role);
 
 /// The text of a name, or nothing when no NUL ends it.
 bool text_of(const wire::Name& name, std::string_view& text) noexcept;

@@ -9,8 +9,13 @@
 namespace agnocast::daemon {
 
 std::uint64_t Session::push(std::span<const std::byte> bytes, std::vector<SharedFd> fds) {
-  queue_.push_back({{bytes.begin(), bytes.end()}, std::move(fds)});
-  return ++packet_count_;
+  push(Outgoing{{bytes.begin(), bytes.end()}, std::move(fds)});
+  return packet_count_;
+}
+
+void Session::push(Outgoing packet) {
+  queue_.push_back(std::move(packet));
+  ++packet_count_;
 }
 
 Session::Flushed Session::flush() {
@@ -32,7 +37,7 @@ Session::Flushed Session::flush() {
       queue_.pop_front();
     }
   }
-  return queue_.size() <= queue_count_max ? result : Flushed::over;
+  return queue_.size() <= queue_count_max || observing_ ? result : Flushed::over;
 }
 
 }  // namespace agnocast::daemon

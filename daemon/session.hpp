@@ -3,12 +3,14 @@
 // Session: one connection. Who is at its other end, how far it has come, what still has to be sent.
 //
 //   accepted ──identity confirmed and hello──▶ greeted ──end of connection, overflow──▶ closed
+//            ──identity confirmed and observe──▶ observing ──────────────────────────▶ closed
 //
 // Packets leave in the order in which they were handed in, each counted; the number of a packet is
 // what `seen` in an `unlinked` refers to, so the session also remembers in which packet each thing
 // was announced last. What does not fit into the socket waits in a bounded queue; a client that
 // does not read until the bound is reached is disconnected. A closed session is not a dead process:
-// that is the reaper's to find out.
+// that is the reaper's to find out. An observer is sent one whole dump at a time, however long, and
+// has to read it before it asks for the next.
 //
 // The queue and the book of announcements are pure; only flush() touches the socket.
 #pragma once
@@ -17,6 +19,7 @@
 #include <agnocast/result.hpp>
 #include <base/packet_socket.hpp>
 #include <base/peer_identity.hpp>
+#include <daemon/requests.hpp>
 #include <daemon/shared_fd.hpp>
 #include <daemon/tables.hpp>
 
@@ -78,6 +81,10 @@ class Session {
   bool greeted() const noexcept { return client_.has_value(); }
   std::optional<ClientIndex> client() const noexcept { return client_; }
   void greet(ClientIndex client) noexcept { client_ = client; }
+  void observe() noexcept { observing_ = true; }
+  Role role() const noexcept {
+    return observing_ ? Role::observer : greeted() ? Role::client : Role::unknown;
+  }
   /// After this nothing is sent and nothing is read.
   void close() noexcept {
     socket_.close();
@@ -88,6 +95,7 @@ class Session {
 
   /// Appends a packet; its number. Sends nothing yet.
   std::uint64_t push(std::span<const std::byte> bytes, std::vector<SharedFd> fds);
+  void push(Outgoing packet);
   enum class Flushed : std::uint8_t {
     all,
     blocked,  ///< go on when the socket is writable
@@ -112,6 +120,7 @@ class Session {
   PacketSocket socket_;
   PeerIdentity identity_;
   std::optional<ClientIndex> client_;
+  bool observing_ = false;
   std::deque<Outgoing> queue_;
   std::uint64_t packet_count_ = 0;
   AnnouncementNumbers announcements_;

@@ -30,6 +30,8 @@ struct PublisherWords {
   decltype(auto) intent_slot() const noexcept {
     return at(offsetof(abi::PublisherEndpoint, intent_slot));
   }
+  /// One of the counters behind the intent.
+  decltype(auto) counter(std::size_t field) const noexcept { return at(field); }
   decltype(auto) order(std::uint64_t sequence) const noexcept {
     return at(abi::order_offset(sequence & (M::ring_count() - 1)));
   }
@@ -80,6 +82,18 @@ struct LinkWords {
  private:
   decltype(auto) at(std::uint64_t field) const noexcept {
     return M::word(region, extent + abi::link_offset(publisher) + field);
+  }
+};
+
+/// Counters of one subscription.
+template <class M>
+struct SubscriptionWords {
+  typename M::Region region;
+  std::uint64_t extent;
+
+  decltype(auto) counter(std::size_t field) const noexcept {
+    return M::word(region,
+                   extent + abi::subscription_counters_offset(M::publisher_count()) + field);
   }
 };
 

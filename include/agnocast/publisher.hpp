@@ -92,6 +92,8 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   /// ok; shut_down in a forked child, where nothing can be published.
   Errc state() const noexcept;
   Errc publish(void* message, std::size_t bytes) noexcept;
+  /// What make_resident did, unless nothing was foreign; for agnocast-ctl.
+  void count_adoption(const Result<std::uint64_t>& adopted) noexcept;
   SharedHeap heap() const noexcept;
   const MessageType& type() const noexcept { return type_; }
   const std::string& topic() const noexcept { return topic_; }
@@ -174,6 +176,7 @@ class Publisher {
     if (message == nullptr) return {Errc::loan_invalid, 0};
     const Result<std::uint64_t> adopted =
         make_resident(message, untyped_->type(), untyped_->heap());
+    if (!adopted || *adopted != 0) untyped_->count_adoption(adopted);
     if (!adopted) return {adopted.error().code, 0};
     const Errc code = untyped_->publish(message.get(), sizeof(T));
     if (code == Errc::ok) (void)message.release();

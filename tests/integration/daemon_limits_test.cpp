@@ -110,6 +110,11 @@ TEST(DaemonLimits, CountsConnectionsThatNeverSpeak) {
   std::vector<std::unique_ptr<WireClient>> silent;
   for (int i = 0; i < 4; ++i) silent.push_back(std::make_unique<WireClient>(daemon.socket_path()));
   const auto honest = greeted(daemon);
+  // The next ones may look, and no more.
+  for (std::uint32_t i = 0; i < abi::observer_count_max; ++i) {
+    silent.push_back(std::make_unique<WireClient>(daemon.socket_path()));
+    EXPECT_EQ(silent.back()->hello().refused_text(), "this user may have 5 connections");
+  }
   WireClient one_more(daemon.socket_path());
   const Incoming refused = one_more.next();
   EXPECT_EQ(refused.refused_code(), Errc::quota_exceeded);

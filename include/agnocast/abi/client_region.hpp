@@ -42,6 +42,8 @@ static_assert(sizeof(QueueSlot) == 32 && offsetof(QueueSlot, address) == 8 &&
 //    0  head      u64  sequence<<16 | slot of the newest message
 //                      [sync:publish] COMMIT: release at P5, acquire at T1
 //   64  intent         op, sequence, slot; read by the daemon after the owner's death
+//   88  counters       adopted messages and bytes, refused publishes by reason; for people. They share
+//                      the intent's line, which no other process reads while the owner lives
 //  128  order[R]  u64  sequence<<16 | slot, at sequence mod R
 //                      [sync:publish] release at P4, acquire at T2
 //    …  slot[N]        QueueSlot, from 128 + R×8
@@ -50,12 +52,19 @@ struct PublisherEndpoint {
   alignas(cache_line_bytes) SharedWord intent_op;
   SharedWord intent_sequence;
   SharedWord intent_slot;
+  SharedWord adopted_messages;
+  SharedWord adopted_bytes;
+  SharedWord refused_no_slot;
+  SharedWord refused_would_block;
+  SharedWord refused_heap_exhausted;
 };
 static_assert(sizeof(PublisherEndpoint) == 128);
 static_assert(offsetof(PublisherEndpoint, head) == 0 &&
               offsetof(PublisherEndpoint, intent_op) == 64 &&
               offsetof(PublisherEndpoint, intent_sequence) == 72 &&
-              offsetof(PublisherEndpoint, intent_slot) == 80);
+              offsetof(PublisherEndpoint, intent_slot) == 80 &&
+              offsetof(PublisherEndpoint, adopted_messages) == 88 &&
+              offsetof(PublisherEndpoint, refused_heap_exhausted) == 120);
 constexpr std::uint64_t order_offset(std::uint64_t index) noexcept {
   return sizeof(PublisherEndpoint) + index * sizeof(SharedWord);
 }
@@ -80,15 +89,28 @@ struct alignas(cache_line_bytes) LinkLine {
 static_assert(sizeof(LinkLine) == 64 && offsetof(LinkLine, cursor) == 8 &&
               offsetof(LinkLine, hold) == 16);
 
-// Subscription endpoint: link lines of all publisher indexes, then the hold words of slots 384… of
-// each.   All zero at join.
+// What a subscription has not got, for people.   W = the subscriber's process.
+//
+//    0  lost       u64  messages that fell out of its depth, or were gone when it looked
+//    8  malformed  u64  of them, what no honest publisher writes
+struct alignas(cache_line_bytes) SubscriptionCounters {
+  SharedWord lost;
+  SharedWord malformed;
+};
+static_assert(sizeof(SubscriptionCounters) == 64 && offsetof(SubscriptionCounters, malformed) == 8);
+
+// Subscription endpoint: link lines of all publisher indexes, counters, then the hold words of slots
+// 384… of each.   All zero at join.
 inline constexpr std::uint64_t far_hold_word_count = (slot_count_max - near_slot_count) / 64;  // 26
 constexpr std::uint64_t link_offset(std::uint64_t publisher) noexcept {
   return publisher * sizeof(LinkLine);
 }
+constexpr std::uint64_t subscription_counters_offset(std::uint64_t publisher_count) noexcept {
+  return link_offset(publisher_count);
+}
 constexpr std::uint64_t far_hold_offset(std::uint64_t publisher_count, std::uint64_t publisher,
                                         std::uint64_t word) noexcept {
-  return publisher_count * sizeof(LinkLine) +
+  return subscription_counters_offset(publisher_count) + sizeof(SubscriptionCounters) +
          (publisher * far_hold_word_count + word) * sizeof(SharedWord);
 }
 
@@ -132,15 +154,19 @@ struct ClientRegionHeader {
   alignas(cache_line_bytes) std::byte reserved[128];
   ExecutorLine executor[executor_count_max];
 };
-inline constexpr std::uint64_t client_region_magic = 0x67657263742e6761;  // "ag.tcreg" in memory order
+inline constexpr std::uint64_t client_region_magic =
+    0x67657263742e6761;  // "ag.tcreg" in memory order
 static_assert(offsetof(ClientRegionHeader, window) == 128 &&
               offsetof(ClientRegionHeader, executor) == 512);
 static_assert(sizeof(ClientRegionHeader) <= page_bytes);
 static_assert(std::is_standard_layout_v<ClientRegionHeader>);
 
 // What an endpoint gets of its process's region: whole pages, enough for the largest geometry.
-constexpr std::uint64_t whole_pages(std::uint64_t bytes) noexcept { return (bytes + page_bytes - 1) / page_bytes * page_bytes; }
-inline constexpr std::uint64_t publisher_extent_bytes = whole_pages(slot_offset(ring_count, slot_count_max));
+constexpr std::uint64_t whole_pages(std::uint64_t bytes) noexcept {
+  return (bytes + page_bytes - 1) / page_bytes * page_bytes;
+}
+inline constexpr std::uint64_t publisher_extent_bytes =
+    whole_pages(slot_offset(ring_count, slot_count_max));
 inline constexpr std::uint64_t subscription_extent_bytes =
     whole_pages(far_hold_offset(publisher_count_max, publisher_count_max, 0));
 

@@ -10,6 +10,7 @@
 #include <agnocast/abi/board.hpp>
 #include <agnocast/abi/client_region.hpp>
 #include <agnocast/abi/limits.hpp>
+#include <agnocast/abi/observe.hpp>
 #include <agnocast/abi/wire.hpp>
 #include <agnocast/abi/words.hpp>
 
@@ -43,7 +44,7 @@ constexpr std::uint64_t fingerprint() noexcept {
   Fingerprint sum;
   sum.add(layout_version, cache_line_bytes, page_bytes, depth_max, ring_count, slot_count_max,
           near_slot_count, publisher_count_max, subscription_count_max, topic_count_max,
-          client_count_max, window_count_max, executor_count_max);
+          client_count_max, window_count_max, executor_count_max, observer_count_max);
   // How words are packed, by what comes out for probes.
   sum.add(pack_entry(0x123456789abc, 0xdef0), sequence_of(0xfedcba9876543210),
           slot_of(0xfedcba9876543210), retired_mark, first_sequence_of(0x12345),
@@ -60,7 +61,12 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(QueueSlot, stamp_ns), offsetof(QueueSlot, size));
   sum.add(sizeof(PublisherEndpoint), offsetof(PublisherEndpoint, head),
           offsetof(PublisherEndpoint, intent_op), offsetof(PublisherEndpoint, intent_sequence),
-          offsetof(PublisherEndpoint, intent_slot));
+          offsetof(PublisherEndpoint, intent_slot), offsetof(PublisherEndpoint, adopted_messages),
+          offsetof(PublisherEndpoint, adopted_bytes), offsetof(PublisherEndpoint, refused_no_slot),
+          offsetof(PublisherEndpoint, refused_would_block),
+          offsetof(PublisherEndpoint, refused_heap_exhausted));
+  sum.add(subscription_counters_offset(5), sizeof(SubscriptionCounters),
+          offsetof(SubscriptionCounters, lost), offsetof(SubscriptionCounters, malformed));
   sum.add(sizeof(LinkLine), offsetof(LinkLine, publisher_generation), offsetof(LinkLine, cursor),
           offsetof(LinkLine, hold));
   sum.add(sizeof(ExecutorLine), offsetof(ExecutorLine, armed));
@@ -139,6 +145,66 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::Notice, policy), offsetof(wire::Notice, index),
           offsetof(wire::Notice, generation), offsetof(wire::Notice, text));
   sum.add(sizeof(wire::Done), offsetof(wire::Done, header));
+  sum.add(sizeof(wire::Observe), offsetof(wire::Observe, header),
+          offsetof(wire::Observe, fingerprint));
+  sum.add(sizeof(wire::Observed), offsetof(wire::Observed, header),
+          offsetof(wire::Observed, fingerprint), offsetof(wire::Observed, incarnation),
+          offsetof(wire::Observed, client_region_bytes));
+  sum.add(sizeof(wire::Dump), offsetof(wire::Dump, header));
+  sum.add(sizeof(wire::DaemonCounters), offsetof(wire::DaemonCounters, clients_registered),
+          offsetof(wire::DaemonCounters, clients_reaped),
+          offsetof(wire::DaemonCounters, intents_rolled_back),
+          offsetof(wire::DaemonCounters, intents_rolled_forward),
+          offsetof(wire::DaemonCounters, intents_corrupt),
+          offsetof(wire::DaemonCounters, requests_refused),
+          offsetof(wire::DaemonCounters, connections_refused));
+  sum.add(sizeof(wire::DaemonLimits), offsetof(wire::DaemonLimits, clients),
+          offsetof(wire::DaemonLimits, topics), offsetof(wire::DaemonLimits, publishers_per_topic),
+          offsetof(wire::DaemonLimits, subscriptions_per_topic),
+          offsetof(wire::DaemonLimits, slots_per_publisher),
+          offsetof(wire::DaemonLimits, depth_max),
+          offsetof(wire::DaemonLimits, windows_per_process));
+  sum.add(sizeof(wire::UserShare), offsetof(wire::UserShare, clients),
+          offsetof(wire::UserShare, publishers), offsetof(wire::UserShare, subscriptions),
+          offsetof(wire::UserShare, executors), offsetof(wire::UserShare, heap_bytes),
+          offsetof(wire::UserShare, held_messages));
+  sum.add(sizeof(wire::DumpDaemon), offsetof(wire::DumpDaemon, header),
+          offsetof(wire::DumpDaemon, version_major), offsetof(wire::DumpDaemon, version_minor),
+          offsetof(wire::DumpDaemon, version_patch), offsetof(wire::DumpDaemon, pid),
+          offsetof(wire::DumpDaemon, uid), offsetof(wire::DumpDaemon, reserved),
+          offsetof(wire::DumpDaemon, incarnation), offsetof(wire::DumpDaemon, uptime_ns),
+          offsetof(wire::DumpDaemon, arena_base), offsetof(wire::DumpDaemon, arena_bytes),
+          offsetof(wire::DumpDaemon, window_bytes), offsetof(wire::DumpDaemon, windows_used),
+          offsetof(wire::DumpDaemon, connections), offsetof(wire::DumpDaemon, observers),
+          offsetof(wire::DumpDaemon, unlocked_count), offsetof(wire::DumpDaemon, counters),
+          offsetof(wire::DumpDaemon, limits), offsetof(wire::DumpDaemon, quota));
+  sum.add(sizeof(wire::DumpProcess), offsetof(wire::DumpProcess, header),
+          offsetof(wire::DumpProcess, client), offsetof(wire::DumpProcess, generation),
+          offsetof(wire::DumpProcess, pid), offsetof(wire::DumpProcess, uid),
+          offsetof(wire::DumpProcess, gid), offsetof(wire::DumpProcess, state),
+          offsetof(wire::DumpProcess, domain), offsetof(wire::DumpProcess, age_ns),
+          offsetof(wire::DumpProcess, executors), offsetof(wire::DumpProcess, window_count),
+          offsetof(wire::DumpProcess, region_count), offsetof(wire::DumpProcess, window),
+          offsetof(wire::DumpProcess, name));
+  sum.add(sizeof(wire::DumpTopic), offsetof(wire::DumpTopic, header),
+          offsetof(wire::DumpTopic, topic), offsetof(wire::DumpTopic, reserved),
+          offsetof(wire::DumpTopic, generation), offsetof(wire::DumpTopic, domain),
+          offsetof(wire::DumpTopic, layout_hash), offsetof(wire::DumpTopic, name),
+          offsetof(wire::DumpTopic, type));
+  sum.add(sizeof(wire::DumpEndpoint), offsetof(wire::DumpEndpoint, header),
+          offsetof(wire::DumpEndpoint, kind), offsetof(wire::DumpEndpoint, topic),
+          offsetof(wire::DumpEndpoint, index), offsetof(wire::DumpEndpoint, generation),
+          offsetof(wire::DumpEndpoint, member), offsetof(wire::DumpEndpoint, client),
+          offsetof(wire::DumpEndpoint, client_generation), offsetof(wire::DumpEndpoint, qos),
+          offsetof(wire::DumpEndpoint, extent), offsetof(wire::DumpEndpoint, slot_count),
+          offsetof(wire::DumpEndpoint, first_sequence), offsetof(wire::DumpEndpoint, quota),
+          offsetof(wire::DumpEndpoint, executor), offsetof(wire::DumpEndpoint, node));
+  sum.add(sizeof(wire::DumpUser), offsetof(wire::DumpUser, header), offsetof(wire::DumpUser, uid),
+          offsetof(wire::DumpUser, connections), offsetof(wire::DumpUser, observers),
+          offsetof(wire::DumpUser, use));
+  sum.add(sizeof(wire::DumpEnd), offsetof(wire::DumpEnd, header),
+          offsetof(wire::DumpEnd, process_count), offsetof(wire::DumpEnd, topic_count),
+          offsetof(wire::DumpEnd, endpoint_count), offsetof(wire::DumpEnd, user_count));
   sum.add(wire::version, wire::name_bytes, wire::packet_bytes_max, wire::descriptor_count_max,
           sizeof(wire::Announcement::Window));
   using wire::Opcode;
@@ -147,6 +213,10 @@ constexpr std::uint64_t fingerprint() noexcept {
           Opcode::welcome, Opcode::window_opened, Opcode::executor_opened, Opcode::endpoint_created,
           Opcode::done, Opcode::refused, Opcode::announce, Opcode::window_announced, Opcode::forget,
           Opcode::orphaned, Opcode::kick, Opcode::notice);
+  sum.add(Opcode::observe, Opcode::dump, Opcode::observed, Opcode::dump_daemon,
+          Opcode::dump_process, Opcode::dump_topic, Opcode::dump_endpoint, Opcode::dump_user,
+          Opcode::dump_end, wire::ProcessState::connected, wire::ProcessState::orphaned,
+          wire::ProcessState::dead);
   sum.add(wire::Kind::publisher, wire::Kind::subscription, wire::Kind::region);
   return sum.value();
 }

@@ -45,6 +45,9 @@ inline constexpr std::uint32_t client_count_max = 2048;
 inline constexpr std::uint32_t window_count_max = 8;
 // Where windows begin and how long they are: whole huge pages, so that the kernel can use them.
 inline constexpr std::uint64_t window_granule_bytes = 2 << 20;
+// Connections of one user that only look. Each may let the daemon keep one dump for it.
+inline constexpr std::uint32_t observer_count_max = 8;
+
 // Executors of one process: one line each in the first page of the client region beside the
 // windows.
 inline constexpr std::uint32_t executor_count_max = 32;

@@ -22,6 +22,7 @@
 //   drained               Reference          done                nothing held, lines zeroed
 //   unlinked              Unlinked           –                   rule RU: not mapped any more
 //   any request may be answered by `refused`
+//   observe, dump         a connection that only looks: see observe.hpp
 //
 //   daemon → client, unasked
 //   announce              Announcement       region (read), windows (read), bells: see the body
@@ -60,6 +61,9 @@ enum class Opcode : std::uint32_t {
   leave = 6,
   drained = 7,
   unlinked = 8,
+  // observer → daemon (observe.hpp)
+  observe = 9,
+  dump = 10,
   // daemon → client: answers
   welcome = 101,
   window_opened = 102,
@@ -67,6 +71,13 @@ enum class Opcode : std::uint32_t {
   endpoint_created = 104,
   done = 105,
   refused = 106,
+  observed = 107,
+  dump_daemon = 108,
+  dump_process = 109,
+  dump_topic = 110,
+  dump_endpoint = 111,
+  dump_user = 112,
+  dump_end = 113,
   // daemon → client: unasked
   announce = 201,
   window_announced = 202,

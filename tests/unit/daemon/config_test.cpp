@@ -189,7 +189,14 @@ TEST(Config, MistakesAreToldWithPlaceAndRemedy) {
       {"[heap]\nwindow_bytes = 0\n",
        "f.toml:2:16: heap.window_bytes: 0 is out of range; use 64MiB to 16TiB, or \"auto\""},
       {"[heap]\nwindow_bytes = 67108865\n",
-       "f.toml:2:16: heap.window_bytes: 67108865 is no multiple of 4KiB; use whole pages"},
+       "f.toml:2:16: heap.window_bytes: 67108865 is no multiple of 2MiB; the next ones are "
+       "64MiB and 66MiB"},
+      {"[heap]\narena_base = 0x300000001000\n",
+       "f.toml:2:14: heap.arena_base: 52776558137344 is no multiple of 2MiB; the next ones are "
+       "48TiB and 50331650MiB"},
+      {"[heap]\narena_bytes = \"1048577MiB\"\n",
+       "f.toml:2:15: heap.arena_bytes: \"1048577MiB\" is no multiple of 2MiB; the next ones are "
+       "1TiB and 1048578MiB"},
       {"[heap]\nwindow_bytes = \"16GB\"\n",
        "f.toml:2:16: heap.window_bytes: \"16GB\" is no size; write an integer of bytes, or a size "
        "like \"16GiB\" (B, KiB, MiB, GiB, TiB), or \"auto\""},
@@ -345,9 +352,13 @@ TEST(Config, PrintedConfigurationsReadBackTheSame) {
     config.daemon.socket_mode = static_cast<std::uint32_t>(0600 + below(0200));
     if (below(2)) config.daemon.socket_group = "sensors";
     config.daemon.log_level = static_cast<LogLevel>(3 + below(5));
-    if (below(2)) config.heap.window_bytes = (16384 + below(1 << 20)) * 4096;
-    if (below(2)) config.heap.arena_base = (1 << 20) * 4096ULL + below(1 << 30) * 4096;
-    if (below(2)) config.heap.arena_bytes = (std::uint64_t{1} << 40) + below(1 << 30) * 4096;
+    if (below(2)) config.heap.window_bytes = (32 + below(1 << 12)) * abi::window_granule_bytes;
+    if (below(2))
+      config.heap.arena_base =
+          (std::uint64_t{1} << 32) + below(1 << 20) * abi::window_granule_bytes;
+    if (below(2))
+      config.heap.arena_bytes =
+          (std::uint64_t{1} << 40) + below(1 << 20) * abi::window_granule_bytes;
     config.limits.depth_max = static_cast<std::uint32_t>(1 + below(500));
     config.limits.slots_per_publisher = static_cast<std::uint32_t>(501 + below(1000));
     config.quota.publishers = below(1 << 20);

@@ -25,11 +25,11 @@ Body body(wire::Opcode opcode) {
   return result;
 }
 template <class Body>
-Request decoded(const Body& packet, const Envelope& envelope = {}, bool greeted = true) {
+Request decoded(const Body& packet, const Envelope& envelope = {}, Role role = Role::client) {
   // A heap copy of exactly this length: one byte further is an error that the sanitizer sees.
   const auto bytes = std::as_bytes(std::span(&packet, 1));
   const std::vector<std::byte> copy(bytes.begin(), bytes.end());
-  return decode(copy, envelope, greeted);
+  return decode(copy, envelope, role);
 }
 Rejected rejected(const Request& request) {
   const auto* const found = std::get_if<Rejected>(&request);
@@ -52,7 +52,7 @@ wire::CreateEndpoint honest_create(wire::Opcode opcode) {
 
 TEST(Requests, PassesEveryHonestPacket) {
   EXPECT_TRUE(std::holds_alternative<wire::Hello>(
-      decoded(body<wire::Hello>(wire::Opcode::hello), {}, false)));
+      decoded(body<wire::Hello>(wire::Opcode::hello), {}, Role::unknown)));
   EXPECT_TRUE(std::holds_alternative<wire::WindowRequest>(
       decoded(body<wire::WindowRequest>(wire::Opcode::open_window))));
   EXPECT_TRUE(std::holds_alternative<wire::ExecutorRequest>(
@@ -80,11 +80,12 @@ TEST(Requests, PassesEveryHonestPacket) {
 }
 
 TEST(Requests, EndsAConnectionThatCannotBeParsed) {
-  EXPECT_TRUE(rejected(decode({}, {}, true)).ends_connection);
+  EXPECT_TRUE(rejected(decode({}, {}, Role::client)).ends_connection);
   auto packet = body<wire::WindowRequest>(wire::Opcode::open_window);
   const auto bytes = std::as_bytes(std::span(&packet, 1));
-  EXPECT_TRUE(rejected(decode(bytes.first(15), {}, true)).ends_connection);
-  EXPECT_TRUE(rejected(decode(bytes.first(20), {}, true)).ends_connection) << "length is a lie";
+  EXPECT_TRUE(rejected(decode(bytes.first(15), {}, Role::client)).ends_connection);
+  EXPECT_TRUE(rejected(decode(bytes.first(20), {}, Role::client)).ends_connection)
+      << "length is a lie";
   EXPECT_TRUE(rejected(decoded(packet, {0, true, false})).ends_connection) << "too long";
 }
 
@@ -93,7 +94,7 @@ TEST(Requests, RefusesWhatCanBeParsedAndIsWrong) {
   EXPECT_FALSE(rejected(decoded(window, {1, false, false})).ends_connection) << "descriptors";
   EXPECT_EQ(rejected(decoded(window, {1, false, false})).code, Errc::protocol_violation);
   EXPECT_EQ(rejected(decoded(window, {0, false, true})).code, Errc::protocol_violation);
-  EXPECT_EQ(rejected(decoded(window, {}, false)).text, "the first request must be hello");
+  EXPECT_EQ(rejected(decoded(window, {}, Role::unknown)).text, "the first request must be hello");
   EXPECT_EQ(rejected(decoded(body<wire::Hello>(wire::Opcode::hello))).text, "hello is said once");
   window.window = abi::window_count_max;
   EXPECT_EQ(rejected(decoded(window)).code, Errc::window_exhausted);
@@ -101,7 +102,7 @@ TEST(Requests, RefusesWhatCanBeParsedAndIsWrong) {
   EXPECT_EQ(rejected(decoded(body<wire::Done>(wire::Opcode::done))).text, "unknown request 105");
   EXPECT_EQ(rejected(decoded(body<wire::Done>(wire::Opcode::open_window))).code,
             Errc::protocol_violation);
-  EXPECT_EQ(rejected(decoded(body<wire::Done>(wire::Opcode::hello), {}, false)).code,
+  EXPECT_EQ(rejected(decoded(body<wire::Done>(wire::Opcode::hello), {}, Role::unknown)).code,
             Errc::layout_mismatch)
       << "the hello of another version";
   auto executor = body<wire::ExecutorRequest>(wire::Opcode::open_executor);
@@ -112,7 +113,8 @@ TEST(Requests, RefusesWhatCanBeParsedAndIsWrong) {
 TEST(Requests, RefusesNamesWithoutEnd) {
   auto hello = body<wire::Hello>(wire::Opcode::hello);
   std::memset(hello.process_name.text, 'x', sizeof hello.process_name.text);
-  EXPECT_EQ(rejected(decoded(hello, {}, false)).text, "the name of the process does not end");
+  EXPECT_EQ(rejected(decoded(hello, {}, Role::unknown)).text,
+            "the name of the process does not end");
   for (auto member :
        {&wire::CreateEndpoint::topic, &wire::CreateEndpoint::type, &wire::CreateEndpoint::node}) {
     auto create = honest_create(wire::Opcode::create_publisher);
@@ -206,7 +208,8 @@ TEST(Requests, SurvivesRandomPackets) {
     for (auto wrong = random() % 4; wrong > 0 && !packet.empty(); --wrong)
       packet[random() % packet.size()] = static_cast<std::byte>(random());
     const Request request =
-        decode(packet, {random() % 16 == 0 ? 1u : 0u, random() % 16 == 0, false}, i % 2 == 0);
+        decode(packet, {random() % 16 == 0 ? 1u : 0u, random() % 16 == 0, false},
+               static_cast<Role>(i % 3));
     if (const auto* const create = std::get_if<CreateRequest>(&request)) {
       ++accepted;
       ASSERT_GE(create->qos.depth, 1u);

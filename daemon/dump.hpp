@@ -1,0 +1,41 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Dump: everything the daemon knows, as packets for an observer. Pure; made in one turn, so all
+// packets together are one moment.
+//
+// What the registry does not hold (who is connected, since when, counters) comes with the call. A
+// process's region goes along for reading: metadata, no message. Windows never do.
+#pragma once
+
+#include <agnocast/abi/observe.hpp>
+#include <daemon/registry.hpp>
+#include <daemon/session.hpp>
+#include <daemon/shared_fd.hpp>
+
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <vector>
+
+namespace agnocast::daemon {
+
+struct DumpFacts {
+  struct Process {
+    abi::wire::ProcessState state = abi::wire::ProcessState::dead;
+    std::uint64_t age_ns = 0;
+    SharedFd region;  // empty when there is none
+  };
+  struct User {
+    std::uint64_t connections = 0;
+    std::uint64_t observers = 0;
+  };
+  abi::wire::DumpDaemon daemon{};       // header left open
+  std::map<std::uint32_t, User> users;  // those with connections; owners of processes are added
+  std::function<Process(ClientIndex)> process_of;
+};
+
+/// The answer to the request with this id, in order: it ends with dump_end.
+std::vector<Outgoing> make_dump(const Registry& registry, const DumpFacts& facts,
+                                std::uint64_t request);
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,165 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Observe: what is said on a connection that only looks (agnocast-ctl). The packets of wire.hpp, with
+// these bodies; docs/control-plane.md, "Observers".
+//
+//   observer → daemon     body       answer              descriptors of the answer
+//   observe               Observe    observed            board (read)
+//   dump                  Dump       dump_daemon, then dump_process, dump_topic, dump_endpoint and
+//                                    dump_user, each as often as there is one, then dump_end;
+//                                    a process brings its region (read) while it has one
+//
+// All packets of one dump carry its request id and were made in one turn of the daemon: together
+// they are one moment. An observer has no index, no region and no endpoint, and is never announced.
+#pragma once
+
+#include <agnocast/abi/limits.hpp>
+#include <agnocast/abi/wire.hpp>
+#include <agnocast/abi/words.hpp>
+
+#include <cstdint>
+#include <type_traits>
+
+namespace agnocast::abi::wire {
+
+struct Observe {
+  Header header;
+  std::uint64_t fingerprint;
+};
+struct Observed {
+  Header header;
+  std::uint64_t fingerprint;
+  std::uint64_t incarnation;
+  std::uint64_t client_region_bytes;
+};
+struct Dump {
+  Header header;
+};
+
+/// What has happened since the daemon began.
+struct DaemonCounters {
+  std::uint64_t clients_registered;
+  std::uint64_t clients_reaped;
+  std::uint64_t intents_rolled_back;
+  std::uint64_t intents_rolled_forward;
+  std::uint64_t intents_corrupt;
+  std::uint64_t requests_refused;
+  std::uint64_t connections_refused;
+};
+/// [limits] of the configuration.
+struct DaemonLimits {
+  std::uint64_t clients;
+  std::uint64_t topics;
+  std::uint64_t publishers_per_topic;
+  std::uint64_t subscriptions_per_topic;
+  std::uint64_t slots_per_publisher;
+  std::uint64_t depth_max;
+  std::uint64_t windows_per_process;
+};
+/// What one user has, or may have ([quota] of the configuration; 2^64-1: unlimited).
+struct UserShare {
+  std::uint64_t clients;
+  std::uint64_t publishers;
+  std::uint64_t subscriptions;
+  std::uint64_t executors;
+  std::uint64_t heap_bytes;
+  std::uint64_t held_messages;
+};
+struct DumpDaemon {
+  Header header;
+  std::uint32_t version_major;
+  std::uint32_t version_minor;
+  std::uint32_t version_patch;
+  std::uint32_t pid;
+  std::uint32_t uid;
+  std::uint32_t reserved;
+  std::uint64_t incarnation;
+  std::uint64_t uptime_ns;
+  std::uint64_t arena_base;
+  std::uint64_t arena_bytes;
+  std::uint64_t window_bytes;
+  std::uint64_t windows_used;
+  std::uint64_t connections;  // observers not among them
+  std::uint64_t observers;
+  std::uint64_t unlocked_count;  // locks of memory that the limit of locked memory refused
+  DaemonCounters counters;
+  DaemonLimits limits;
+  UserShare quota;
+};
+
+/// How the daemon stands to a process.
+enum class ProcessState : std::uint32_t {
+  connected = 1,
+  orphaned = 2,  // lives and maps its region, but its connection has ended
+  dead = 3,      // has ended; others still have its memory
+};
+struct DumpProcess {
+  Header header;
+  std::uint64_t client;
+  std::uint64_t generation;
+  std::uint32_t pid;  // as the daemon sees it; 0 when it does not
+  std::uint32_t uid;
+  std::uint32_t gid;
+  ProcessState state;
+  std::uint64_t domain;
+  std::uint64_t age_ns;     // since its hello
+  std::uint64_t executors;  // one bit each
+  std::uint32_t window_count;
+  std::uint32_t region_count;  // descriptors that came with this
+  Announcement::Window window[window_count_max];
+  Name name;
+};
+struct DumpTopic {
+  Header header;
+  std::uint32_t topic;
+  std::uint32_t reserved;
+  std::uint64_t generation;
+  std::uint64_t domain;
+  std::uint64_t layout_hash;
+  Name name;
+  Name type;
+};
+struct DumpEndpoint {
+  Header header;
+  Kind kind;
+  std::uint32_t topic;
+  std::uint64_t index;
+  std::uint64_t generation;
+  std::uint64_t member;  // generation and state as the board has to say them; free: only its owner
+                         // still has it
+  std::uint64_t client;
+  std::uint64_t client_generation;
+  std::uint64_t qos;  // abi::Qos, packed
+  std::uint64_t extent;
+  std::uint64_t slot_count;      // publisher
+  std::uint64_t first_sequence;  // publisher
+  std::uint64_t quota;           // subscription
+  std::uint64_t executor;        // subscription
+  Name node;
+};
+struct DumpUser {
+  Header header;
+  std::uint64_t uid;
+  std::uint64_t connections;
+  std::uint64_t observers;
+  UserShare use;
+};
+/// How many packets of each kind came before.
+struct DumpEnd {
+  Header header;
+  std::uint64_t process_count;
+  std::uint64_t topic_count;
+  std::uint64_t endpoint_count;
+  std::uint64_t user_count;
+};
+
+template <class Body>
+inline constexpr bool travels =
+    sizeof(Body) <=
+    packet_bytes_max&& std::is_trivially_copyable_v<Body>&& std::is_standard_layout_v<
+        Body>&& std::has_unique_object_representations_v<Body>;
+static_assert(travels<Observe> && travels<Observed> && travels<Dump> && travels<DumpDaemon> &&
+              travels<DumpProcess> && travels<DumpTopic> && travels<DumpEndpoint> &&
+              travels<DumpUser> && travels<DumpEnd>);
+
+}  // namespace agnocast::abi::wire
