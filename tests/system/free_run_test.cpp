@@ -5,7 +5,7 @@
 // subscription judges what it gets (free_run.hpp), and in the end every one that stayed must have
 // the last message that each publisher committed, also of those that were killed in the middle of
 // publishing. Seeds as in stepped_test.cpp; a free run's interleaving is the machine's, its contents
-// and pauses are the seed's. AGNOCAST_FREE_RUNS: how many (6 if not set).
+// and pauses are the seed's. AGNOCAST_FREE_RUNS: how many (10 if not set).
 
 #include <tests/support/daemon_process.hpp>
 #include <tests/system/actor_process.hpp>
@@ -166,7 +166,7 @@ class FreeRun {
 
 TEST(FreeRun, NothingHappensThatMayNot) {
   const std::uint64_t only = seed_given();
-  const std::uint64_t runs = only != 0 ? 1 : number_from_environment("AGNOCAST_FREE_RUNS", 6);
+  const std::uint64_t runs = only != 0 ? 1 : number_from_environment("AGNOCAST_FREE_RUNS", 10);
   const auto now = std::chrono::system_clock::now().time_since_epoch().count();
   for (std::uint64_t i = 0; i < runs && !testing::Test::HasFailure(); ++i) {
     const std::uint64_t seed =
