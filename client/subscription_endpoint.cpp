@@ -35,6 +35,9 @@ void SubscriptionEndpoint::orphan(std::uint64_t publisher, std::uint64_t generat
     if (link->publisher() == publisher && link->generation() == generation)
       link->core_.observe_publisher();
   }
+  // Publishers that come and go must not pile up behind a subscription that nobody looks at: beyond
+  // its depth it owes nothing to those that are gone.
+  drop_beyond_depth();
   sleeper_->wake();
 }
 
