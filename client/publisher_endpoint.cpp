@@ -50,8 +50,13 @@ struct PublisherEndpoint::Work {
                                             // the mutex, than allocate
     } else {
       endpoint.doomed_.push_back(message);  // within its capacity: no allocation
-      wake_control = true;
     }
+  }
+  /// What an earlier turn had no room for.
+  void destroy_doomed() noexcept {
+    auto& doomed = endpoint.doomed_;
+    for (; !doomed.empty() && destroy_count < destroy.size(); doomed.pop_back())
+      destroy[destroy_count++] = doomed.back();
   }
 };
 
@@ -77,6 +82,9 @@ dataplane::PublishOutcome PublisherEndpoint::publish(void* message, std::uint64_
     // The stamp is taken under the mutex, so that it grows with the sequence.
     outcome =
         core_->publish({reinterpret_cast<std::uint64_t>(message), bytes, monotonic_ns()}, work);
+    // Many at once, when a reader that lagged has caught up: the next publishes destroy the rest, or
+    // the control thread's timer. Waking it would be a system call.
+    work.destroy_doomed();
   });
   if (outcome == dataplane::PublishOutcome::no_slot)
     count(offsetof(abi::PublisherEndpoint, refused_no_slot), 1);
@@ -164,10 +172,7 @@ void PublisherEndpoint::run_errands() noexcept {
         sleeper.bell.ring();
     }
     core_->pass(work);
-    while (!doomed_.empty() && work.destroy_count < work.destroy.size()) {
-      work.destroy[work.destroy_count++] = doomed_.back();
-      doomed_.pop_back();
-    }
+    work.destroy_doomed();
     work.wake_control = !doomed_.empty();  // more next time: destructors may be slow, others wait
   });
 }

@@ -82,8 +82,8 @@ class PublisherEndpoint {
   EndpointEvents& events() noexcept { return events_; }
 
  private:
-  // Destroyed by the publishing thread itself; what is more waits for the control thread. A publish
-  // frees as many as it adds on average.
+  // Destroyed by one publish at most; what is more waits for the next ones, or for the timer of the
+  // control thread. A publish frees as many as it adds on average.
   static constexpr std::size_t destroy_at_once_max = 16;
   // protocol §4.2: sending to the first one or two sleepers at once costs 1–6 µs each, handing over
   // the rest 2–3 µs for all.
@@ -117,7 +117,7 @@ class PublisherEndpoint {
   std::vector<Executor> executors_;
   std::vector<Attached> attached_;
   std::vector<void*>
-      doomed_;  // to be destroyed by the control thread; capacity for every slot from the start
+      doomed_;  // to be destroyed later; capacity for every slot from the start
   EndpointEvents events_;
 };
 

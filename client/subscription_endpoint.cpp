@@ -38,6 +38,9 @@ void SubscriptionEndpoint::orphan(std::uint64_t publisher, std::uint64_t generat
     link->core_.observe_publisher();
     if (!std::exchange(link->ceased_, true)) events_.ceased();
   }
+  // Publishers that come and go must not pile up behind a subscription that nobody looks at: beyond
+  // its depth it owes nothing to those that are gone.
+  drop_beyond_depth();
   sleeper_->wake();
 }
 

@@ -1,0 +1,291 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: nothing grows: after 1,000,000 messages, 100,000 endpoints and 10,000 processes everything
+// that daemon and clients use is what it was after a warm-up.
+// Method: one sample after the first tenth, one at the end; of the daemon and of two processes that
+// stay: open descriptors, mappings, resident memory; of the publisher's shared heap: what is
+// mapped and live; of the daemon: which place and which address the next process gets. All are
+// compared for equality, but resident memory and live bytes, which an allocator's caches move: their
+// tolerance stands beside them.
+//   AGNOCAST_ENDURANCE=short   a tenth of these numbers.
+
+#include <tests/support/daemon_process.hpp>
+#include <tests/support/steered_process.hpp>
+#include <tests/system/random.hpp>
+
+#include <gtest/gtest.h>
+
+#include <dirent.h>
+#include <spawn.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <chrono>
+#include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+#include <deque>
+#include <fstream>
+#include <memory>
+#include <sstream>
+#include <string>
+#include <vector>
+
+namespace agnocast::test {
+namespace {
+
+constexpr int patience_s = 1200;
+
+// Pages of allocators' caches and of the log's buffers. A leak of a byte per step would be 10⁴…10⁶.
+constexpr std::int64_t resident_tolerance = 1 << 20;
+// Blocks in the caches of the publisher's threads count as live.
+constexpr std::int64_t live_tolerance = 64 << 10;
+
+std::uint64_t count_of(std::uint64_t whole) {
+  const char* const wanted = std::getenv("AGNOCAST_ENDURANCE");
+  return wanted != nullptr && std::string(wanted) == "short" ? whole / 10 : whole;
+}
+
+struct ProcessSample {
+  std::size_t descriptors = 0, mappings = 0;
+  std::int64_t resident = 0;
+
+  static ProcessSample of(pid_t pid) {
+    ProcessSample sample;
+    const std::string proc = "/proc/" + std::to_string(pid);
+    if (DIR* const fds = ::opendir((proc + "/fd").c_str())) {
+      while (::readdir(fds) != nullptr) ++sample.descriptors;
+      ::closedir(fds);
+    }
+    sample.mappings = count_mappings(proc + "/maps");
+    std::int64_t size = 0;
+    std::ifstream(proc + "/statm") >> size >> sample.resident;
+    sample.resident *= ::sysconf(_SC_PAGESIZE);
+    return sample;
+  }
+
+ private:
+  // The kernel splits a mapping where parts of it are locked in memory: neighbours of the same file
+  // count as one.
+  static std::size_t count_mappings(const std::string& path) {
+    std::size_t count = 0;
+    std::string end_before, file_before;
+    std::ifstream maps(path);
+    for (std::string line; std::getline(maps, line);) {
+      std::istringstream words(line);
+      std::string range, rights, offset, device, inode;
+      words >> range >> rights >> offset >> device >> inode;
+      const std::size_t dash = range.find('-');
+      if (inode == "0" || file_before != inode + rights || end_before != range.substr(0, dash))
+        ++count;
+      end_before = range.substr(dash + 1);
+      file_before = inode + rights;
+    }
+    return count;
+  }
+};
+
+struct Heap {
+  std::int64_t used = 0, frontier = 0, live = 0;
+};
+
+/// Daemon and the two that stay.
+class Endurance : public testing::Test {
+ protected:
+  Endurance() {
+    publisher_ = client(true);
+    subscriber_ = client(false);
+    EXPECT_EQ(publisher_->ask("pub /stays"), "ok");
+    EXPECT_EQ(subscriber_->ask("sub /stays"), "ok");
+    EXPECT_TRUE(publisher_->eventually("links", "1"));
+    EXPECT_TRUE(subscriber_->eventually("links", "1"));
+  }
+  std::unique_ptr<SteeredProcess> client(bool may_publish) {
+    std::vector<std::string> variables{"AGNOCAST_SOCKET=" + daemon_.socket_path()};
+    if (may_publish) variables.push_back("LD_PRELOAD=" AGNOCAST_HOOK);
+    return std::make_unique<SteeredProcess>(std::vector<std::string>{AGNOCAST_ENDURANCE_CLIENT},
+                                            variables);
+  }
+
+  struct Sample {
+    ProcessSample daemon, publisher, subscriber;
+    Heap heap;
+  };
+  Sample sample() {
+    Sample all{ProcessSample::of(daemon_.pid()),
+               ProcessSample::of(publisher_->pid()),
+               ProcessSample::of(subscriber_->pid()),
+               {}};
+    std::istringstream(publisher_->ask("heap")) >> all.heap.used >> all.heap.frontier >>
+        all.heap.live;
+    return all;
+  }
+  /// When the last words about those who left have been said.
+  Sample sample_at_rest() {
+    Sample last = sample();
+    unsigned same = 0;
+    EXPECT_TRUE(eventually([&] {
+      const Sample now = sample();
+      same = counts_of(now) == counts_of(last) ? same + 1 : 0;
+      last = now;
+      return same >= 50;
+    }));
+    return last;
+  }
+  static std::vector<std::int64_t> counts_of(const Sample& sample) {
+    std::vector<std::int64_t> all{sample.heap.frontier};
+    for (const ProcessSample& process : {sample.daemon, sample.publisher, sample.subscriber}) {
+      all.push_back(static_cast<std::int64_t>(process.descriptors));
+      all.push_back(static_cast<std::int64_t>(process.mappings));
+    }
+    return all;
+  }
+
+  void expect_flat(const Sample& before, const Sample& after, const std::string& what) {
+    print("warm  ", before);
+    print("end   ", after);
+    EXPECT_EQ(counts_of(before), counts_of(after))
+        << what << ": mapped bytes of the heap; descriptors and mappings of daemon, "
+        << "publisher, subscriber";
+    EXPECT_LE(after.daemon.resident - before.daemon.resident, resident_tolerance) << what;
+    EXPECT_LE(after.publisher.resident - before.publisher.resident, resident_tolerance) << what;
+    EXPECT_LE(after.subscriber.resident - before.subscriber.resident, resident_tolerance) << what;
+    EXPECT_LE(after.heap.live - before.heap.live, live_tolerance) << what;
+  }
+  static void print(const char* when, const Sample& sample) {
+    std::printf("  %s", when);
+    const auto one = [](const char* who, const ProcessSample& process) {
+      std::printf("  %s %zu fds %zu maps %lld KiB", who, process.descriptors, process.mappings,
+                  static_cast<long long>(process.resident >> 10));
+    };
+    one("daemon", sample.daemon);
+    one("pub", sample.publisher);
+    one("sub", sample.subscriber);
+    std::printf(
+        "  heap %lld used %lld mapped %lld live\n", static_cast<long long>(sample.heap.used),
+        static_cast<long long>(sample.heap.frontier), static_cast<long long>(sample.heap.live));
+    std::fflush(stdout);
+  }
+
+  /// Runs `steps(count)` for a tenth and for the rest; prints how long a step took in both.
+  template <class Steps>
+  void endure(const std::string& what, std::uint64_t count, Steps steps) {
+    const auto timed = [&](std::uint64_t part) {
+      const auto begin = std::chrono::steady_clock::now();
+      steps(part);
+      const std::chrono::duration<double> took = std::chrono::steady_clock::now() - begin;
+      std::printf("%s: %llu in %.1f s, %.1f us each\n", what.c_str(),
+                  static_cast<unsigned long long>(part), took.count(),
+                  took.count() * 1e6 / static_cast<double>(part));
+      std::fflush(stdout);
+    };
+    timed(count / 10);
+    const Sample before = sample_at_rest();
+    timed(count - count / 10);
+    expect_flat(before, sample_at_rest(), what);
+  }
+
+  DaemonProcess daemon_{{.arguments = {"--log-level", "debug"}}};
+  std::unique_ptr<SteeredProcess> publisher_, subscriber_;
+};
+
+TEST_F(Endurance, MessagesLeaveNothingBehind) {
+  endure("messages", count_of(1'000'000), [&](std::uint64_t count) {
+    subscriber_->tell("receive " + std::to_string(count));
+    ASSERT_EQ(publisher_->ask("publish " + std::to_string(count), patience_s), "ok");
+    ASSERT_EQ(subscriber_->answer(patience_s), "ok");
+    // Every message is given back before the heap is looked at.
+    ASSERT_EQ(publisher_->ask("publish 1"), "ok");
+    ASSERT_EQ(subscriber_->ask("receive 1"), "ok");
+  });
+}
+
+TEST_F(Endurance, EndpointsLeaveNothingBehind) {
+  // A third each: publishers, subscriptions, both on ever new topics; and subscriptions on the topic
+  // of a publisher that stays, who maps and forgets them all.
+  endure("endpoints", count_of(100'000), [&](std::uint64_t count) {
+    const std::string third = std::to_string(count / 3);
+    publisher_->tell("cycle pub /publishers " + third);
+    ASSERT_EQ(subscriber_->ask("cycle sub /subscriptions " + third, patience_s), "ok");
+    ASSERT_EQ(publisher_->answer(patience_s), "ok");
+    ASSERT_EQ(subscriber_->ask("rejoin /stays " + third, patience_s), "ok");
+  });
+}
+
+class EnduranceOfProcesses : public Endurance {
+ protected:
+  /// A process that joins and ends, or is killed some time on its way.
+  pid_t spawn(bool publishes, int steps) {
+    std::vector<std::string> arguments{AGNOCAST_ENDURANCE_CLIENT,
+                                       publishes ? "once-pub" : "once-sub", "/busy",
+                                       std::to_string(steps)};
+    std::vector<std::string> variables{"AGNOCAST_SOCKET=" + daemon_.socket_path()};
+    if (publishes) variables.push_back("LD_PRELOAD=" AGNOCAST_HOOK);
+    std::vector<char*> argv, environment;
+    for (std::string& argument : arguments) argv.push_back(argument.data());
+    for (std::string& variable : variables) environment.push_back(variable.data());
+    argv.push_back(nullptr);
+    environment.push_back(nullptr);
+    pid_t pid = -1;
+    EXPECT_EQ(::posix_spawn(&pid, argv[0], nullptr, nullptr, argv.data(), environment.data()), 0);
+    return pid;
+  }
+  void end(pid_t pid, bool kill) {
+    if (kill) ::kill(pid, SIGKILL);
+    int status = 0;
+    ::waitpid(pid, &status, 0);
+    if (!kill) {
+      EXPECT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) == 0) << status;
+    }
+  }
+
+  /// Where the daemon puts the next process: its place in the table, and the base of its window.
+  std::string next_place() {
+    const auto next = client(true);
+    EXPECT_EQ(next->ask("pub /next"), "ok");
+    const std::string pid = " pid=" + std::to_string(next->pid()) + " ";
+    std::istringstream log(daemon_.log());
+    std::string place;
+    for (std::string line; std::getline(log, line);) {
+      if (line.find(pid) == std::string::npos) continue;
+      for (const char* field : {"client registered client=", "base="}) {
+        if (const std::size_t at = line.find(field); at != std::string::npos)
+          place += line.substr(at, line.find(' ', at + std::string(field).size()) - at) + " ";
+      }
+    }
+    return place;
+  }
+};
+
+TEST_F(EnduranceOfProcesses, LeaveNothingBehind) {
+  // A subscription that nobody looks at keeps its newest five messages, whoever sent them and is dead
+  // by now, and no more.
+  ASSERT_EQ(publisher_->ask("also pub /busy"), "ok");
+  ASSERT_EQ(subscriber_->ask("also sub /busy"), "ok");
+  Random random(7);
+  std::uint64_t killed = 0;
+  std::string places[2];
+  std::size_t round = 0;
+  endure("processes", count_of(10'000), [&](std::uint64_t count) {
+    std::deque<pid_t> alive;
+    for (std::uint64_t i = 0; i < count; ++i) {
+      alive.push_back(spawn(random.chance(50), static_cast<int>(random.below(3))));
+      if (alive.size() < 4) continue;
+      const bool kill = random.chance(30);
+      killed += kill ? 1 : 0;
+      end(alive.front(), kill);
+      alive.pop_front();
+    }
+    for (const pid_t pid : alive) end(pid, false);
+    ASSERT_EQ(subscriber_->ask("drain"), "ok");
+    (void)sample_at_rest();
+    places[round++] = next_place();
+  });
+  std::printf("  %llu were killed; the next process gets %s\n",
+              static_cast<unsigned long long>(killed), places[1].c_str());
+  EXPECT_FALSE(places[0].empty());
+  EXPECT_EQ(places[0], places[1]) << "place and address after a tenth, and in the end";
+}
+
+}  // namespace
+}  // namespace agnocast::test

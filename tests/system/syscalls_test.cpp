@@ -1,0 +1,225 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: in the steady state publish, take, release, borrow and filling a message make no system
+// calls; a publish makes one per sleeping receiver for one and two of them, and three when there are
+// more. Method: a process of syscall_subject is traced (tests/support/syscall_tracer.hpp) and marks
+// what is counted. "Asleep" is made certain: a receiver is stopped by a signal while its callback
+// thread is inside epoll_wait, so it stays armed until it is continued. Growth of the heap is
+// counted apart.
+//
+// One call is allowed now and then: a futex, when the process's own control thread has the
+// publisher's private mutex for the moment of a pass.
+
+#include <tests/support/daemon_process.hpp>
+#include <tests/support/steered_process.hpp>
+#include <tests/support/syscall_tracer.hpp>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cstdint>
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <memory>
+#include <set>
+#include <string>
+#include <vector>
+
+namespace agnocast::test {
+namespace {
+
+constexpr std::uint64_t label_fill = 1, label_publish = 2, label_growth = 3, label_take = 4,
+                        label_release = 5, label_none = 6, label_clock = 7;
+
+class Syscalls : public testing::Test {
+ protected:
+  std::unique_ptr<SteeredProcess> subject(bool may_publish) {
+    std::vector<std::string> variables{"AGNOCAST_SOCKET=" + daemon_.socket_path()};
+    if (may_publish) variables.push_back("LD_PRELOAD=" AGNOCAST_HOOK);
+    return std::make_unique<SteeredProcess>(std::vector<std::string>{AGNOCAST_SUBJECT}, variables);
+  }
+
+  /// What a traced process did while it executed `line`, by label: the calls of each section.
+  static std::map<std::uint64_t, std::vector<std::vector<long>>> trace(SteeredProcess& process,
+                                                                       SyscallTracer& tracer,
+                                                                       const std::string& line,
+                                                                       std::size_t sections) {
+    std::map<std::uint64_t, std::vector<std::vector<long>>> all;
+    EXPECT_EQ(process.ask(line), "ok") << line;
+    for (std::size_t i = 0; i < sections; ++i) {
+      const auto section = tracer.next();
+      if (!section) {
+        ADD_FAILURE() << "the trace ended";
+        break;
+      }
+      all[section->label].push_back(section->calls);
+    }
+    return all;
+  }
+
+  /// No call at all, except the rare futex; how often that was.
+  static std::size_t expect_silence(const std::vector<std::vector<long>>& sections) {
+    std::size_t futexes = 0;
+    for (const auto& calls : sections) {
+      for (const long call : calls) {
+        EXPECT_EQ(call, SYS_futex);
+        ++futexes;
+      }
+    }
+    return futexes;
+  }
+
+  DaemonProcess daemon_;
+};
+
+/// A process whose callback thread sleeps; stopped, it stays asleep.
+class Sleeper {
+ public:
+  explicit Sleeper(std::unique_ptr<SteeredProcess> process) : process_(std::move(process)) {
+    EXPECT_EQ(process_->ask("callback"), "ok");
+  }
+  SteeredProcess& process() { return *process_; }
+  ~Sleeper() { wake(); }
+  Sleeper(const Sleeper&) = delete;
+  Sleeper& operator=(const Sleeper&) = delete;
+
+  [[nodiscard]] bool stop_asleep() {
+    return eventually([&] {
+      if (!is_asleep()) return false;
+      ::kill(process_->pid(), SIGSTOP);
+      if (eventually([&] { return is_stopped(); }) && is_asleep()) return true;
+      wake();
+      return false;
+    });
+  }
+  void wake() { ::kill(process_->pid(), SIGCONT); }
+
+ private:
+  std::string task() const {
+    const std::string tasks = "/proc/" + std::to_string(process_->pid()) + "/task";
+    for (const auto& entry : std::filesystem::directory_iterator(tasks)) {
+      std::string name;
+      std::getline(std::ifstream(entry.path() / "comm"), name);
+      if (name == "agnocast-call") return entry.path();
+    }
+    return "/nowhere";
+  }
+  bool is_asleep() const {
+    long call = -1;
+    std::ifstream(task() + "/syscall") >> call;
+    if (call == SYS_epoll_pwait) return true;
+#ifdef SYS_epoll_wait
+    return call == SYS_epoll_wait;
+#else
+    return false;
+#endif
+  }
+  bool is_stopped() const {
+    std::string pid, name, state;
+    std::ifstream(task() + "/stat") >> pid >> name >> state;
+    return state == "T";
+  }
+  std::unique_ptr<SteeredProcess> process_;
+};
+
+TEST_F(Syscalls, WarmPublishTakeAndReleaseMakeNone) {
+  auto publisher = subject(true), subscriber = subject(false);
+  ASSERT_EQ(subscriber->ask("sub"), "ok");
+  ASSERT_EQ(publisher->ask("pub"), "ok");
+  ASSERT_TRUE(publisher->eventually("subs", "1") && subscriber->eventually("pubs", "1"));
+  SyscallTracer tracer(publisher->pid()), other(subscriber->pid());
+  if (!tracer.is_tracing() || !other.is_tracing())
+    GTEST_SKIP() << "this system does not allow a process to trace another one of its user";
+
+  std::size_t clock = trace(*publisher, tracer, "clock", 1)[label_clock][0].size();
+  if (clock != 0)
+    GTEST_SKIP() << "reading the clock is a system call here: no vDSO for its clock source";
+
+  std::size_t futexes = 0;
+  for (int round = 0; round < 55; ++round) {
+    auto calls = trace(*publisher, tracer, "publish 40 0", 80);
+    auto taken = trace(*subscriber, other, "take 40", 80);
+    auto none = trace(*subscriber, other, "none", 1);
+    if (round < 5) continue;  // until heap, thread caches and mappings are warm
+    ASSERT_EQ(calls[label_fill].size(), 40u);
+    futexes += expect_silence(calls[label_fill]) + expect_silence(calls[label_publish]) +
+               expect_silence(taken[label_take]) + expect_silence(taken[label_release]) +
+               expect_silence(none[label_none]);
+  }
+  std::printf("2000 messages filled, published, taken, released: %zu futexes, no other call\n",
+              futexes);
+  EXPECT_LE(futexes, 20u) << "the control threads are in the way too often";
+}
+
+TEST_F(Syscalls, PublishMakesOnePerSleeperForTwoAndThreeBeyond) {
+  auto publisher = subject(true);
+  ASSERT_EQ(publisher->ask("pub"), "ok");
+  SyscallTracer tracer(publisher->pid());
+  if (!tracer.is_tracing())
+    GTEST_SKIP() << "this system does not allow a process to trace another one of its user";
+  ASSERT_EQ(publisher->ask("publish 50 0"), "ok");
+  for (int i = 0; i < 100; ++i) ASSERT_TRUE(tracer.next());
+
+  std::vector<std::unique_ptr<Sleeper>> sleepers;
+  std::vector<std::uint64_t> received;
+  for (const std::size_t count : {1u, 2u, 3u, 6u}) {
+    while (sleepers.size() < count) {
+      sleepers.push_back(std::make_unique<Sleeper>(subject(false)));
+      received.push_back(0);
+    }
+    ASSERT_TRUE(publisher->eventually("subs", std::to_string(count)));
+    for (int repetition = 0; repetition < 10; ++repetition) {
+      for (const auto& sleeper : sleepers) ASSERT_TRUE(sleeper->stop_asleep());
+      auto calls = trace(*publisher, tracer, "publish 1 0", 2)[label_publish][0];
+      std::erase(calls, SYS_futex);
+      EXPECT_THAT(calls, testing::Each(SYS_write));
+      EXPECT_EQ(calls.size(), std::min<std::size_t>(count, 3)) << count << " sleepers";
+      // Each sleep is rung once.
+      calls = trace(*publisher, tracer, "publish 1 0", 2)[label_publish][0];
+      std::erase(calls, SYS_futex);
+      EXPECT_LE(calls.size(), count > 2 ? 1u : 0u) << "rung already";
+      for (std::size_t i = 0; i < sleepers.size(); ++i) {
+        sleepers[i]->wake();
+        received[i] += 2;
+        EXPECT_TRUE(sleepers[i]->process().eventually("received", std::to_string(received[i])))
+            << "sleeper " << i << " of " << count;
+      }
+    }
+  }
+}
+
+TEST_F(Syscalls, GrowthOfTheHeapMapsMemoryAndWakesTheControlThread) {
+  auto publisher = subject(true), subscriber = subject(false);
+  ASSERT_EQ(subscriber->ask("sub"), "ok");
+  ASSERT_EQ(publisher->ask("pub"), "ok");
+  ASSERT_TRUE(publisher->eventually("subs", "1") && subscriber->eventually("pubs", "1"));
+  SyscallTracer tracer(publisher->pid()), other(subscriber->pid());
+  if (!tracer.is_tracing() || !other.is_tracing())
+    GTEST_SKIP() << "this system does not allow a process to trace another one of its user";
+  auto grown = trace(*publisher, tracer, "publish 1 8000000", 2)[label_growth];
+  auto taken = trace(*subscriber, other, "take 1", 2)[label_take];
+  std::vector<long> calls = grown[0];
+  calls.insert(calls.end(), grown[1].begin(), grown[1].end());
+  EXPECT_FALSE(calls.empty()) << "8 MB do not fit into what is mapped at the start";
+  const std::set<long> of_memory{SYS_mmap,      SYS_munmap, SYS_madvise, SYS_mprotect,
+                                 SYS_fallocate, SYS_futex,  SYS_fstat,   SYS_newfstatat};
+  std::size_t wakes = 0;
+  for (const long call : calls) {
+    if (call == SYS_write) {
+      ++wakes;  // the control thread learns that the heap has grown
+    } else {
+      EXPECT_EQ(of_memory.count(call), 1u) << "system call " << call;
+    }
+  }
+  EXPECT_LE(wakes, calls.size() / 2);
+  for (const long call : taken[0]) EXPECT_EQ(of_memory.count(call), 1u) << "system call " << call;
+  EXPECT_GE(taken[0].size(), 1u);
+  std::printf("growth for one message of 8 MB: %zu calls of the publisher, %zu of the subscriber\n",
+              calls.size(), taken[0].size());
+}
+
+}  // namespace
+}  // namespace agnocast::test
