@@ -3,6 +3,7 @@
 #include <client/context.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
+#include <base/text.hpp>
 #include <client/forked_child.hpp>
 
 #include <pthread.h>
@@ -12,6 +13,7 @@
 #include <unistd.h>
 
 #include <cerrno>
+#include <charconv>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
@@ -36,9 +38,16 @@ std::string socket_path() {
   return system_socket;
 }
 
-std::uint64_t domain_id() noexcept {
-  const char* text = std::getenv("ROS_DOMAIN_ID");
-  return text != nullptr ? std::strtoull(text, nullptr, 10) : 0;
+// A misspelt domain must not silently be domain 0: its node would meet nobody.
+Result<std::uint64_t> domain_id() {
+  const char* const text = std::getenv("ROS_DOMAIN_ID");
+  if (text == nullptr || *text == '\0') return std::uint64_t{0};
+  std::uint64_t domain = 0;
+  const char* const end = text + std::strlen(text);
+  const auto [stop, problem] = std::from_chars(text, end, domain);
+  if (problem == std::errc() && stop == end) return domain;
+  return fail_with(Errc::invalid_argument,
+                   "ROS_DOMAIN_ID is " + in_quotes(text) + ", which is not a number");
 }
 
 /// The environment may come from whoever starts a setuid program; such a program does not listen.
@@ -115,6 +124,8 @@ Result<void> Context::connect() {
 }
 
 Result<void> Context::say_hello() {
+  const Result<std::uint64_t> domain = domain_id();
+  if (!domain) return tl::unexpected<Failure>(domain.error());
   Result<PacketSocket> socket = PacketSocket::connect(socket_path_);
   if (!socket) {
     const Failure& why = socket.error();
@@ -124,7 +135,7 @@ Result<void> Context::say_hello() {
 
   wire::Hello hello{};
   hello.fingerprint = abi::fingerprint();
-  hello.domain = domain_id();
+  hello.domain = *domain;
   write_name(hello.process_name, process_name());
   connection_->post(Opcode::hello, hello, 1);
   Incoming packet;

@@ -5,7 +5,8 @@
 //
 //   uid=N memlock=BYTES addresses=BYTES lock occupy=HEX     the process, before it connects
 //   depth=N topic=NAME type=text|wide|number                of the endpoints that follow
-//   pub sub try_pub                                         keep an endpoint; try_: by its Result
+//   pub sub try_pub insist        keep an endpoint; try_: by its Result; insist: a try_pub that may
+//                                 fail
 //   publish=BYTES take=BYTES                                one message, to and from
 //   full=BYTES                                              keep loans of BYTES until one is refused
 //   foreign moved twice empty                               misuse of loans
@@ -77,6 +78,7 @@ class Program {
     if (what == "pub") return publishers_.push_back(publisher()), 0;
     if (what == "sub") return subscribe(), 0;
     if (what == "try_pub") return try_publisher();
+    if (what == "insist") return static_cast<void>(try_publisher()), 0;
     if (what == "publish") return publish(std::strtoull(value.c_str(), nullptr, 10));
     if (what == "take") return take(std::strtoull(value.c_str(), nullptr, 10));
     if (what == "full") return fill_up(std::strtoull(value.c_str(), nullptr, 10));

@@ -83,7 +83,10 @@ TEST(BadInput, AnIneffectiveHookIsNamedWithTheLibraryInItsPlace) {
   DaemonProcess daemon;
   const char* const why = "malloc is that of " AGNOCAST_OTHER_MALLOC ", not of " AGNOCAST_HOOK;
   const char* const preload = "LD_PRELOAD=" AGNOCAST_OTHER_MALLOC ":" AGNOCAST_HOOK;
-  expect_refusal(node(daemon, "pub", preload), why, Errc::hook_ineffective);
+  const Outcome once = node(daemon, "pub", preload);
+  expect_refusal(once, why, Errc::hook_ineffective);
+  EXPECT_EQ(node(daemon, "insist pub", preload).text, once.text + once.text)
+      << "the next try is told the same";
 }
 
 // --- the daemon
@@ -253,6 +256,16 @@ TEST(BadInput, InvalidTopicNamesAreNamedWithThePosition) {
                  "\"" + long_name.substr(0, 256) +
                      "...\": the name is longer than 255 characters, at character 256",
                  Errc::invalid_name);
+}
+
+TEST(BadInput, ADomainThatIsNoNumberIsNamed) {
+  DaemonProcess daemon;
+  for (const char* domain : {"seven", "7x", "-1", "99999999999999999999"}) {
+    expect_refusal(node(daemon, "sub", std::string("ROS_DOMAIN_ID=") + domain),
+                   std::string("ROS_DOMAIN_ID is \"") + domain + "\", which is not a number",
+                   Errc::invalid_argument);
+  }
+  EXPECT_EQ(node(daemon, "sub", "ROS_DOMAIN_ID=7").text, "");
 }
 
 // --- limits
