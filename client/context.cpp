@@ -51,13 +51,14 @@ Result<std::uint64_t> domain_id() {
 }
 
 /// The environment may come from whoever starts a setuid program; such a program does not listen.
-Result<HeapScope> scope_from_environment(HeapScope otherwise) noexcept {
+Result<HeapScope> scope_from_environment(HeapScope otherwise) {
   const char* const text = ::secure_getenv("AGNOCAST_SCOPE");
   if (text == nullptr || *text == '\0') return otherwise;
   const std::string_view word = text;
   if (word == "loan") return HeapScope::loan;
   if (word == "all") return HeapScope::all;
-  return fail(Errc::invalid_argument, "AGNOCAST_SCOPE must be loan or all");
+  return fail_with(Errc::invalid_argument,
+                   "AGNOCAST_SCOPE is " + in_quotes(text) + ", which is neither loan nor all");
 }
 
 std::string process_name() {

@@ -12,7 +12,7 @@ namespace agnocast::detail {
 namespace {
 
 tl::unexpected<Failure> refuse(const std::string& topic, const NameProblem& problem) {
-  return fail_with(Errc::invalid_name, in_quotes(topic) + ": " + problem.text());
+  return fail_with(Errc::invalid_name, "topic " + in_quotes(topic) + ": " + problem.text());
 }
 
 }  // namespace

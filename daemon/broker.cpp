@@ -150,9 +150,7 @@ void Broker::accept(PacketSocket socket) {
   const bool only_observes = used.clients >= options_.config.quota.clients;
   if (only_observes && used.observers >= abi::observer_count_max) {
     ++counters_.connections_refused;
-    const auto refused =
-        check_limit(used.clients, 1, options_.config.quota.clients, "[quota] clients");
-    send_refused(socket, Errc::quota_exceeded, detail_of(refused.error()));
+    send_refused(socket, Errc::quota_exceeded, clients_text());
     log_.write_limited("connections uid=" + std::to_string(uid), LogLevel::warning,
                        "connection refused",
                        {{"uid", uid},
@@ -394,6 +392,11 @@ tl::unexpected<Failure> Broker::refusal(Errc code, const std::string& text) {
   return fail_with(code, text);
 }
 
+std::string Broker::clients_text() const {
+  return "[quota] clients is " + std::to_string(options_.config.quota.clients) +
+         ", this user has as many";
+}
+
 Result<void> Broker::check_limit(std::uint64_t used, std::uint64_t more, std::uint64_t limit,
                                  std::string_view name) {
   if (used <= limit && more <= limit - used) return {};
@@ -480,10 +483,7 @@ Result<void> Broker::check_caller(const Peer& peer, std::uint64_t fingerprint) {
 Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
   Session& session = peer.session;
   if (auto known = check_caller(peer, hello.fingerprint); !known) return known;
-  if (peer.counts_as_observer)
-    return refusal(
-        Errc::quota_exceeded,
-        "this user may have " + std::to_string(options_.config.quota.clients) + " connections");
+  if (peer.counts_as_observer) return refusal(Errc::quota_exceeded, clients_text());
   std::string_view name;
   AGNOCAST_CHECK(text_of(hello.process_name, name));
   const auto client = registry_.add_client({session.identity().uid, session.identity().gid,

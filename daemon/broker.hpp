@@ -107,6 +107,7 @@ class Broker final : private Post {
 
   /// Why the last request was refused, when there is more to say than a static text.
   [[nodiscard]] tl::unexpected<Failure> refusal(Errc code, const std::string& text);
+  std::string clients_text() const;
   [[nodiscard]] Result<void> check_limit(std::uint64_t used, std::uint64_t more,
                                          std::uint64_t limit, std::string_view name);
 
