@@ -4,6 +4,8 @@
 
 #include <agnocast/error.hpp>
 
+#include <atomic>
+#include <cstring>
 #include <string>
 
 namespace agnocast {
@@ -33,15 +35,14 @@ class Category final : public std::error_category {
   std::string message(int code) const override { return sentence_of(static_cast<Errc>(code)); }
 };
 
-std::string text_of(const Failure& failure) {
-  std::string text = failure.what;
-  if (failure.os_errno != 0) {
-    text += " (";
-    text += std::generic_category().message(failure.os_errno);
-    text += ")";
-  }
-  return text;
-}
+// Of the calling thread: the detail of the last failure that had one. Numbers are never given out
+// twice in a process, so a failure cannot find the text of another one.
+struct LastDetail {
+  std::uint64_t number = 0;
+  char text[detail_bytes_max] = "";
+};
+thread_local LastDetail last_detail;
+std::atomic<std::uint64_t> last_number{0};
 
 }  // namespace
 
@@ -60,7 +61,33 @@ const std::error_category& error_category() noexcept {
   return category;
 }
 
+const char* detail_of(const Failure& failure) noexcept {
+  return failure.detail != 0 && failure.detail == last_detail.number ? last_detail.text : "";
+}
+
+std::string text_of(const Failure& failure) {
+  std::string text = sentence_of(failure.code);
+  const char* const detail = detail_of(failure);
+  for (const std::string& why :
+       {std::string(*detail != '\0' ? detail : failure.what),
+        failure.os_errno != 0 ? std::generic_category().message(failure.os_errno) : ""}) {
+    if (!why.empty()) text += ": " + why;
+  }
+  return text;
+}
+
+Failure failure_with(Errc code, const char* detail, int os_errno) noexcept {
+  // `detail` may be the detail of an earlier failure, with nothing to be done.
+  const std::size_t length = ::strnlen(detail, detail_bytes_max - 1);
+  std::memmove(last_detail.text, detail, length);
+  last_detail.text[length] = '\0';
+  last_detail.number = last_number.fetch_add(1, std::memory_order_relaxed) + 1;
+  return {code, os_errno, "", last_detail.number};
+}
+
 Error::Error(const Failure& failure)
-    : std::system_error(make_error_code(failure.code), text_of(failure)), failure_(failure) {}
+    : std::system_error(make_error_code(failure.code)),
+      failure_(failure),
+      text_(std::make_shared<const std::string>(text_of(failure))) {}
 
 }  // namespace agnocast

@@ -30,11 +30,17 @@ class Mapping {
   ~Mapping() { reset(); }
 
   /// Maps `bytes` of `fd` shared, anywhere. A read mapping is left out of core dumps: it is
-  /// somebody else's memory.
+  /// somebody else's memory. Errors: os_failure, lock_limit.
   [[nodiscard]] static Result<Mapping> map(int fd, std::uint64_t bytes, Access access) noexcept;
+  /// Private zeroed memory, anywhere. Errors: os_failure, lock_limit.
+  [[nodiscard]] static Result<Mapping> map_private(std::uint64_t bytes) noexcept;
   /// Addresses without memory (PROT_NONE). At `address` exactly if it is not zero; EEXIST when
-  /// something is in the way.
+  /// something is in the way. Reserved addresses do not count against RLIMIT_MEMLOCK, also in a
+  /// process that has called mlockall(MCL_FUTURE). Errors: os_failure, address_limit, lock_limit.
   [[nodiscard]] static Result<Mapping> reserve(std::uint64_t address, std::uint64_t bytes) noexcept;
+  /// Puts reserved addresses in place of whatever lies at [at, at + bytes), which has to be the
+  /// caller's.
+  static void cover(std::byte* at, std::uint64_t bytes) noexcept;
 
   std::byte* base() const noexcept { return base_; }
   std::uint64_t bytes() const noexcept { return bytes_; }
@@ -47,5 +53,9 @@ class Mapping {
   std::byte* base_ = nullptr;
   std::uint64_t bytes_ = 0;
 };
+
+/// Why mmap answered EAGAIN to `bytes`: the limit of locked memory, how much of it is used, what is
+/// needed.
+Failure lock_refusal(std::uint64_t bytes) noexcept;
 
 }  // namespace agnocast

@@ -4,7 +4,9 @@
 
 #include <poll.h>
 
+#include <algorithm>
 #include <cerrno>
+#include <iterator>
 #include <utility>
 
 namespace agnocast {
@@ -25,13 +27,23 @@ tl::unexpected<Failure> gone() noexcept {
   return fail(Errc::daemon_not_running, "the connection to agnocastd has ended");
 }
 
-/// What the daemon refused, as a Failure. Its text is for people and stays in the daemon's log;
-/// ours is static.
+/// What the daemon refused, in its words.
 Failure refusal_of(const Incoming& packet) noexcept {
   abi::wire::Refused refused{};
   if (!packet.read(refused)) return {Errc::protocol_violation, 0, "an answer of agnocastd"};
-  return {static_cast<Errc>(refused.code), static_cast<int>(refused.os_errno),
-          "refused by agnocastd"};
+  char* const end = std::find(std::begin(refused.text.text), std::end(refused.text.text) - 1, '\0');
+  *end = '\0';
+  std::replace_if(
+      refused.text.text, end, [](char c) { return c < ' ' || c > '~'; }, '?');
+  return failure_with(static_cast<Errc>(refused.code), refused.text.text,
+                      static_cast<int>(refused.os_errno));
+}
+
+// A failure is made in the control thread and told in the thread that waits; the detail goes with
+// it.
+Result<void> in_this_thread(const Result<void>& result, const std::string& detail) {
+  if (result || detail.empty()) return result;
+  return tl::unexpected(failure_with(result.error().code, detail.c_str(), result.error().os_errno));
 }
 
 }  // namespace
@@ -39,7 +51,7 @@ Failure refusal_of(const Incoming& packet) noexcept {
 Result<void> Connection::request_bytes(std::byte* bytes, std::size_t size,
                                        std::function<Result<void>(Incoming&)> on_answer) {
   const auto deadline = std::chrono::steady_clock::now() + answer_timeout;
-  Waiting waiting{std::move(on_answer), false, {}};
+  Waiting waiting{std::move(on_answer), false, {}, {}};
   std::uint64_t id = 0;
   {
     const std::lock_guard lock(mutex_);
@@ -54,7 +66,7 @@ Result<void> Connection::request_bytes(std::byte* bytes, std::size_t size,
     std::unique_lock lock(mutex_);
     if (waiting_.erase(id) != 0) return why;
     answered_.wait(lock, [&] { return waiting.done; });
-    return waiting.result;
+    return in_this_thread(waiting.result, waiting.detail);
   };
   for (;;) {
     const Result<Sent> sent = socket_.send({bytes, size});
@@ -71,7 +83,8 @@ Result<void> Connection::request_bytes(std::byte* bytes, std::size_t size,
   }
   {
     std::unique_lock lock(mutex_);
-    if (answered_.wait_until(lock, deadline, [&] { return waiting.done; })) return waiting.result;
+    if (answered_.wait_until(lock, deadline, [&] { return waiting.done; }))
+      return in_this_thread(waiting.result, waiting.detail);
   }
   return give_up(fail(Errc::daemon_not_running, "no answer of agnocastd within 5 s"));
 }
@@ -125,6 +138,7 @@ void Connection::answer(std::uint64_t id, Incoming& packet) {
     result = waiting.on_answer(packet);
   }
   lock.lock();
+  if (!result) waiting.detail = detail_of(result.error());
   waiting.result = std::move(result);
   waiting.done = true;
   answered_.notify_all();

@@ -23,6 +23,7 @@
 #include <map>
 #include <mutex>
 #include <span>
+#include <string>
 #include <string_view>
 #include <type_traits>
 #include <vector>
@@ -114,6 +115,7 @@ class Connection {
     std::function<Result<void>(Incoming&)> on_answer;
     bool done = false;
     Result<void> result;
+    std::string detail;
   };
 
   [[nodiscard]] Result<void> request_bytes(std::byte* bytes, std::size_t size,

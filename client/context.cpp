@@ -3,6 +3,7 @@
 #include <client/context.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
+#include <base/text.hpp>
 #include <client/forked_child.hpp>
 
 #include <pthread.h>
@@ -12,6 +13,7 @@
 #include <unistd.h>
 
 #include <cerrno>
+#include <charconv>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
@@ -36,19 +38,27 @@ std::string socket_path() {
   return system_socket;
 }
 
-std::uint64_t domain_id() noexcept {
-  const char* text = std::getenv("ROS_DOMAIN_ID");
-  return text != nullptr ? std::strtoull(text, nullptr, 10) : 0;
+// A misspelt domain must not silently be domain 0: its node would meet nobody.
+Result<std::uint64_t> domain_id() {
+  const char* const text = std::getenv("ROS_DOMAIN_ID");
+  if (text == nullptr || *text == '\0') return std::uint64_t{0};
+  std::uint64_t domain = 0;
+  const char* const end = text + std::strlen(text);
+  const auto [stop, problem] = std::from_chars(text, end, domain);
+  if (problem == std::errc() && stop == end) return domain;
+  return fail_with(Errc::invalid_argument,
+                   "ROS_DOMAIN_ID is " + in_quotes(text) + ", which is not a number");
 }
 
 /// The environment may come from whoever starts a setuid program; such a program does not listen.
-Result<HeapScope> scope_from_environment(HeapScope otherwise) noexcept {
+Result<HeapScope> scope_from_environment(HeapScope otherwise) {
   const char* const text = ::secure_getenv("AGNOCAST_SCOPE");
   if (text == nullptr || *text == '\0') return otherwise;
   const std::string_view word = text;
   if (word == "loan") return HeapScope::loan;
   if (word == "all") return HeapScope::all;
-  return fail(Errc::invalid_argument, "AGNOCAST_SCOPE must be loan or all");
+  return fail_with(Errc::invalid_argument,
+                   "AGNOCAST_SCOPE is " + in_quotes(text) + ", which is neither loan nor all");
 }
 
 std::string process_name() {
@@ -69,9 +79,12 @@ std::string what_lies_in(std::uint64_t base, std::uint64_t bytes) {
       found = line;
   }
   std::fclose(maps);
-  while (!found.empty() && found.back() == '\n') found.pop_back();
+  while (!found.empty() && (found.back() == '\n' || found.back() == ' ')) found.pop_back();
   return found;
 }
+
+// Destructors of messages run on it. Under mlockall all of it is memory: not the default of 8 MiB.
+constexpr std::size_t control_stack_bytes = std::size_t{1} << 20;
 
 }  // namespace
 
@@ -85,12 +98,6 @@ bool Context::is_connected() const noexcept {
   return !is_forked_child() && is_connected_.load(std::memory_order_acquire);
 }
 
-std::string Context::detail() const {
-  if (is_forked_child()) return {};
-  const std::lock_guard lock(connecting_);
-  return detail_;
-}
-
 // --- connecting ---
 
 Result<void> Context::connect() {
@@ -98,42 +105,45 @@ Result<void> Context::connect() {
   const std::lock_guard lock(connecting_);
   if (is_connected_.load(std::memory_order_relaxed)) {
     if (ended_.load(std::memory_order_acquire))
-      return fail(Errc::daemon_not_running, "the connection to agnocastd has ended");
+      return fail_with(Errc::daemon_not_running,
+                       "the connection to " + socket_path_ + " has ended");
     return {};
   }
   if (Result<void> known = recognise_forked_children(); !known) return known;
-  const std::string path = socket_path();
-  detail_ = path;
-  if (Result<void> said = say_hello(path); !said) {
+  socket_path_ = socket_path();
+  Result<void> done = say_hello();
+  if (done) done = start_control_thread();
+  if (!done) {
     connection_.reset();
     region_ = {};
     arena_.reset();
-    board_.reset();
-    return said;
+    board_ = {};
+    return done;
   }
   is_connected_.store(true, std::memory_order_release);
-  // The control thread takes no signals: those are the application's.
-  sigset_t all, before;
-  ::sigfillset(&all);
-  ::pthread_sigmask(SIG_SETMASK, &all, &before);
-  thread_ = std::thread([this] { serve(); });
-  ::pthread_sigmask(SIG_SETMASK, &before, nullptr);
-  ::pthread_setname_np(thread_.native_handle(), "agnocast-ctl");
   return {};
 }
 
-Result<void> Context::say_hello(const std::string& path) {
-  Result<PacketSocket> socket = PacketSocket::connect(path);
-  if (!socket) return tl::unexpected<Failure>(socket.error());
+Result<void> Context::say_hello() {
+  const Result<std::uint64_t> domain = domain_id();
+  if (!domain) return tl::unexpected<Failure>(domain.error());
+  Result<PacketSocket> socket = PacketSocket::connect(socket_path_);
+  if (!socket) {
+    const Failure& why = socket.error();
+    return fail_with(why.code, "connecting to " + socket_path_, why.os_errno);
+  }
   connection_ = std::make_unique<Connection>(std::move(*socket));
 
   wire::Hello hello{};
   hello.fingerprint = abi::fingerprint();
-  hello.domain = domain_id();
+  hello.domain = *domain;
   write_name(hello.process_name, process_name());
   connection_->post(Opcode::hello, hello, 1);
   Incoming packet;
-  if (Result<void> first = connection_->receive_first(packet); !first) return first;
+  if (Result<void> first = connection_->receive_first(packet); !first) {
+    if (first.error().code != Errc::daemon_not_running) return first;
+    return fail_with(Errc::daemon_not_running, socket_path_ + ": " + first.error().what);
+  }
   wire::Welcome welcome{};
   if (packet.header().opcode != Opcode::welcome || !packet.read(welcome) ||
       packet.packet.descriptor_count != 2) {
@@ -143,19 +153,25 @@ Result<void> Context::say_hello(const std::string& path) {
     return fail(Errc::layout_mismatch, "the welcome of agnocastd");
   client_ = welcome.client;
   client_generation_ = welcome.client_generation;
+  return map_regions(welcome, packet.packet.fds());
+}
+
+Result<void> Context::map_regions(const wire::Welcome& welcome, std::span<UniqueFd> fds) {
   if (Result<void> reserved = reserve_arena(welcome.arena_base, welcome.arena_bytes); !reserved)
     return reserved;
-
-  const auto fds = packet.packet.fds();
-  Result<Mapping> board = Mapping::map(fds[0].get(), abi::board_bytes, Mapping::Access::read);
+  Result<SparseRegion> board =
+      SparseRegion::make(std::move(fds[0]), abi::board_bytes, Mapping::Access::read);
   if (!board) return tl::unexpected<Failure>(board.error());
   board_ = std::move(*board);
+  if (Result<void> opened = board_.open(0, abi::page_bytes); !opened) return opened;
   Result<SparseRegion> region = SparseRegion::make(std::move(fds[1]), welcome.client_region_bytes,
                                                    Mapping::Access::read_write);
   if (!region) return tl::unexpected<Failure>(region.error());
   region_ = std::move(*region);
-  if (Result<void> opened = region_.open(0, abi::page_bytes); !opened) return opened;
+  return region_.open(0, abi::page_bytes);
+}
 
+Result<void> Context::start_control_thread() {
   epoll_.reset(::epoll_create1(EPOLL_CLOEXEC));
   wake_.reset(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
   if (!epoll_ || !wake_) return fail(Errc::os_failure, "preparing the control thread", errno);
@@ -166,19 +182,47 @@ Result<void> Context::say_hello(const std::string& path) {
     if (::epoll_ctl(epoll_.get(), EPOLL_CTL_ADD, fd, &event) != 0)
       return fail(Errc::os_failure, "preparing the control thread", errno);
   }
-  return {};
+  return start_thread();
+}
+
+Result<void> Context::start_thread() {
+  pthread_attr_t attributes;
+  ::pthread_attr_init(&attributes);
+  ::pthread_attr_setstacksize(&attributes, control_stack_bytes);
+  // It takes no signals: those are the application's.
+  sigset_t all, before;
+  ::sigfillset(&all);
+  ::pthread_sigmask(SIG_SETMASK, &all, &before);
+  pthread_t thread{};
+  const int refused = ::pthread_create(
+      &thread, &attributes,
+      [](void* context) -> void* {
+        static_cast<Context*>(context)->serve();
+        return nullptr;
+      },
+      this);
+  ::pthread_sigmask(SIG_SETMASK, &before, nullptr);
+  ::pthread_attr_destroy(&attributes);
+  if (refused == 0) {
+    ::pthread_setname_np(thread, "agnocast-ctl");
+    ::pthread_detach(thread);
+    return {};
+  }
+  // Too many threads, or no room for its stack? Both are EAGAIN.
+  if (const Result<Mapping> stack = Mapping::map_private(control_stack_bytes); !stack)
+    return tl::unexpected<Failure>(stack.error());
+  return fail(Errc::os_failure, "starting the control thread", refused);
 }
 
 Result<void> Context::reserve_arena(std::uint64_t base, std::uint64_t bytes) {
   Result<Mapping> arena = Mapping::reserve(base, bytes);
   if (!arena) {
-    const int why = arena.error().os_errno;
-    if (why == EEXIST) {
-      detail_ = what_lies_in(base, bytes);
-      return fail(Errc::arena_occupied, "reserving the addresses of all shared heaps", why);
+    if (arena.error().os_errno == EEXIST) {
+      char range[64];
+      std::snprintf(range, sizeof range, "0x%jx-0x%jx has ", std::uintmax_t{base},
+                    std::uintmax_t{base + bytes});
+      return fail_with(Errc::arena_occupied, range + what_lies_in(base, bytes));
     }
-    if (why == EAGAIN)
-      return fail(Errc::lock_limit, "reserving the addresses of all shared heaps", why);
     return tl::unexpected<Failure>(arena.error());
   }
   arena_ = std::move(*arena);
@@ -231,9 +275,7 @@ Result<void> Context::open_heap() {
 // Ahead of need: malloc never waits for the daemon. While the answer is on its way, or when it is a
 // refusal, the heap does with what it has.
 void Context::ask_for_window() {
-  if (!heap_is_open_.load(std::memory_order_acquire) || window_asked_ ||
-      window_count_ == abi::window_count_max)
-    return;
+  if (!heap_is_open_.load(std::memory_order_acquire) || window_asked_) return;
   if (!heap_->wants_window()) return;
   window_asked_ = true;
   wire::WindowRequest request{};
@@ -241,13 +283,14 @@ void Context::ask_for_window() {
   connection_->request_later(Opcode::open_window, request, [this](Result<Incoming*> answer) {
     wire::WindowOpened opened{};
     // Refused (quota, arena): not asked again, or a full heap would ask for ever.
+    if (!answer && answer.error().code == Errc::window_exhausted) heap_->no_more_windows();
     if (!answer || !(*answer)->read(opened) || (*answer)->packet.descriptor_count != 2) return;
     const auto fds = (*answer)->packet.fds();
     if (!heap_->add_window(region_.base(), opened.window, opened.base, opened.bytes, fds[0].get(),
                            fds[1].get()))
       return;
-    ++window_count_;
     window_asked_ = false;
+    if (++window_count_ == abi::window_count_max) heap_->no_more_windows();
   });
 }
 
@@ -261,15 +304,21 @@ Result<wire::CreateEndpoint> describe(const EndpointRequest& request,
   body.executor = executor;
   body.quota = request.quota;
   if (!write_name(body.topic, request.topic))
-    return fail(Errc::invalid_name, "a topic name of more than 255 letters");
+    return fail(Errc::invalid_name, "a topic name of more than 255 characters");
   if (!write_name(body.type, request.type))
-    return fail(Errc::invalid_name, "a type name of more than 255 letters");
+    return fail(Errc::invalid_name, "a type name of more than 255 characters");
   if (!write_name(body.node, request.node))
-    return fail(Errc::invalid_name, "a node name of more than 255 letters");
+    return fail(Errc::invalid_name, "a node name of more than 255 characters");
   return body;
 }
 
 }  // namespace
+
+// The topic's entry on the board, and the endpoint's own words.
+Result<void> Context::open_extents(const wire::EndpointCreated& made, std::uint64_t bytes) {
+  Result<void> opened = board_.open(abi::topic_offset(made.topic), abi::topic_bytes);
+  return opened ? region_.open(made.extent, bytes) : opened;
+}
 
 Result<std::shared_ptr<PublisherEndpoint>> Context::create_publisher(
     const EndpointRequest& request, void (*destroy_message)(void*) noexcept) {
@@ -286,7 +335,7 @@ Result<std::shared_ptr<PublisherEndpoint>> Context::create_publisher(
             made.index >= abi::publisher_count_max) {
           return fail(Errc::protocol_violation, "a new publisher");
         }
-        if (Result<void> opened = region_.open(made.extent, abi::publisher_extent_bytes); !opened)
+        if (Result<void> opened = open_extents(made, abi::publisher_extent_bytes); !opened)
           return opened;
         const PublisherEndpoint::Core::Identity core{{board_.base(), abi::topic_offset(made.topic)},
                                                      {region_.base(), made.extent},
@@ -321,8 +370,7 @@ Result<std::shared_ptr<SubscriptionEndpoint>> Context::create_subscription(
             made.index >= abi::subscription_count_max) {
           return fail(Errc::protocol_violation, "a new subscription");
         }
-        if (Result<void> opened = region_.open(made.extent, abi::subscription_extent_bytes);
-            !opened)
+        if (Result<void> opened = open_extents(made, abi::subscription_extent_bytes); !opened)
           return opened;
         subscription = std::make_shared<SubscriptionEndpoint>(
             SubscriptionEndpoint::Identity{{board_.base(), abi::topic_offset(made.topic)},

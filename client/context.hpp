@@ -28,9 +28,9 @@
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <span>
 #include <string>
 #include <string_view>
-#include <thread>
 #include <vector>
 
 namespace agnocast {
@@ -53,8 +53,9 @@ class Context {
   static Context& instance() noexcept;
 
   /// Any of the following connects first if need be. Errors of all: daemon_not_running,
-  /// layout_mismatch, arena_occupied, lock_limit, permission_denied, quota_exceeded, limit_reached,
-  /// shut_down (forked child), os_failure, and what is named.
+  /// layout_mismatch, arena_occupied, lock_limit, address_limit, permission_denied, quota_exceeded,
+  /// limit_reached, shut_down (forked child), invalid_argument (ROS_DOMAIN_ID), os_failure, and
+  /// what is named.
 
   /// Errors also: hook_missing, hook_ineffective, type_mismatch, invalid_name, depth_refused.
   [[nodiscard]] Result<std::shared_ptr<PublisherEndpoint>> create_publisher(
@@ -86,9 +87,6 @@ class Context {
   SharedHeap shared_heap() const noexcept { return heap_->shared_heap(); }
   /// False in a forked child, and before the first endpoint.
   bool is_connected() const noexcept;
-  /// What the last failed connect found, for people: e.g. the line of /proc/self/maps that is in
-  /// the way.
-  std::string detail() const;
   void wake_control() noexcept;
 
  private:
@@ -100,9 +98,13 @@ class Context {
 
   Context() = default;
   Result<void> connect();
-  Result<void> say_hello(const std::string& path);
+  Result<void> say_hello();
+  Result<void> map_regions(const abi::wire::Welcome& welcome, std::span<UniqueFd> fds);
+  Result<void> start_control_thread();
+  Result<void> start_thread();
   Result<void> reserve_arena(std::uint64_t base, std::uint64_t bytes);
   Result<void> open_heap();
+  Result<void> open_extents(const abi::wire::EndpointCreated& made, std::uint64_t bytes);
   std::shared_ptr<Sleeper> lend(std::unique_ptr<Sleeper> sleeper);
 
   // control thread
@@ -129,10 +131,10 @@ class Context {
 
   mutable std::mutex connecting_;
   std::atomic<bool> is_connected_{false};  // a forked child inherits it
-  std::string detail_;
+  std::string socket_path_;
   std::unique_ptr<Connection> connection_;
-  Mapping board_, arena_;
-  SparseRegion region_;
+  Mapping arena_;
+  SparseRegion board_, region_;
   std::uint64_t client_ = 0, client_generation_ = 0;
   HeapScope scope_ = HeapScope::loan;
   std::optional<Heap> heap_;
@@ -141,7 +143,6 @@ class Context {
   bool window_asked_ = false;
 
   UniqueFd epoll_, wake_;
-  std::thread thread_;
   std::atomic<bool> ended_{false};
 
   mutable std::mutex endpoints_;

@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <base/mapping.hpp>
+#include <base/text.hpp>
 #include <client/dataplane/windows.hpp>
 #include <client/heap.hpp>
 
@@ -10,6 +12,7 @@
 #include <cstdlib>
 #include <memory>
 #include <new>
+#include <string>
 
 namespace agnocast {
 namespace {
@@ -23,6 +26,7 @@ struct Attached {
   void (*grown)() noexcept = nullptr;
   std::uint64_t base[abi::window_count_max] = {};
   std::atomic<std::uint64_t> count{0};
+  std::atomic<bool> is_last{false};  // the newest window stays the newest
   const agnocast_heaphook_table* hook = nullptr;
 };
 Attached attached;
@@ -45,7 +49,7 @@ Result<void> result_of(int status) noexcept {
     case AGNOCAST_HEAPHOOK_OCCUPIED:
       return fail(Errc::arena_occupied, "opening a heap window", EEXIST);
     case AGNOCAST_HEAPHOOK_LOCK_LIMIT:
-      return fail(Errc::lock_limit, "opening a heap window", errno);
+      return tl::unexpected(lock_refusal(AGNOCAST_HEAPHOOK_ATTACH_BYTES));
     case AGNOCAST_HEAPHOOK_FULL:
       return fail(Errc::window_exhausted, "opening a heap window");
     case AGNOCAST_HEAPHOOK_OS:
@@ -53,6 +57,40 @@ Result<void> result_of(int status) noexcept {
     default:
       return fail(Errc::internal, "opening a heap window");
   }
+}
+
+// Of the object file that has `address`; "an unknown library" in a program linked statically.
+std::string file_of(const void* address) {
+  Dl_info info{};
+  return ::dladdr(address, &info) != 0 && info.dli_fname != nullptr ? info.dli_fname
+                                                                    : "an unknown library";
+}
+
+// As `new Message` does it.
+void* new_block() {
+  try {
+    return ::operator new(64);
+  } catch (const std::bad_alloc&) {
+    return nullptr;
+  }
+}
+
+// `symbol` answers although the hook should: whose is it?
+tl::unexpected<Failure> ineffective(const char* name, const char* symbol,
+                                    const agnocast_heaphook_table* hook) {
+  const std::string owner = file_of(::dlsym(RTLD_DEFAULT, symbol));
+  const std::string ours = file_of(hook);
+  return fail_with(Errc::hook_ineffective,
+                   owner == ours ? std::string(name) + " does not reach " + ours
+                                 : std::string(name) + " is that of " + owner + ", not of " + ours);
+}
+
+tl::unexpected<Failure> no_hook() {
+  const char* const preload = std::getenv("LD_PRELOAD");
+  return fail_with(Errc::hook_missing,
+                   preload == nullptr || *preload == '\0'
+                       ? std::string("LD_PRELOAD is not set")
+                       : "LD_PRELOAD is " + in_quotes(preload, 512) + ", which has not brought it");
 }
 
 void describe_window(std::byte* client_region, std::uint64_t window, std::uint64_t base,
@@ -90,22 +128,29 @@ WindowSet windows(void*) noexcept {
   return set;
 }
 
+Errc why_full(void*) noexcept {
+  return attached.is_last.load(std::memory_order_relaxed) ? Errc::window_exhausted
+                                                          : Errc::heap_exhausted;
+}
+
 }  // namespace
 
-Result<Heap> Heap::find() noexcept {
+Result<Heap> Heap::find() {
   using Find = const agnocast_heaphook_table* (*)();
   const auto find_hook = reinterpret_cast<Find>(::dlsym(RTLD_DEFAULT, "agnocast_heaphook"));
-  if (find_hook == nullptr) return fail(Errc::hook_missing, "no heap hook in this process");
+  if (find_hook == nullptr) return no_hook();
   const agnocast_heaphook_table* const hook = find_hook();
   if (hook->abi_version != AGNOCAST_HEAPHOOK_ABI_VERSION || hook->size_bytes != sizeof *hook) {
-    return fail(Errc::hook_missing, "the heap hook in this process is of another version");
+    return fail_with(Errc::hook_missing,
+                     file_of(hook) + " has version " + std::to_string(hook->abi_version) +
+                         " of the hook's interface, the library needs version " +
+                         std::to_string(AGNOCAST_HEAPHOOK_ABI_VERSION));
   }
   return Heap(hook);
 }
 
 Result<void> Heap::attach(std::byte* client_region, std::uint64_t base, std::uint64_t length,
-                          int write_fd, int read_fd, HeapScope scope,
-                          void (*grown)() noexcept) noexcept {
+                          int write_fd, int read_fd, HeapScope scope, void (*grown)() noexcept) {
   attached.client_region = client_region;
   attached.grown = grown;
   attached.hook = hook_;
@@ -117,21 +162,24 @@ Result<void> Heap::attach(std::byte* client_region, std::uint64_t base, std::uin
       static_cast<std::uint32_t>(scope == HeapScope::all ? AGNOCAST_HEAPHOOK_SCOPE_ALL
                                                          : AGNOCAST_HEAPHOOK_SCOPE_LOAN),
       0, store_grown, &attached};
-  if (Result<void> opened = result_of(hook_->attach(&window, &options)); !opened) return opened;
-  attached.base[0] = base;
-  attached.count.store(1, std::memory_order_release);
+  // Asked again after it was found ineffective: the hook attaches once, and the answer is the same.
+  if (attached.count.load(std::memory_order_relaxed) == 0) {
+    if (Result<void> opened = result_of(hook_->attach(&window, &options)); !opened) return opened;
+    attached.base[0] = base;
+    attached.count.store(1, std::memory_order_release);
+  }
 
   // Who answers malloc and new? The compiler must not pair these calls away.
   hook_->enter();
   void* volatile by_malloc = std::malloc(64);
-  void* volatile by_new = ::operator new(64, std::nothrow);
+  void* volatile by_new = new_block();
   hook_->leave();
   const bool malloc_is_ours = lies_in_heap(*hook_, static_cast<void*>(by_malloc));
   const bool new_is_ours = lies_in_heap(*hook_, static_cast<void*>(by_new));
   std::free(by_malloc);
-  ::operator delete(by_new, std::nothrow);
-  if (!malloc_is_ours) return fail(Errc::hook_ineffective, "malloc is somebody else's");
-  if (!new_is_ours) return fail(Errc::hook_ineffective, "operator new is somebody else's");
+  ::operator delete(by_new);
+  if (!malloc_is_ours) return ineffective("malloc", "malloc", hook_);
+  if (!new_is_ours) return ineffective("operator new", "_Znwm", hook_);
   return {};
 }
 
@@ -147,6 +195,8 @@ Result<void> Heap::add_window(std::byte* client_region, std::uint64_t window, st
   if (!opened) attached.count.store(window, std::memory_order_release);
   return opened;
 }
+
+void Heap::no_more_windows() noexcept { attached.is_last.store(true, std::memory_order_relaxed); }
 
 bool Heap::wants_window() const noexcept {
   agnocast_heaphook_usage usage{};
@@ -171,7 +221,7 @@ void Heap::resume() const noexcept {
 }
 
 SharedHeap Heap::shared_heap() const noexcept {
-  return {nullptr, begin_adoption, end_adoption, windows};
+  return {nullptr, begin_adoption, end_adoption, windows, why_full};
 }
 
 }  // namespace agnocast

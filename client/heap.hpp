@@ -17,18 +17,20 @@ namespace agnocast {
 class Heap {
  public:
   /// Looks for the hook. Errors: hook_missing (none in this process, or one of another version).
-  [[nodiscard]] static Result<Heap> find() noexcept;
+  [[nodiscard]] static Result<Heap> find();
 
   /// The first window. `client_region`: where the frontier is stored; `grown`: called after it was,
   /// without locks of ours, must not allocate. Errors: hook_missing, hook_ineffective (malloc or
   /// new are not the hook's: somebody else replaced them), arena_occupied, lock_limit, os_failure.
   [[nodiscard]] Result<void> attach(std::byte* client_region, std::uint64_t base,
                                     std::uint64_t length, int write_fd, int read_fd,
-                                    HeapScope scope, void (*grown)() noexcept) noexcept;
+                                    HeapScope scope, void (*grown)() noexcept);
   /// The next window.
   [[nodiscard]] Result<void> add_window(std::byte* client_region, std::uint64_t window,
                                         std::uint64_t base, std::uint64_t length, int write_fd,
                                         int read_fd) noexcept;
+  /// Whoever finds the heap full from now on is told that it will not grow.
+  void no_more_windows() noexcept;
   /// True when the newest window is used to three quarters, or a request did not fit.
   bool wants_window() const noexcept;
   std::uint64_t used_bytes() const noexcept;

@@ -4,16 +4,15 @@
 
 #include <agnocast/node_like.hpp>
 #include <base/names.hpp>
-#include <client/static_text.hpp>
+#include <base/text.hpp>
 
 #include <utility>
 
 namespace agnocast::detail {
 namespace {
 
-tl::unexpected<Failure> wrong(const std::string& topic, const NameProblem& problem) {
-  return fail(Errc::invalid_name,
-              static_text("topic '" + topic + "': " + problem.text(), problem.what));
+tl::unexpected<Failure> refuse(const std::string& topic, const NameProblem& problem) {
+  return fail_with(Errc::invalid_name, "topic " + in_quotes(topic) + ": " + problem.text());
 }
 
 }  // namespace
@@ -21,12 +20,12 @@ tl::unexpected<Failure> wrong(const std::string& topic, const NameProblem& probl
 Result<std::string> expand_topic(const std::string& topic, const std::string& node_name,
                                  const std::string& node_namespace) {
   auto expanded = expand_topic_name(topic, node_name, node_namespace);
-  if (!expanded) return wrong(topic, expanded.error());
+  if (!expanded) return refuse(topic, expanded.error());
   return std::move(*expanded);
 }
 
 Result<void> require_topic(const std::string& topic) {
-  if (const auto problem = check_topic_name(topic)) return wrong(topic, *problem);
+  if (const auto problem = check_topic_name(topic)) return refuse(topic, *problem);
   return {};
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <base/mapping.hpp>
 #include <client/dataplane/windows.hpp>
 #include <client/peer_heap.hpp>
 
@@ -18,8 +19,8 @@ PeerHeap::~PeerHeap() {
   for (std::uint64_t i = 0; i < window_count(); ++i) {
     const Window& window = windows_[i];
     if (!window.fd || window.opened.load(std::memory_order_relaxed) == 0) continue;
-    ::mmap(at_address(window.base), window.opened.load(std::memory_order_relaxed), PROT_NONE,
-           MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE | MAP_FIXED, -1, 0);
+    Mapping::cover(static_cast<std::byte*>(at_address(window.base)),
+                   window.opened.load(std::memory_order_relaxed));
   }
 }
 

@@ -8,6 +8,8 @@
 #include <agnocast/qos.hpp>
 #include <agnocast/result.hpp>
 
+#include <string>
+
 namespace agnocast {
 
 inline abi::Qos to_abi(const QoS& qos) noexcept {
@@ -16,10 +18,10 @@ inline abi::Qos to_abi(const QoS& qos) noexcept {
 }
 
 // The daemon's own limit may be lower; this one is what a queue can hold at all.
-inline Result<void> check_depth(const QoS& qos) noexcept {
-  if (qos.depth() == 0) return fail(Errc::depth_refused, "a history depth of 0");
-  if (qos.depth() > abi::depth_max) return fail(Errc::depth_refused, "a history depth above 1000");
-  return {};
+inline Result<void> check_depth(const QoS& qos) {
+  if (qos.depth() >= 1 && qos.depth() <= abi::depth_max) return {};
+  return fail_with(Errc::depth_refused, "depth " + std::to_string(qos.depth()) +
+                                            " is outside 1 to " + std::to_string(abi::depth_max));
 }
 
 }  // namespace agnocast

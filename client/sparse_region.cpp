@@ -12,11 +12,7 @@ namespace agnocast {
 Result<SparseRegion> SparseRegion::make(UniqueFd fd, std::uint64_t bytes,
                                         Mapping::Access access) noexcept {
   Result<Mapping> reservation = Mapping::reserve(0, bytes);
-  if (!reservation) {
-    if (reservation.error().os_errno == EAGAIN)
-      return fail(Errc::lock_limit, "reserving addresses for a region", EAGAIN);
-    return tl::unexpected<Failure>(reservation.error());
-  }
+  if (!reservation) return tl::unexpected<Failure>(reservation.error());
   SparseRegion region;
   region.fd_ = std::move(fd);
   region.reservation_ = std::move(*reservation);
@@ -34,6 +30,7 @@ Result<void> SparseRegion::open(std::uint64_t offset, std::uint64_t bytes) noexc
   std::byte* const at = reservation_.base() + offset;
   if (::mmap(at, whole, protection, MAP_SHARED | MAP_FIXED, fd_.get(),
              static_cast<off_t>(offset)) == MAP_FAILED) {
+    if (errno == EAGAIN) return tl::unexpected(lock_refusal(whole));
     return fail(Errc::os_failure, "mapping a part of a region", errno);
   }
   // A child of fork must not store into the parent's region, and another process's memory has no

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// SparseRegion: a client region as one process maps it: all of its addresses reserved, only the
-// pages in use accessible. A region is a GiB of addresses of which a few hundred KiB exist; mapping
-// it whole in a process that has called mlockall(MCL_FUTURE) would make all of it exist.
+// SparseRegion: a client region, or the board, as one process maps it: all of its addresses
+// reserved, only the pages in use accessible. A region is a GiB of addresses of which a few hundred
+// KiB exist; mapping it whole in a process that has called mlockall(MCL_FUTURE) would make all of it
+// exist.
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
@@ -19,12 +20,13 @@ namespace agnocast {
 class SparseRegion {
  public:
   SparseRegion() = default;
-  /// Reserves `bytes` of addresses for the region behind `fd`. Errors: os_failure, lock_limit.
+  /// Reserves `bytes` of addresses for the region behind `fd`. Errors: os_failure,
+  /// address_limit, lock_limit.
   [[nodiscard]] static Result<SparseRegion> make(UniqueFd fd, std::uint64_t bytes,
                                                  Mapping::Access access) noexcept;
 
   /// Makes [offset, offset + bytes) accessible, whole pages. Repeating it is harmless. Errors:
-  /// invalid_argument (outside the region), os_failure.
+  /// invalid_argument (outside the region), os_failure, lock_limit.
   [[nodiscard]] Result<void> open(std::uint64_t offset, std::uint64_t bytes) noexcept;
   std::byte* base() const noexcept { return reservation_.base(); }
 

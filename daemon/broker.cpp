@@ -14,8 +14,6 @@
 
 #include <array>
 #include <cerrno>
-#include <cinttypes>
-#include <cstdio>
 #include <ctime>
 #include <type_traits>
 #include <utility>
@@ -38,12 +36,6 @@ std::uint64_t now_ns() noexcept {
          static_cast<std::uint64_t>(now.tv_nsec);
 }
 std::uint64_t now_ms() noexcept { return now_ns() / 1'000'000; }
-
-std::string hexadecimal(std::uint64_t value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "0x%016" PRIx64, value);
-  return text;
-}
 
 // The enumerator's own word: what explain and the documentation list.
 const char* word_of(Errc code) noexcept {
@@ -158,9 +150,7 @@ void Broker::accept(PacketSocket socket) {
   const bool only_observes = used.clients >= options_.config.quota.clients;
   if (only_observes && used.observers >= abi::observer_count_max) {
     ++counters_.connections_refused;
-    send_refused(
-        socket, Errc::quota_exceeded,
-        "this user may have " + std::to_string(options_.config.quota.clients) + " connections");
+    send_refused(socket, Errc::quota_exceeded, clients_text());
     log_.write_limited("connections uid=" + std::to_string(uid), LogLevel::warning,
                        "connection refused",
                        {{"uid", uid},
@@ -398,9 +388,13 @@ void Broker::note(LogLevel level, std::uint32_t uid, std::string_view event, Log
 
 // --- requests
 
-tl::unexpected<Failure> Broker::refusal(Errc code, std::string text) {
-  detail_ = std::move(text);
-  return fail(code, "");
+tl::unexpected<Failure> Broker::refusal(Errc code, const std::string& text) {
+  return fail_with(code, text);
+}
+
+std::string Broker::clients_text() const {
+  return "[quota] clients is " + std::to_string(options_.config.quota.clients) +
+         ", this user has as many";
 }
 
 Result<void> Broker::check_limit(std::uint64_t used, std::uint64_t more, std::uint64_t limit,
@@ -429,7 +423,6 @@ void Broker::refuse(Peer& peer, std::uint64_t request, Errc code, int os_errno,
 }
 
 void Broker::serve(Peer& peer, const Request& request) {
-  detail_.clear();
   Result<void> served;
   std::uint64_t id = 0;
   const auto handle = [&](const auto& body) {
@@ -468,8 +461,9 @@ void Broker::serve(Peer& peer, const Request& request) {
   };
   std::visit(handle, request);
   if (served) return;
+  const std::string_view detail = detail_of(served.error());
   refuse(peer, id, served.error().code, served.error().os_errno,
-         detail_.empty() ? served.error().what : std::string_view(detail_));
+         detail.empty() ? served.error().what : detail);
   const auto* const rejected = std::get_if<Rejected>(&request);
   if (rejected != nullptr && rejected->ends_connection)
     disconnect(peer, "a packet could not be parsed");
@@ -489,10 +483,7 @@ Result<void> Broker::check_caller(const Peer& peer, std::uint64_t fingerprint) {
 Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
   Session& session = peer.session;
   if (auto known = check_caller(peer, hello.fingerprint); !known) return known;
-  if (peer.counts_as_observer)
-    return refusal(
-        Errc::quota_exceeded,
-        "this user may have " + std::to_string(options_.config.quota.clients) + " connections");
+  if (peer.counts_as_observer) return refusal(Errc::quota_exceeded, clients_text());
   std::string_view name;
   AGNOCAST_CHECK(text_of(hello.process_name, name));
   const auto client = registry_.add_client({session.identity().uid, session.identity().gid,
@@ -542,8 +533,9 @@ Result<void> Broker::open_window(Peer& peer, const wire::WindowRequest& request)
   } else {
     if (record.window_count >= options_.config.heap.windows_per_process)
       return refusal(Errc::window_exhausted,
-                     "a process has at most " +
-                         std::to_string(options_.config.heap.windows_per_process) + " windows");
+                     "[heap] windows_per_process is " +
+                         std::to_string(options_.config.heap.windows_per_process) +
+                         ", this process has as many");
     const std::uint64_t bytes = options_.arena.window_bytes;
     if (auto allowed = check_limit(registry_.usage_of(record.uid).heap_bytes, bytes,
                                    options_.config.quota.heap_bytes, "[quota] heap_bytes");
@@ -551,8 +543,9 @@ Result<void> Broker::open_window(Peer& peer, const wire::WindowRequest& request)
       return allowed;
     const auto base = plan_.take();
     if (!base)
-      return refusal(Errc::limit_reached, "all " + std::to_string(plan_.window_count()) +
-                                              " windows of the arena are given out");
+      return refusal(Errc::limit_reached,
+                     "[heap] arena_bytes has room for " + std::to_string(plan_.window_count()) +
+                         " windows of " + std::to_string(bytes) + " bytes, all are given out");
     writer = regions_.open_window(client, bytes);
     if (!writer) {
       plan_.give_back(*base);
@@ -601,9 +594,9 @@ Result<void> Broker::create(Peer& peer, const CreateRequest& request) {
     return refusal(Errc::invalid_name,
                    "topic " + printable(request.topic) + ": " + problem->text());
   if (request.qos.depth > options_.config.limits.depth_max)
-    return refusal(Errc::depth_refused, "depth " + std::to_string(request.qos.depth) +
-                                            " is above depth_max " +
-                                            std::to_string(options_.config.limits.depth_max));
+    return refusal(Errc::depth_refused,
+                   "[limits] depth_max is " + std::to_string(options_.config.limits.depth_max) +
+                       ", depth " + std::to_string(request.qos.depth) + " is asked for");
   const bool publisher = request.kind == Kind::publisher;
   Subject subject{record.uid, peer.session.identity().groups};
   subject.groups.push_back(record.gid);
@@ -635,13 +628,6 @@ Result<void> Broker::create(Peer& peer, const CreateRequest& request) {
                 {"client", number(client)},
                 {"pid", peer.session.identity().pid},
                 {"uid", record.uid}});
-  } else if (created.error().code == Errc::type_mismatch) {
-    const auto topic = registry_.find_topic(record.domain, request.topic);
-    AGNOCAST_CHECK(topic.has_value());
-    const std::string_view type = registry_.topic(*topic).type;
-    return refusal(Errc::type_mismatch,
-                   request.topic + (type == request.type ? " has the same type with another layout"
-                                                         : " has type " + printable(type)));
   }
   return created;
 }

@@ -106,7 +106,8 @@ class Broker final : private Post {
   void note(LogLevel level, std::uint32_t uid, std::string_view event, Log::Fields fields);
 
   /// Why the last request was refused, when there is more to say than a static text.
-  [[nodiscard]] tl::unexpected<Failure> refusal(Errc code, std::string text);
+  [[nodiscard]] tl::unexpected<Failure> refusal(Errc code, const std::string& text);
+  std::string clients_text() const;
   [[nodiscard]] Result<void> check_limit(std::uint64_t used, std::uint64_t more,
                                          std::uint64_t limit, std::string_view name);
 
@@ -126,7 +127,6 @@ class Broker final : private Post {
   std::uint64_t started_ns_;
   std::uint64_t observer_count_ = 0;
   wire::DaemonCounters counters_{};
-  std::string detail_;
   PeerId last_peer_ = 0;
   std::uint64_t detached_count_ = 0;  // processes without a connection
   bool flush_later_ = false;

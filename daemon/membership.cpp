@@ -50,8 +50,9 @@ Result<void> Membership::create(ClientIndex client, const CreateRequest& request
   if (topic) {
     const TopicRecord& record = registry_.topic(*topic);
     if (record.type != request.type || record.layout_hash != request.layout_hash) {
-      notice_types(client, *topic, request);
-      return fail(Errc::type_mismatch, "the topic has another type");
+      const std::string text = type_mismatch_text(client, *topic, request);
+      notice_types(client, *topic, text);
+      return fail_with(Errc::type_mismatch, text);
     }
   } else {
     const auto added =
@@ -289,11 +290,18 @@ void Membership::notice_mismatches(const EndpointRef& ref) {
   }
 }
 
-void Membership::notice_types(ClientIndex client, TopicIndex topic, const CreateRequest& request) {
+// For both sides. What may be long comes last: a packet has 255 bytes for it.
+std::string Membership::type_mismatch_text(ClientIndex client, TopicIndex topic,
+                                           const CreateRequest& request) const {
+  const TopicRecord& there = registry_.topic(topic);
+  return printable(request.type) + " (layout " + hexadecimal(request.layout_hash) +
+         ") is asked for by process " + std::to_string(registry_.client(client).pid) + ", " +
+         printable(there.type) + " (layout " + hexadecimal(there.layout_hash) +
+         ") is the type of " + std::string(there.name);
+}
+
+void Membership::notice_types(ClientIndex client, TopicIndex topic, const std::string& text) {
   if (!type_notices_.insert({number(client), number(topic)}).second) return;
-  const std::string text = request.type == registry_.topic(topic).type
-                               ? "another process uses the same type with another layout"
-                               : "another process uses type " + printable(request.type);
   registry_.for_each_publisher(topic, [&](std::uint32_t i, const PublisherRecord& record) {
     if (record.state == EndpointState::active)
       notice({Kind::publisher, topic, i}, Errc::type_mismatch, text);

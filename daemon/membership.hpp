@@ -89,7 +89,9 @@ class Membership {
   void notice_mismatches(const EndpointRef& ref);
   void notice(const EndpointRef& ref, Errc code, const std::string& text,
               abi::QosPolicy policy = abi::QosPolicy::none);
-  void notice_types(ClientIndex client, TopicIndex topic, const CreateRequest& request);
+  std::string type_mismatch_text(ClientIndex client, TopicIndex topic,
+                                 const CreateRequest& request) const;
+  void notice_types(ClientIndex client, TopicIndex topic, const std::string& text);
   void kick(TopicIndex topic, std::uint32_t publisher);
   void kick_publishers_of(const EndpointRef& subscription);
   void forget_subscription(const EndpointRef& ref);

@@ -34,6 +34,11 @@ void put(char (&to)[size], std::string_view text) noexcept {
   std::memset(to + count, 0, size - count);
 }
 
+tl::unexpected<Failure> full(const char* key, std::uint64_t limit) {
+  return fail_with(Errc::limit_reached, std::string("[limits] ") + key + " is " +
+                                            std::to_string(limit) + ", as many are there");
+}
+
 bool counts_as_member(EndpointState state) noexcept {
   return state == EndpointState::active || state == EndpointState::leaving;
 }
@@ -333,8 +338,7 @@ std::optional<std::uint64_t> Registry::lowest_extent(ClientIndex client,
 Result<ClientIndex> Registry::add_client(const NewClient& wanted) {
   std::uint32_t index = 0;
   while (index < client_high() && tables_.client[index].state != ClientState::free) ++index;
-  if (index >= capacity_.clients)
-    return fail(Errc::limit_reached, "the daemon has no room for another process");
+  if (index >= capacity_.clients) return full("clients", capacity_.clients);
   AGNOCAST_CHECK(views_[index].endpoints.empty());
   put(tables_.client[index].name, wanted.name);
   change(Type::register_client,
@@ -404,8 +408,7 @@ Result<TopicIndex> Registry::add_topic(const NewTopic& wanted) {
   AGNOCAST_CHECK(!find_topic(wanted.domain, wanted.name));
   std::uint32_t index = 0;
   while (index < topic_high() && tables_.topic[index].state != TopicState::free) ++index;
-  if (index >= capacity_.topics)
-    return fail(Errc::limit_reached, "the daemon has no room for another topic");
+  if (index >= capacity_.topics) return full("topics", capacity_.topics);
   put(tables_.topic[index].name, wanted.name);
   put(tables_.topic[index].type, wanted.type);
   change(Type::add_topic, {index, next_generation(), wanted.domain, wanted.layout_hash});
@@ -454,9 +457,10 @@ Result<PublisherPlan> Registry::plan_publisher(ClientIndex client, TopicIndex to
   while (plan.index < high && publisher(topic, plan.index).state != EndpointState::free)
     ++plan.index;
   if (plan.index >= capacity_.publishers_per_topic)
-    return fail(Errc::limit_reached, "the topic has no room for another publisher");
+    return full("publishers_per_topic", capacity_.publishers_per_topic);
   const auto extent = lowest_extent(client, abi::publisher_extent_bytes);
-  if (!extent) return fail(Errc::limit_reached, "the client region has no room left");
+  if (!extent)
+    return fail(Errc::limit_reached, "the region of the process has no room for another endpoint");
   plan.generation = next_generation();
   plan.extent = *extent;
   plan.slot_count = slots_needed(topic, qos, nullptr);
@@ -483,9 +487,10 @@ Result<SubscriptionPlan> Registry::plan_subscription(ClientIndex client, TopicIn
   while (plan.index < high && subscription(topic, plan.index).state != EndpointState::free)
     ++plan.index;
   if (plan.index >= capacity_.subscriptions_per_topic)
-    return fail(Errc::limit_reached, "the topic has no room for another subscription");
+    return full("subscriptions_per_topic", capacity_.subscriptions_per_topic);
   const auto extent = lowest_extent(client, abi::subscription_extent_bytes);
-  if (!extent) return fail(Errc::limit_reached, "the client region has no room left");
+  if (!extent)
+    return fail(Errc::limit_reached, "the region of the process has no room for another endpoint");
   plan.generation = next_generation();
   plan.extent = *extent;
   SubscriptionRecord joining{};

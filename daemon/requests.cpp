@@ -5,6 +5,8 @@
 #include <agnocast/abi/limits.hpp>
 
 #include <algorithm>
+#include <cinttypes>
+#include <cstdio>
 #include <cstring>
 #include <iterator>
 
@@ -213,6 +215,12 @@ std::string printable(std::string_view text) {
     if (c < ' ' || c > '~') c = '?';
   }
   return result;
+}
+
+std::string hexadecimal(std::uint64_t value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "0x%016" PRIx64, value);
+  return text;
 }
 
 }  // namespace agnocast::daemon

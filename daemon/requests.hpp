@@ -76,5 +76,7 @@ wire::Name name_of(std::string_view text) noexcept;
 /// For people: control characters and broken bytes replaced, so that no client writes into our
 /// terminal.
 std::string printable(std::string_view text);
+/// A hash or an address, as 0x and 16 digits.
+std::string hexadecimal(std::uint64_t value);
 
 }  // namespace agnocast::daemon

@@ -27,11 +27,6 @@ constinit std::atomic<std::uint32_t> purging{0};  // calls of purge() in progres
 constinit std::atomic<std::uint64_t> refused_count{0};
 constinit std::atomic<std::uint64_t> internal_error_count{0};
 
-// Private addresses that the allocator takes at its start, measured: 10 MiB at the first mallctl, 6 MiB more at the first
-// block, 2 MiB alignment each time; with some room to spare. They count against RLIMIT_AS, and under mlockall(MCL_FUTURE) against
-// RLIMIT_MEMLOCK.
-constexpr std::size_t metadata_size_bytes = std::size_t{24} << 20;
-
 // What hand_over() passes on; guarded by there being one caller of attach and add_window.
 constinit std::uintptr_t handed_address = 0;
 
@@ -299,7 +294,7 @@ enum agnocast_heaphook_status attach(const struct agnocast_heaphook_window& wind
     return AGNOCAST_HEAPHOOK_STATE;
   }
   const LibcOnly inside;
-  if (const auto room = room_for(metadata_size_bytes); room != AGNOCAST_HEAPHOOK_OK) {
+  if (const auto room = room_for(AGNOCAST_HEAPHOOK_ATTACH_BYTES); room != AGNOCAST_HEAPHOOK_OK) {
     state.store(State::inert, std::memory_order_release);
     return room;
   }

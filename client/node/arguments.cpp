@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <base/names.hpp>
+#include <base/text.hpp>
 #include <client/node/arguments.hpp>
-#include <client/static_text.hpp>
 
 #include <algorithm>
 #include <array>
@@ -43,7 +43,7 @@ Option option_of(std::string_view argument) noexcept {
 }
 
 tl::unexpected<Failure> wrong(Errc code, const std::string& argument, const std::string& why) {
-  return fail(code, static_text("'" + argument + "': " + why, "an argument after --ros-args"));
+  return fail_with(code, in_quotes(argument) + ": " + why);
 }
 
 /// As a name of a topic of some node: every form is allowed.

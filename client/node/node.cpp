@@ -2,8 +2,8 @@
 
 #include <agnocast/node.hpp>
 #include <base/names.hpp>
+#include <base/text.hpp>
 #include <client/node/arguments.hpp>
-#include <client/static_text.hpp>
 
 #include <iterator>
 #include <utility>
@@ -19,8 +19,8 @@ Arguments parse_or_throw(const std::vector<std::string>& arguments) {
 
 void require(const std::optional<NameProblem>& problem, const char* what, const std::string& name) {
   if (!problem) return;
-  const std::string text = std::string(what) + " '" + name + "': " + problem->text();
-  throw Error({Errc::invalid_name, 0, static_text(text, problem->what)});
+  const std::string text = std::string(what) + " " + in_quotes(name) + ": " + problem->text();
+  throw Error(failure_with(Errc::invalid_name, text.c_str()));
 }
 
 }  // namespace

@@ -6,7 +6,10 @@
 
 #include <agnocast/export.hpp>
 
+#include <cstddef>
 #include <cstdint>
+#include <memory>
+#include <string>
 #include <system_error>
 
 namespace agnocast {
@@ -24,7 +27,7 @@ namespace agnocast {
   X(would_block, "a keep-all subscription has not read enough yet",                              \
     "publish later, or use a deeper history")                                                    \
   X(heap_exhausted, "the shared heap of this process has no room for the message",               \
-    "release messages, or raise the heap quota")                                                 \
+    "release messages, or raise [heap] window_bytes or [quota] heap_bytes in agnocastd.toml")    \
   X(invalid_argument, "an argument is outside its domain", "see what is named beside it")        \
   X(type_refused, "this type cannot be shared between processes",                                \
     "see docs/messages.md for what can")                                                         \
@@ -45,27 +48,29 @@ namespace agnocast {
     "close what is not needed, or raise the limit that is named beside it in agnocastd.toml")    \
   X(arena_occupied, "something in this process lies where the shared heaps have to lie",         \
     "move it, or set [heap] arena_base in agnocastd.toml")                                       \
-  X(lock_limit, "the limit of locked memory does not allow another heap window",                 \
-    "raise LimitMEMLOCK of the unit or ulimit -l, or do without mlockall")                       \
+  X(lock_limit, "the limit of locked memory is too small",                                       \
+    "set LimitMEMLOCK=infinity in a drop-in of the unit (systemctl edit) or raise ulimit -l")    \
   X(hook_missing, "the heap hook is not loaded in this process",                                 \
     "start the process with agnocast-run, or link libagnocast_heaphook")                         \
   X(hook_ineffective, "memory is not allocated by the heap hook although it is loaded",          \
     "remove the other allocator that is named beside it, or load the hook before it")            \
   X(window_exhausted, "this process has all heap windows it may have and they are full",         \
-    "release messages, or raise [heap] window_bytes or windows_per_process")                     \
+    "release messages, or raise [heap] window_bytes or windows_per_process in agnocastd.toml")   \
   X(bad_configuration, "the configuration of agnocastd cannot be used",                          \
     "correct the line that is named beside it; agnocastd --check-config looks again")            \
   X(already_running, "another agnocastd has this socket",                                        \
     "stop it, or start this one with another --socket")                                          \
   X(endpoint_gone, "the other side has ended", "create it again if it is still needed")          \
-  X(loan_invalid, "this loan was published or given back already",                               \
-    "borrow a new message for each publish")                                                     \
+  X(loan_invalid, "this is no open loan of this publisher",                                      \
+    "publish a loan once, with the publisher that lent it; borrow a new one for each message")   \
   X(qos_incompatible, "publisher and subscription want different qualities of service",          \
     "offer at least what is requested: reliability and durability")                              \
   X(limit_reached, "a table of the daemon is full",                                              \
     "close what is not needed; the table is named beside it")                                    \
-  X(shut_down, "the library is shutting down in this process",                                   \
-    "create endpoints before exit handlers run")
+  X(shut_down, "the library does not serve this process any more",                               \
+    "call exec after fork, and create endpoints before exit handlers run")                       \
+  X(address_limit, "the limit of addresses is too small for the shared heaps",                   \
+    "raise LimitAS of the unit or ulimit -v, or make [heap] arena_bytes smaller")
 
 /// Codes of everything that a user of the library can be told. Zero is success (std::error_code
 /// convention).
@@ -91,22 +96,45 @@ inline std::error_code make_error_code(Errc code) noexcept {
 
 /// Why a function that returns Result did not do its work. Trivially copyable; `what` is static
 /// text, never owned.
+///
+/// What is particular about the case (the path, the name, the limit and its value) does not fit
+/// into a small value. It is kept as text in the thread that got the failure, until that thread
+/// gets the next one; `detail` is its number. text_of() puts everything into one sentence.
 struct Failure {
   Errc code = Errc::internal;
-  int os_errno = 0;       ///< errno of the refusing call, 0 when no call was involved
-  const char* what = "";  ///< which part, in plain words
+  int os_errno = 0;          ///< errno of the refusing call, 0 when no call was involved
+  const char* what = "";     ///< which part, in plain words
+  std::uint64_t detail = 0;  ///< see detail_of(); 0 = none
 };
+
+/// What is particular about the case; "" if there is nothing, if another thread got the failure, or
+/// if this thread has got a later one with a detail. Valid until then. No allocation.
+AGNOCAST_PUBLIC const char* detail_of(const Failure& failure) noexcept;
+/// The failure as one sentence, "what: why": the sentence of its code, then its detail (or its
+/// part), then the text of its errno.
+AGNOCAST_PUBLIC std::string text_of(const Failure& failure);
+/// A Failure whose detail is `detail`, cut to detail_bytes_max. For the thread that calls it. No
+/// allocation; not for the data path, which has codes alone.
+AGNOCAST_PUBLIC Failure failure_with(Errc code, const char* detail, int os_errno = 0) noexcept;
+/// Two names of 255 bytes, a path, and the words around them.
+constexpr std::size_t detail_bytes_max = 1024;
 
 /// Thrown by creation functions of the public interface (rclcpp users expect exceptions there),
 /// never by the data path.
 class AGNOCAST_PUBLIC Error : public std::system_error {
  public:
+  /// To be made where the failure was got: later its detail is gone.
   explicit Error(const Failure& failure);
+  /// "what: why", as text_of().
+  const char* what() const noexcept override { return text_->c_str(); }
+  /// What the user can do about it; static text.
+  const char* remedy() const noexcept { return remedy_of(failure_.code); }
   /// The value this was made from; its `what` is static text.
   const Failure& failure() const noexcept { return failure_; }
 
  private:
   Failure failure_;
+  std::shared_ptr<const std::string> text_;  // an exception must be copied without throwing
 };
 
 }  // namespace agnocast

@@ -125,7 +125,7 @@ class PointerVisitor {
   detail::Walk& walk_;
 };
 
-/// How the library steers the heap hook. All three concern the calling thread or are safe from any.
+/// How the library steers the heap hook. All concern the calling thread or are safe from any.
 struct SharedHeap {
   void* context = nullptr;
   /// From now on allocations of this thread come from the shared heap, until as many leave() as
@@ -135,6 +135,14 @@ struct SharedHeap {
   std::uint64_t (*leave)(void* context) noexcept = nullptr;
   /// The windows as they are now; a scope may have opened another one.
   WindowSet (*windows)(void* context) noexcept = nullptr;
+  /// Why there is no room: window_exhausted when this process gets no further window, else
+  /// heap_exhausted (also where this is null).
+  Errc (*why_full)(void* context) noexcept = nullptr;
+
+  Failure full() const noexcept {
+    return {why_full != nullptr ? why_full(context) : Errc::heap_exhausted, 0,
+            "copying a message into the shared heap"};
+  }
 };
 
 /// The shared heap is on in this thread while this object lives.
@@ -182,7 +190,7 @@ template <class T>
   try {
     copy.reset(new T(std::as_const(*message)));
   } catch (const std::bad_alloc&) {
-    return fail(Errc::heap_exhausted, "copying a message into the shared heap");
+    return tl::unexpected(heap.full());
   } catch (...) {
     return fail(Errc::user_code_threw, "copy constructor of the message");
   }
@@ -191,7 +199,7 @@ template <class T>
   const std::uint64_t spilled_count = scope.close();
   const Residency now = check_residency(type, copy.get(), heap.windows(heap.context));
   if (now.foreign_count != 0 || (now.unseen_count != 0 && spilled_count != 0)) {
-    return fail(Errc::heap_exhausted, "copying a message into the shared heap");
+    return tl::unexpected(heap.full());
   }
   message = std::move(copy);
   return found.foreign_bytes;

@@ -9,6 +9,8 @@
 
 #include <tl/expected.hpp>
 
+#include <string>
+
 namespace agnocast {
 
 /// A T, or why there is none. Functions that return one are [[nodiscard]].
@@ -17,7 +19,15 @@ using Result = tl::expected<T, Failure>;
 
 /// Makes the failing half of a Result. `what` is static text.
 inline tl::unexpected<Failure> fail(Errc code, const char* what, int os_errno = 0) noexcept {
-  return tl::unexpected<Failure>(Failure{code, os_errno, what});
+  return tl::unexpected<Failure>(Failure{code, os_errno, what, 0});
+}
+/// The same with a detail of this case: see Failure.
+inline tl::unexpected<Failure> fail_with(Errc code, const char* detail, int os_errno = 0) noexcept {
+  return tl::unexpected<Failure>(failure_with(code, detail, os_errno));
+}
+inline tl::unexpected<Failure> fail_with(Errc code, const std::string& detail,
+                                         int os_errno = 0) noexcept {
+  return fail_with(code, detail.c_str(), os_errno);
 }
 
 }  // namespace agnocast

@@ -113,12 +113,12 @@ TEST(DaemonLimits, CountsConnectionsThatNeverSpeak) {
   // The next ones may look, and no more.
   for (std::uint32_t i = 0; i < abi::observer_count_max; ++i) {
     silent.push_back(std::make_unique<WireClient>(daemon.socket_path()));
-    EXPECT_EQ(silent.back()->hello().refused_text(), "this user may have 5 connections");
+    EXPECT_EQ(silent.back()->hello().refused_text(), "[quota] clients is 5, this user has as many");
   }
   WireClient one_more(daemon.socket_path());
   const Incoming refused = one_more.next();
   EXPECT_EQ(refused.refused_code(), Errc::quota_exceeded);
-  EXPECT_EQ(refused.refused_text(), "this user may have 5 connections");
+  EXPECT_EQ(refused.refused_text(), "[quota] clients is 5, this user has as many");
   EXPECT_TRUE(one_more.is_hung_up());
   EXPECT_EQ(honest->create_publisher("/a").opcode(), Opcode::endpoint_created);
   silent.clear();
@@ -151,7 +151,7 @@ TEST(DaemonLimits, BoundsTheTablesOfTheDaemon) {
   EXPECT_EQ(b->create_subscription("/a").refused_code(), Errc::limit_reached);
   const Incoming deep = b->create_publisher("/b", {21, false, true, false, false});
   EXPECT_EQ(deep.refused_code(), Errc::depth_refused);
-  EXPECT_EQ(deep.refused_text(), "depth 21 is above depth_max 20");
+  EXPECT_EQ(deep.refused_text(), "[limits] depth_max is 20, depth 21 is asked for");
   for (const auto& client : {a.get(), b.get()}) {
     EXPECT_EQ(client->open_window(0).opcode(), Opcode::window_opened);
     EXPECT_EQ(client->open_window(1).opcode(), Opcode::window_opened);
@@ -166,7 +166,8 @@ TEST(DaemonLimits, SaysWhenTheArenaIsGivenOut) {
   EXPECT_EQ(a->open_window(1).opcode(), Opcode::window_opened);
   const Incoming refused = a->open_window(2);
   EXPECT_EQ(refused.refused_code(), Errc::limit_reached);
-  EXPECT_EQ(refused.refused_text(), "all 2 windows of the arena are given out");
+  EXPECT_EQ(refused.refused_text(),
+            "[heap] arena_bytes has room for 2 windows of 67108864 bytes, all are given out");
 }
 
 TEST(DaemonLimits, FollowsTheRulesOfAccess) {

@@ -343,18 +343,23 @@ TEST(DaemonProtocol, TellsBothSidesOfAnotherType) {
   auto other_name = WireClient::endpoint("/topic", reliable, "test/msg/Other");
   const Incoming by_name = wrong.wire.ask(Opcode::create_subscription, other_name);
   EXPECT_EQ(by_name.refused_code(), Errc::type_mismatch);
-  EXPECT_EQ(by_name.refused_text(), "/topic has type test/msg/Type");
+  const auto text = [](const char* type, const char* layout) {
+    return std::string(type) + " (layout " + layout + ") is asked for by process " +
+           std::to_string(::getpid()) +
+           ", test/msg/Type (layout 0x0000000000000001) is the type of /topic";
+  };
+  EXPECT_EQ(by_name.refused_text(), text("test/msg/Other", "0x0000000000000001"));
   auto packet = publisher.wire.expect<wire::Notice>(Opcode::notice);
   EXPECT_EQ(static_cast<Errc>(packet.code), Errc::type_mismatch);
   EXPECT_EQ(packet.kind, Kind::publisher);
   EXPECT_EQ(packet.index, p.index);
   EXPECT_EQ(packet.generation, p.generation);
   EXPECT_EQ(packet.policy, abi::QosPolicy::none);
-  EXPECT_STREQ(packet.text.text, "another process uses type test/msg/Other");
+  EXPECT_EQ(packet.text.text, by_name.refused_text());
   auto other_layout = WireClient::endpoint("/topic", reliable);
   other_layout.layout_hash = 2;
   EXPECT_EQ(wrong.wire.ask(Opcode::create_subscription, other_layout).refused_text(),
-            "/topic has the same type with another layout");
+            text("test/msg/Type", "0x0000000000000002"));
   EXPECT_TRUE(publisher.wire.drain().empty()) << "told once per process and topic";
   // Another domain is another topic.
   Node elsewhere(daemon, 7);

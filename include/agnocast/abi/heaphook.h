@@ -28,6 +28,11 @@ extern "C" {
 /** Windows of one process. Eight of the default 16 GiB are 128 GiB of addresses: more than the memory of today's robots. */
 #define AGNOCAST_HEAPHOOK_WINDOWS_MAX 8u
 
+/** What attach maps at most: private addresses of the allocator, measured (10 MiB at its start, 6 MiB more at the first block,
+ *  2 MiB alignment each time, some room to spare), and the first piece of the window. They count against RLIMIT_AS, and under
+ *  mlockall(MCL_FUTURE) against RLIMIT_MEMLOCK. */
+#define AGNOCAST_HEAPHOOK_ATTACH_BYTES (26u << 20)
+
 /** What attach and add_window answer. Where a system call refused, errno holds its reason on return. */
 enum agnocast_heaphook_status {
   AGNOCAST_HEAPHOOK_OK = 0,

@@ -256,14 +256,12 @@ std::string error_of(Function function) {
 TEST_F(Api, MistakesAreNamed) {
   EXPECT_THAT(error_of([&] { create_publisher<Cloud>(node, "/a//b", 1); }),
               testing::HasSubstr(sentence_of(Errc::invalid_name)));
-  EXPECT_THAT(error_of([&] { create_publisher<Cloud>(node, "/zero", 0); }),
-              testing::HasSubstr("depth of 0"));
-  EXPECT_THAT(error_of([&] { create_publisher<Cloud>(node, "/deep", 100000); }),
-              testing::HasSubstr("above 1000"));
   auto publisher = create_publisher<Cloud>(node, "/typed", 1);
   EXPECT_THAT(
       error_of([&] { create_subscription<sensor_msgs::msg::PointField>(node, "/typed", QoS(1)); }),
-      testing::HasSubstr(sentence_of(Errc::type_mismatch)));
+      testing::AllOf(testing::HasSubstr(sentence_of(Errc::type_mismatch)),
+                     testing::HasSubstr("sensor_msgs/msg/PointField (layout 0x"),
+                     testing::HasSubstr("sensor_msgs/msg/PointCloud2 (layout 0x")));
   auto other = create_publisher<Cloud>(node, "/other", 1);
   auto loan = other->borrow_loaned_message();
   EXPECT_EQ(publisher->publish(std::move(loan)).code, Errc::loan_invalid)

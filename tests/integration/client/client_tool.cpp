@@ -93,7 +93,7 @@ class Tool {
  private:
   static std::string text_of(const Failure& failure) {
     return "error " + std::to_string(static_cast<int>(failure.code)) + " " +
-           sentence_of(failure.code) + ": " + failure.what + " " + Context::instance().detail();
+           agnocast::text_of(failure);
   }
   static EndpointRequest request(std::istringstream& line, std::string& topic) {
     EndpointRequest request;

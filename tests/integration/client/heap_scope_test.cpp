@@ -149,7 +149,8 @@ TEST_F(HeapScopes, AnotherValueIsRefusedByNameAndTheNextTryMayBeRight) {
     const auto refused = try_create_publisher<Cloud>(node_, "points", QoS(1));
     ASSERT_FALSE(refused);
     EXPECT_EQ(refused.error().code, Errc::invalid_argument);
-    EXPECT_STREQ(refused.error().what, "AGNOCAST_SCOPE must be loan or all");
+    EXPECT_STREQ(detail_of(refused.error()),
+                 "AGNOCAST_SCOPE is \"everything\", which is neither loan nor all");
     EXPECT_TRUE(try_create_subscription<Cloud>(node_, "points", QoS(1)))
         << "who only subscribes has no heap and no scope";
     ::setenv("AGNOCAST_SCOPE", "", 1);

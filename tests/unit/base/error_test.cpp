@@ -9,13 +9,14 @@
 #include <gmock/gmock.h>
 
 #include <cerrno>
+#include <exception>
 #include <set>
 #include <string>
+#include <thread>
+#include <type_traits>
 
 namespace agnocast {
 namespace {
-
-using testing::HasSubstr;
 
 const Errc all_codes[] = {
 #define AGNOCAST_CODE(name, sentence, remedy) Errc::name,
@@ -37,13 +38,57 @@ TEST(Error, NumbersOutsideTheTableAreNamedAsUnknown) {
   EXPECT_STREQ(sentence_of(static_cast<Errc>(9999)), "unknown error");
 }
 
-TEST(Error, ExceptionNamesThePartTheErrnoAndTheSentence) {
+TEST(Error, ExceptionSaysWhatThenWhy) {
   const Error error(Failure{Errc::os_failure, EACCES, "opening the socket"});
-  EXPECT_THAT(error.what(), HasSubstr("opening the socket"));
-  EXPECT_THAT(error.what(), HasSubstr("Permission denied"));
-  EXPECT_THAT(error.what(), HasSubstr(sentence_of(Errc::os_failure)));
+  EXPECT_STREQ(error.what(),
+               "the operating system refused an operation: opening the socket: Permission denied");
   EXPECT_EQ(error.code(), Errc::os_failure);
   EXPECT_STREQ(error.code().category().name(), "agnocast");
+  EXPECT_STREQ(error.remedy(), remedy_of(Errc::os_failure));
+  EXPECT_STREQ(Error(Failure{Errc::no_slot, 0, ""}).what(), sentence_of(Errc::no_slot));
+}
+
+TEST(Error, ACopyOfAnExceptionKeepsItsText) {
+  std::string text;
+  std::exception_ptr kept;
+  try {
+    throw Error(failure_with(Errc::invalid_name, "\"a b\": a space", 0));
+  } catch (const Error& error) {
+    kept = std::make_exception_ptr(error);
+  }
+  (void)failure_with(Errc::invalid_name, "another one");
+  try {
+    std::rethrow_exception(kept);
+  } catch (const std::exception& error) {
+    text = error.what();
+  }
+  EXPECT_EQ(text, "a name is not a ROS 2 name: \"a b\": a space");
+}
+
+TEST(Failure, KeepsItsDetailInItsThreadUntilTheNextOne) {
+  static_assert(std::is_trivially_copyable_v<Failure>);
+  const Failure first = failure_with(Errc::depth_refused, "depth 0");
+  const Failure copy = first;
+  EXPECT_STREQ(detail_of(copy), "depth 0");
+  const Failure plain{Errc::no_slot, 0, "publish"};
+  EXPECT_STREQ(detail_of(plain), "");
+  std::thread([&] {
+    EXPECT_STREQ(detail_of(first), "") << "another thread";
+    const Failure theirs = failure_with(Errc::depth_refused, "depth 9");
+    EXPECT_STREQ(detail_of(theirs), "depth 9");
+    EXPECT_STREQ(detail_of(first), "");
+  }).join();
+  EXPECT_STREQ(detail_of(first), "depth 0");
+  const Failure again = failure_with(Errc::depth_refused, detail_of(first));
+  EXPECT_STREQ(detail_of(again), "depth 0") << "its own text may be given again";
+  EXPECT_STREQ(detail_of(first), "");
+  EXPECT_EQ(text_of(first), sentence_of(Errc::depth_refused)) << "never the text of another one";
+}
+
+TEST(Failure, CutsADetailThatIsTooLong) {
+  const std::string text(detail_bytes_max + 100, 'x');
+  EXPECT_EQ(std::string(detail_of(failure_with(Errc::internal, text.c_str()))).size(),
+            detail_bytes_max - 1);
 }
 
 TEST(Result, CarriesTheFailureUnchanged) {
