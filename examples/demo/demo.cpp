@@ -10,7 +10,8 @@
 //   [3] moved-in memory                  adopted_bytes of msg->data = std::move(v) in each scope
 //   [4] latency by size                  beside Cyclone DDS, taking turns in the same processes
 //
-// Whatever happens, the processes die with this one, and the directory is removed.
+// Whatever happens, the processes die with this one, and the directory TMPDIR/agnocast-demo-PID-… is
+// removed. When its own parent dies it ends.
 
 #include <examples/demo/ack.hpp>
 #include <examples/demo/maps.hpp>
@@ -19,6 +20,7 @@
 #include <examples/demo/report.hpp>
 
 #include <fcntl.h>
+#include <sys/prctl.h>
 #include <sys/socket.h>
 #include <sys/un.h>
 #include <unistd.h>
@@ -53,7 +55,8 @@ struct Sent {
 class Directory {
  public:
   Directory() {
-    std::string path = (std::filesystem::temp_directory_path() / "agnocast-demo-XXXXXX").string();
+    const std::string name = format("agnocast-demo-%d-XXXXXX", ::getpid());
+    std::string path = (std::filesystem::temp_directory_path() / name).string();
     if (::mkdtemp(path.data()) == nullptr) throw Failure(path + ": " + std::strerror(errno));
     path_ = path;
   }
@@ -110,7 +113,8 @@ class Demo {
     end();
     report_.line();
     report_.line(faults_ == 0 ? "PASSED: every message arrived intact"
-                              : "FAILED: " + std::to_string(faults_) + " faults, named above");
+                              : "FAILED: " + std::to_string(faults_) +
+                                    (faults_ == 1 ? " fault" : " faults") + ", named above");
     return faults_ == 0;
   }
 
@@ -461,6 +465,7 @@ class Demo {
 int main(int argc, char** argv) try {
   demo::Options options = demo::parse(argc, argv);
   demo::catch_signals();
+  ::prctl(PR_SET_PDEATHSIG, SIGTERM);
   return demo::Demo(std::move(options)).run() ? 0 : 1;
 } catch (const demo::Interrupted& interrupted) {
   std::fprintf(stderr, "\ndemo: ended by signal %d\n", interrupted.signal);
