@@ -106,13 +106,9 @@ class Work {
     if (!matched) throw Failure("the subscriptions of " + whom + " did not appear");
   }
 
-  /// Publishes; waits while a subscription that may lose nothing is behind.
-  std::uint64_t publish(agnocast::Publisher<Cloud>& publisher, Loan message) {
-    agnocast::PublishResult result;
-    eventually([&] {
-      result = publisher.publish(std::move(message));
-      return result.code != agnocast::Errc::would_block && result.code != agnocast::Errc::no_slot;
-    });
+  /// Waits while a subscription that may lose nothing is behind.
+  static std::uint64_t publish(agnocast::Publisher<Cloud>& publisher, Loan message) {
+    const agnocast::PublishResult result = publisher.publish_for(std::move(message), patience);
     if (!result) throw Failure(std::string("publish: ") + agnocast::sentence_of(result.code));
     return result.adopted_bytes;
   }
