@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A PointCloud2 whose every member follows from its number, and the check that it does.
+// A PointCloud2 whose every member follows from its number and, for a replayed scan, from the file; and
+// the check that it does.
 #pragma once
 
 #include <sensor_msgs/msg/point_cloud2.hpp>
 
 #include <cstdint>
 #include <cstring>
+#include <fstream>
 #include <string>
 #include <vector>
 
@@ -52,16 +54,33 @@ inline void fill(Cloud& cloud, std::uint64_t number, std::uint64_t points, const
   cloud.is_dense = true;
 }
 
-/// True when every member is what fill() made. A replayed scan is compared with `scan` if it is given, else by its shape alone.
-inline bool check(const Cloud& cloud, std::uint64_t number, bool replayed) {
+/// A raw scan: 5 float32 per point. False if the file is not one.
+inline bool read_scan(const std::string& path, std::vector<float>& values) {
+  std::ifstream file(path, std::ios::binary | std::ios::ate);
+  if (!file) return false;
+  const auto bytes = file.tellg();
+  if (bytes <= 0 || bytes % point_step != 0) return false;
+  values.resize(static_cast<std::size_t>(bytes) / sizeof(float));
+  file.seekg(0);
+  return static_cast<bool>(file.read(reinterpret_cast<char*>(values.data()), bytes));
+}
+
+/// True when every member is what fill() made: of a replayed scan if `scan` is not empty.
+inline bool check(const Cloud& cloud, std::uint64_t number, const std::vector<float>& scan) {
   if (cloud.header.frame_id != "lidar_top of cloud number " + std::to_string(number)) return false;
-  if (cloud.header.stamp.sec != static_cast<std::int32_t>(number) || cloud.fields.size() != 5) return false;
+  if (cloud.header.stamp.sec != static_cast<std::int32_t>(number)) return false;
+  if (cloud.header.stamp.nanosec != 0 || cloud.fields.size() != 5) return false;
   for (std::size_t i = 0; i < 5; ++i) {
     const auto& field = cloud.fields[i];
-    if (field.name != field_names[i] || field.offset != i * sizeof(float) || field.count != 1) return false;
+    if (field.name != field_names[i] || field.offset != i * sizeof(float)) return false;
+    if (field.datatype != sensor_msgs::msg::PointField::FLOAT32 || field.count != 1) return false;
   }
-  if (cloud.point_step != point_step || cloud.row_step != point_step * cloud.width || cloud.data.size() != cloud.row_step) return false;
-  if (replayed) return true;
+  if (cloud.height != 1 || cloud.is_bigendian || !cloud.is_dense) return false;
+  if (cloud.point_step != point_step || cloud.row_step != point_step * cloud.width) return false;
+  if (cloud.data.size() != cloud.row_step) return false;
+  if (!scan.empty())
+    return cloud.data.size() == scan.size() * sizeof(float) &&
+           std::memcmp(cloud.data.data(), scan.data(), cloud.data.size()) == 0;
   for (std::uint64_t i = 0; i < cloud.data.size() / sizeof(float); ++i) {
     float value = 0;
     std::memcpy(&value, cloud.data.data() + i * sizeof value, sizeof value);

@@ -10,28 +10,13 @@
 
 #include <chrono>
 #include <cstdio>
-#include <fstream>
 #include <thread>
 #include <vector>
-
-namespace {
-
-bool read_scan(const std::string& path, std::vector<float>& values) {
-  std::ifstream file(path, std::ios::binary | std::ios::ate);
-  if (!file) return false;
-  const auto bytes = file.tellg();
-  if (bytes <= 0 || bytes % example::point_step != 0) return false;
-  values.resize(static_cast<std::size_t>(bytes) / sizeof(float));
-  file.seekg(0);
-  return static_cast<bool>(file.read(reinterpret_cast<char*>(values.data()), bytes));
-}
-
-}  // namespace
 
 int main(int argc, char** argv) try {
   const example::Options options = example::parse(argc, argv, "/points", " [--points N | --scan FILE]");
   std::vector<float> scan;
-  if (!options.scan.empty() && !read_scan(options.scan, scan)) {
+  if (!options.scan.empty() && !example::read_scan(options.scan, scan)) {
     std::fprintf(stderr, "cloud_publisher: %s: not a scan of 5 float32 per point\nhint: give a file whose size is a multiple of 20 bytes\n",
                  options.scan.c_str());
     return 1;

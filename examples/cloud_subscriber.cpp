@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Receives the clouds of cloud_publisher and checks every member of each. Ends with status 1 if one was wrong. With --scan FILE it only
-// checks the shape: the points are the file's.
+// Receives the clouds of cloud_publisher and checks every member of each. Ends with status 1 if one was wrong. With --scan FILE they
+// have to be replays of that file.
 
 #include <agnocast/agnocast.hpp>
 #include <examples/cloud.hpp>
@@ -12,14 +12,21 @@
 #include <chrono>
 #include <cstdio>
 #include <thread>
+#include <vector>
 
 int main(int argc, char** argv) try {
   const example::Options options = example::parse(argc, argv, "/points", " [--scan FILE]");
+  std::vector<float> scan;
+  if (!options.scan.empty() && !example::read_scan(options.scan, scan)) {
+    std::fprintf(stderr, "cloud_subscriber: %s: not a scan of 5 float32 per point\nhint: give the file that cloud_publisher replays\n",
+                 options.scan.c_str());
+    return 1;
+  }
   example::Node node("cloud_subscriber");
   std::atomic<std::uint64_t> received{0}, wrong{0};
   auto subscription = agnocast::create_subscription<example::Cloud>(
       node, options.topic, agnocast::QoS(options.depth), [&](const agnocast::ipc_shared_ptr<const example::Cloud>& cloud) {
-        const bool right = example::check(*cloud, cloud.info().sequence, !options.scan.empty());
+        const bool right = example::check(*cloud, cloud.info().sequence, scan);
         if (!right) ++wrong;
         if (options.verbose) {
           std::printf("received %llu: %u points at %p, %s\n", static_cast<unsigned long long>(cloud.info().sequence), cloud->width,

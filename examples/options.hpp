@@ -21,7 +21,7 @@ struct Options {
   bool verbose = false;
 };
 
-[[noreturn]] inline void usage(const char* program, const char* what, const char* extra, int status) {
+[[noreturn]] inline void usage(const char* program, const char* topic, const char* extra, int status, const char* what = "") {
   std::FILE* const out = status == 0 ? stdout : stderr;
   if (status != 0) std::fprintf(out, "%s: %s\n", program, what);
   std::fprintf(out,
@@ -31,7 +31,9 @@ struct Options {
                "  --rate HZ      messages per second, publishers only (default 1)\n"
                "  --depth N      history depth (default 10)\n"
                "  --verbose      a line for each message\n",
-               program, extra, status == 0 ? what : "see the README");
+               program, extra, topic);
+  if (std::strstr(extra, "--points") != nullptr) std::fputs("  --points N     points of each cloud (default 10000)\n", out);
+  if (std::strstr(extra, "--scan") != nullptr) std::fputs("  --scan FILE    the points are this file's: float32 x y z intensity ring, again and again\n", out);
   std::exit(status);
 }
 
@@ -39,6 +41,7 @@ struct Options {
 inline Options parse(int argc, char** argv, const char* topic, const char* extra = "") {
   const char* const slash = std::strrchr(argv[0], '/');
   const char* const program = slash != nullptr ? slash + 1 : argv[0];
+  const auto refuse = [&](const std::string& what) { usage(program, topic, extra, 2, what.c_str()); };
   Options options;
   options.topic = topic;
   for (int i = 1; i < argc; ++i) {
@@ -48,7 +51,7 @@ inline Options parse(int argc, char** argv, const char* topic, const char* extra
       options.verbose = true;
       continue;
     }
-    if (i + 1 == argc) usage(program, (name + " needs a value, or is unknown").c_str(), extra, 2);
+    if (i + 1 == argc) refuse(name + " needs a value, or is unknown");
     const char* const value = argv[++i];
     char* end = nullptr;
     if (name == "--topic") {
@@ -64,11 +67,11 @@ inline Options parse(int argc, char** argv, const char* topic, const char* extra
     } else if (name == "--scan" && std::strstr(extra, "--scan") != nullptr) {
       options.scan = value;
     } else {
-      usage(program, (name + " is unknown").c_str(), extra, 2);
+      refuse(name + " is unknown");
     }
-    if (end != nullptr && (*end != '\0' || end == value)) usage(program, (name + " wants a number, not " + value).c_str(), extra, 2);
+    if (end != nullptr && (*value == '-' || *end != '\0' || end == value)) refuse(name + " wants a number, not " + value);
   }
-  if (options.rate <= 0) usage(program, "--rate wants a number above 0", extra, 2);
+  if (!(options.rate >= 1e-6 && options.rate <= 1e9)) refuse("--rate wants a number above 0");
   return options;
 }
 

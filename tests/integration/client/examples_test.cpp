@@ -10,6 +10,8 @@
 
 #include <array>
 #include <cstdio>
+#include <cstdlib>
+#include <fstream>
 #include <future>
 #include <string>
 
@@ -58,6 +60,69 @@ TEST(Examples, EveryCloudArrivesIntactAtTwoSubscribers) {
     const Outcome received = subscriber->get();
     EXPECT_EQ(received.status, 0) << received.text;
     EXPECT_THAT(received.text, HasSubstr("40 received, 0 wrong, 0 lost"));
+  }
+}
+
+/// Publishes `published`, and a subscriber that expects `expected` looks at three clouds of it.
+Outcome replay(const std::string& published, const std::string& expected) {
+  test::DaemonProcess daemon({.config = "", .uid = {}, .arguments = {"--log-level", "debug"}});
+  auto subscriber = std::async(std::launch::async, [&] {
+    return run(example("cloud_subscriber", daemon, false) + " --count 3 --scan " + expected);
+  });
+  EXPECT_TRUE(daemon.wait_for_log("endpoint created kind=subscription topic=/points"));
+  const Outcome publisher = run(example("cloud_publisher", daemon, true) +
+                                " --count 3 --rate 100 --verbose --scan " + published);
+  EXPECT_EQ(publisher.status, 0) << publisher.text;
+  EXPECT_THAT(publisher.text, HasSubstr("published 3: "));
+  EXPECT_THAT(publisher.text, HasSubstr(" bytes, 0 adopted"));
+  return subscriber.get();
+}
+
+std::string scan_file(const std::string& directory, const char* name, float first) {
+  const std::string path = directory + "/" + name;
+  std::ofstream file(path, std::ios::binary);
+  for (int i = 0; i < 5 * 2000; ++i) {
+    const float value = first + static_cast<float>(i);
+    file.write(reinterpret_cast<const char*>(&value), sizeof value);
+  }
+  return path;
+}
+
+TEST(Examples, AReplayedScanIsComparedWithTheFile) {
+  const std::string directory = test::make_directory();
+  const std::string scan = scan_file(directory, "scan", 0), other = scan_file(directory, "other", 1);
+  const Outcome same = replay(scan, scan);
+  EXPECT_EQ(same.status, 0) << same.text;
+  EXPECT_THAT(same.text, HasSubstr("3 received, 0 wrong"));
+  const Outcome different = replay(scan, other);
+  EXPECT_EQ(different.status, 1) << different.text;
+  EXPECT_THAT(different.text, HasSubstr("3 received, 3 wrong"));
+  test::remove_directory(directory);
+}
+
+TEST(Examples, ARealLidarScanArrivesIntact) {
+  const char* const directory = std::getenv("AGNOCAST_DATA_DIR");
+  if (directory == nullptr) GTEST_SKIP() << "AGNOCAST_DATA_DIR is not set";
+  const std::string scan = std::string(directory) + "/lidar_top_nuscenes.bin";
+  const Outcome received = replay(scan, scan);
+  EXPECT_EQ(received.status, 0) << received.text;
+}
+
+TEST(Examples, HelpNamesEveryOption) {
+  for (const char* name : {"talker", "listener", "cloud_publisher", "cloud_subscriber"}) {
+    const Outcome help = run(std::string(AGNOCAST_EXAMPLES "/") + name + " --help");
+    EXPECT_EQ(help.status, 0) << name;
+    for (const char* option : {"--topic", "--count", "--rate", "--verbose"})
+      EXPECT_THAT(help.text, HasSubstr(option)) << name;
+  }
+}
+
+TEST(Examples, WrongOptionsAreWrongUsage) {
+  for (const char* options : {"--bogus 1", "--count", "--count -1", "--count many", "--rate 0",
+                              "--rate nan", "--rate -3", "--depth x", "--points 5"}) {
+    const Outcome outcome = run(std::string(AGNOCAST_EXAMPLES "/listener ") + options);
+    EXPECT_EQ(outcome.status, 2) << options;
+    EXPECT_THAT(outcome.text, HasSubstr("usage: listener")) << options;
   }
 }
 

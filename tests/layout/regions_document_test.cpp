@@ -1,0 +1,149 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: docs/regions.md says what the headers say. Method: the offset, name and size of every field, taken from the compiler, are compared
+// with the first three columns of the table under the heading that names the struct; every heading must name a struct of this list, and
+// every gap between two fields must be an alignment.
+
+#include <agnocast/abi/board.hpp>
+#include <agnocast/abi/client_region.hpp>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <fstream>
+#include <map>
+#include <regex>
+#include <string>
+#include <vector>
+
+namespace agnocast::abi {
+namespace {
+
+struct Struct {
+  std::size_t bytes;
+  std::vector<std::string> fields;  // "offset name bytes"
+  bool operator==(const Struct&) const = default;
+};
+
+std::ostream& operator<<(std::ostream& out, const Struct& it) {
+  out << it.bytes << " bytes\n";
+  for (const std::string& field : it.fields) out << "    " << field << '\n';
+  return out;
+}
+
+#define FIELD(type, name) \
+  std::to_string(offsetof(type, name)) + " " #name " " + std::to_string(sizeof(type::name))
+#define STRUCT(type, ...)           \
+  {                                 \
+#type, {                        \
+      sizeof(type), { __VA_ARGS__ } \
+    }                               \
+  }
+
+std::map<std::string, Struct> in_headers() {
+  return {
+      STRUCT(BoardHeader, FIELD(BoardHeader, magic), FIELD(BoardHeader, fingerprint),
+             FIELD(BoardHeader, incarnation)),
+      STRUCT(TopicHeader, FIELD(TopicHeader, epoch), FIELD(TopicHeader, word),
+             FIELD(TopicHeader, publisher_high), FIELD(TopicHeader, subscription_high)),
+      STRUCT(PublisherEntry, FIELD(PublisherEntry, word), FIELD(PublisherEntry, qos),
+             FIELD(PublisherEntry, client), FIELD(PublisherEntry, extent),
+             FIELD(PublisherEntry, slot_count), FIELD(PublisherEntry, first_sequence),
+             FIELD(PublisherEntry, final_head)),
+      STRUCT(SubscriptionEntry, FIELD(SubscriptionEntry, word), FIELD(SubscriptionEntry, qos),
+             FIELD(SubscriptionEntry, client), FIELD(SubscriptionEntry, extent),
+             FIELD(SubscriptionEntry, quota), FIELD(SubscriptionEntry, executor)),
+      STRUCT(ClientRegionHeader, FIELD(ClientRegionHeader, magic),
+             FIELD(ClientRegionHeader, fingerprint), FIELD(ClientRegionHeader, generation),
+             FIELD(ClientRegionHeader, window), FIELD(ClientRegionHeader, reserved),
+             FIELD(ClientRegionHeader, executor)),
+      STRUCT(WindowEntry, FIELD(WindowEntry, base), FIELD(WindowEntry, length),
+             FIELD(WindowEntry, frontier), FIELD(WindowEntry, reserved)),
+      STRUCT(ExecutorLine, FIELD(ExecutorLine, armed)),
+      STRUCT(PublisherEndpoint, FIELD(PublisherEndpoint, head), FIELD(PublisherEndpoint, intent_op),
+             FIELD(PublisherEndpoint, intent_sequence), FIELD(PublisherEndpoint, intent_slot),
+             FIELD(PublisherEndpoint, adopted_messages), FIELD(PublisherEndpoint, adopted_bytes),
+             FIELD(PublisherEndpoint, refused_no_slot),
+             FIELD(PublisherEndpoint, refused_would_block),
+             FIELD(PublisherEndpoint, refused_heap_exhausted)),
+      STRUCT(QueueSlot, FIELD(QueueSlot, id), FIELD(QueueSlot, address), FIELD(QueueSlot, stamp_ns),
+             FIELD(QueueSlot, size)),
+      STRUCT(LinkLine, FIELD(LinkLine, publisher_generation), FIELD(LinkLine, cursor),
+             FIELD(LinkLine, hold)),
+      STRUCT(SubscriptionCounters, FIELD(SubscriptionCounters, lost),
+             FIELD(SubscriptionCounters, malformed)),
+  };
+}
+
+std::string document() {
+  std::ifstream file(AGNOCAST_REGIONS_DOCUMENT);
+  return {std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
+}
+
+std::map<std::string, Struct> in_document() {
+  static const std::regex heading("### `(\\w+)`, (\\d+) bytes");
+  static const std::regex row("\\| (\\d+) \\| `(\\w+)` \\| (\\d+) \\|.*");
+  std::map<std::string, Struct> found;
+  Struct* current = nullptr;
+  std::istringstream lines(document());
+  for (std::string line; std::getline(lines, line);) {
+    std::smatch match;
+    if (std::regex_match(line, match, heading)) {
+      current = &found[match[1]];
+      current->bytes = std::stoul(match[2]);
+    } else if (line.rfind("#", 0) == 0) {
+      current = nullptr;
+    } else if (current != nullptr && std::regex_match(line, match, row)) {
+      current->fields.push_back(match[1].str() + " " + match[2].str() + " " + match[3].str());
+    }
+  }
+  return found;
+}
+
+TEST(RegionsDocument, HasTheFieldsOfTheHeaders) {
+  const auto documented = in_document();
+  for (const auto& [name, fields] : in_headers()) {
+    ASSERT_TRUE(documented.contains(name)) << "docs/regions.md has no table of " << name;
+    EXPECT_EQ(documented.at(name), fields) << name;
+  }
+  EXPECT_EQ(documented.size(), in_headers().size());
+}
+
+TEST(RegionsDocument, LeavesNoFieldOut) {
+  for (const auto& [name, it] : in_headers()) {
+    std::size_t end = 0;
+    for (const std::string& field : it.fields) {
+      std::istringstream words(field);
+      std::size_t offset = 0, bytes = 0;
+      std::string label;
+      words >> offset >> label >> bytes;
+      EXPECT_TRUE(offset == end || offset % cache_line_bytes == 0) << name << ' ' << field;
+      EXPECT_GE(offset, end) << name << ' ' << field;
+      end = offset + bytes;
+    }
+    EXPECT_LE(it.bytes - end, cache_line_bytes) << name << ": something is missing at the end";
+  }
+}
+
+TEST(RegionsDocument, SaysTheBoundsOfTheHeaders) {
+  const std::string text = document();
+  const auto says = [&](const std::string& words) { EXPECT_THAT(text, testing::HasSubstr(words)); };
+  const auto number = [](std::uint64_t value) { return std::to_string(value); };
+  says("| board | 1 | the daemon | every client | " + number(page_bytes) + " + " +
+       number(topic_count_max) + " topics × " + number(topic_bytes) + " bytes |");
+  says("heap window | 1 to " + number(window_count_max) + " for each");
+  says(number(topic_offset(0)) + "  topic 0:  TopicHeader · PublisherEntry[" +
+       number(publisher_count_max) + "] · SubscriptionEntry[" + number(subscription_count_max) +
+       "]");
+  says(number(topic_offset(1)) + "  topic 1");
+  says("order ring [" + number(ring_count) + "] · QueueSlot[" + number(slot_count_max) + "]");
+  says("LinkLine[" + number(publisher_count_max) + "] · SubscriptionCounters · far hold words [" +
+       number(publisher_count_max) + "][" + number(far_hold_word_count) + "]");
+  says("`WindowEntry[" + number(window_count_max) + "]`");
+  says("`ExecutorLine[" + number(executor_count_max) + "]`");
+  says("slots 0 to " + number(near_slot_count - 1) + ";");
+  says("multiple of " + number(window_granule_bytes >> 20) + " MiB");
+}
+
+}  // namespace
+}  // namespace agnocast::abi
