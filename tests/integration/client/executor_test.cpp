@@ -402,6 +402,7 @@ TEST_F(Executors, ACallbackMayMoveItsNodeAndEndItsSubscription) {
   });
   auto publisher = node.create_publisher<Number>(own("topic"), 10);
   executor.add_node(node);
+  ASSERT_TRUE(eventually([&] { return subscription->get_publisher_count() == 1; }));
   for (std::uint64_t value = 1; value <= 3; ++value) publish(*publisher, value);
   executor.spin_all(0s);
   EXPECT_EQ(seen.values, up_to(1));
