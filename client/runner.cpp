@@ -5,6 +5,7 @@
 
 #include <client/context.hpp>
 #include <client/executors/executor_core.hpp>
+#include <client/executors/node_thread.hpp>
 
 #include <pthread.h>
 #include <signal.h>
@@ -13,7 +14,6 @@
 #include <cerrno>
 #include <map>
 #include <mutex>
-#include <new>
 #include <system_error>
 #include <vector>
 
@@ -38,45 +38,6 @@ struct Places {
 Places& places() {
   static Places* const all = new Places;  // immortal, as the context
   return *all;
-}
-
-// The library's thread of one node.
-void run_turn(NodeCallbacks& node, NodeCallbacks::Host self, bool& any) {
-  std::vector<std::weak_ptr<CallbackSource>> turn;
-  node.list(self, turn);
-  for (const auto& listed : turn) {
-    const auto source = listed.lock();
-    if (source == nullptr) continue;
-    try {
-      any = node.run(self, *source) || any;
-    } catch (...) {
-      // There is nobody to give it to, and ending the process is not the library's business.
-      any = true;
-      source->exception_count.fetch_add(1, std::memory_order_relaxed);
-    }
-  }
-}
-
-void serve(NodeCallbacks& node, int epoll) noexcept {
-  const NodeCallbacks::Host self = &node;
-  while (node.await(self)) {
-    try {
-      bool any = false;
-      run_turn(node, self, any);
-      if (any) continue;
-    } catch (
-        const std::bad_alloc&) {  // of the list; what is unread stays unread until there is memory
-    }
-    node.arm(self);
-    epoll_event events[2];
-    int count = 0;
-    if (!node.has_work(self))
-      count = ::epoll_wait(epoll, events, 2, static_cast<int>(ExecutorCore::sleep_max.count()));
-    node.disarm(self);
-    for (int i = 0; i < count; ++i) {
-      if (events[i].data.u64 == 1) node.drain(self);
-    }
-  }
 }
 
 }  // namespace

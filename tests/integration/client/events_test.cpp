@@ -1,0 +1,211 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: an endpoint learns who matched it, who left or died, and who could not match and why,
+// whichever side was there first.
+// Method: the public interface with the real daemon; the other side is a second process that ends or
+// is killed. Statuses are asked for, callbacks are run by the library's thread or by an executor.
+
+#include <agnocast/agnocast.hpp>
+#include <tests/integration/client/second_process.hpp>
+#include <tests/support/daemon_process.hpp>
+
+#include <gmock/gmock.h>
+
+#include <cstdlib>
+#include <mutex>
+#include <string>
+#include <thread>
+#include <vector>
+
+namespace agnocast {
+namespace {
+
+using test::eventually;
+using test::Number;
+using test::qos_of;
+using test::SecondProcess;
+
+class Events : public testing::Test {
+ protected:
+  // The library connects once per process, so all tests here share one daemon.
+  static void SetUpTestSuite() {
+    daemon = new test::DaemonProcess;
+    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
+  }
+  static void TearDownTestSuite() { delete daemon; }
+  static test::DaemonProcess* daemon;
+
+  static std::string own(const std::string& name) {
+    return name + "_" + testing::UnitTest::GetInstance()->current_test_info()->name();
+  }
+};
+test::DaemonProcess* Events::daemon = nullptr;
+
+/// A list that callbacks fill.
+template <class Info>
+struct Told {
+  std::mutex mutex;
+  std::vector<Info> infos;
+  std::vector<std::thread::id> threads;
+  void add(const Info& info) {
+    const std::lock_guard lock(mutex);
+    infos.push_back(info);
+    threads.push_back(std::this_thread::get_id());
+  }
+  /// Of all changes so far.
+  template <class Member>
+  auto sum(Member member) {
+    const std::lock_guard lock(mutex);
+    decltype(Info().*member + 0) total = 0;
+    for (const Info& info : infos) total += info.*member;
+    return total;
+  }
+  Info last() {
+    const std::lock_guard lock(mutex);
+    return infos.empty() ? Info() : infos.back();
+  }
+};
+
+TEST_F(Events, ASubscriptionLearnsOfPublishersThatComeLeaveAndDie) {
+  Node node(own("node"));
+  Told<MatchedInfo> told;
+  auto subscription = node.create_subscription<Number>(
+      own("topic"), 1, [](const ipc_shared_ptr<const Number>&) {},
+      SubscriptionOptions().matched_callback([&](MatchedInfo& info) { told.add(info); }));
+  SecondProcess first({"publish", own("topic"), "1rv", "0"});
+  EXPECT_TRUE(eventually([&] { return told.last().current_count == 1; }));
+  SecondProcess second({"publish", own("topic"), "1rv", "0"});
+  EXPECT_TRUE(eventually([&] { return told.last().current_count == 2; }));
+  EXPECT_EQ(first.end(), 0);
+  EXPECT_TRUE(eventually([&] { return told.last().current_count == 1; }));
+  second.kill();
+  EXPECT_TRUE(eventually([&] { return told.last().current_count == 0; }));
+  EXPECT_EQ(told.last().total_count, 2u);
+  EXPECT_EQ(told.sum(&MatchedInfo::total_count_change), 2u);
+  EXPECT_EQ(told.sum(&MatchedInfo::current_count_change), 0);
+  const MatchedInfo status = subscription->get_matched_status();
+  EXPECT_EQ(status.total_count, 2u);
+  EXPECT_EQ(status.total_count_change, 2u) << "callbacks take nothing away from the status";
+  EXPECT_EQ(status.current_count, 0u);
+  EXPECT_EQ(subscription->get_matched_status().total_count_change, 0u);
+}
+
+TEST_F(Events, APublisherLearnsOfSubscriptionsThatComeLeaveAndDie) {
+  Node node(own("node"));
+  Told<MatchedInfo> told;
+  SecondProcess first({"subscribe", own("topic"), "1rv"});
+  auto publisher = node.create_publisher<Number>(
+      own("topic"), 1,
+      PublisherOptions().matched_callback([&](MatchedInfo& info) { told.add(info); }));
+  EXPECT_TRUE(eventually([&] { return told.last().current_count == 1; }));
+  SecondProcess second({"subscribe", own("topic"), "1rv"});
+  EXPECT_TRUE(eventually([&] { return told.last().current_count == 2; }));
+  EXPECT_EQ(first.end(), 0);
+  EXPECT_TRUE(eventually([&] { return told.last().current_count == 1; }));
+  second.kill();
+  EXPECT_TRUE(eventually([&] { return told.last().current_count == 0; }));
+  EXPECT_EQ(publisher->get_matched_status().total_count, 2u);
+}
+
+struct Case {
+  const char* offered;
+  const char* requested;
+  QosPolicyKind policy;
+};
+constexpr Case cases[] = {
+    {"1bv", "1rv", QosPolicyKind::reliability},
+    {"1rv", "1rt", QosPolicyKind::durability},
+    {"1bt", "1rt", QosPolicyKind::reliability},
+    {"1bv", "1rt", QosPolicyKind::reliability},
+};
+
+TEST_F(Events, BothSidesLearnWhichPolicyIsIncompatibleWhoeverComesFirst) {
+  Node node(own("node"));
+  for (const Case& pair : cases) {
+    const std::string topic = own("topic") + pair.offered + pair.requested;
+    {
+      SCOPED_TRACE(topic + ": a publisher here, then a subscription there");
+      auto publisher = node.create_publisher<Number>(topic, qos_of(pair.offered));
+      SecondProcess other({"subscribe", topic, pair.requested});
+      IncompatibleQosInfo info;
+      EXPECT_TRUE(eventually([&] {
+        info = publisher->get_incompatible_qos_status();
+        return info.total_count_change == 1;
+      }));
+      EXPECT_EQ(info.total_count, 1);
+      EXPECT_EQ(info.last_policy_kind, pair.policy);
+      EXPECT_EQ(publisher->get_matched_status().total_count, 0u);
+
+      auto late = node.create_publisher<Number>(topic, qos_of(pair.offered));
+      EXPECT_TRUE(eventually([&] { return late->get_incompatible_qos_status().total_count == 1; }))
+          << "one that is created when the subscription is there already";
+    }
+    {
+      SCOPED_TRACE(topic + ": a subscription here, then a publisher there");
+      const std::string reverse = topic + "_reverse";
+      auto subscription = node.create_subscription<Number>(reverse, qos_of(pair.requested));
+      SecondProcess other({"publish", reverse, pair.offered, "0"});
+      IncompatibleQosInfo info;
+      EXPECT_TRUE(eventually([&] {
+        info = subscription->get_incompatible_qos_status();
+        return info.total_count_change == 1;
+      }));
+      EXPECT_EQ(info.last_policy_kind, pair.policy);
+      auto late = node.create_subscription<Number>(reverse, qos_of(pair.requested));
+      EXPECT_TRUE(eventually([&] { return late->get_incompatible_qos_status().total_count == 1; }));
+    }
+  }
+}
+
+TEST_F(Events, CallbacksRunInTheExecutorAndTellWhatHappenedBeforeTheyWereSet) {
+  Node node(own("node"));
+  SingleThreadedExecutor executor;
+  executor.add_node(node);
+  SecondProcess other({"publish", own("topic"), "1bv", "0"});
+  auto witness = node.create_subscription<Number>(own("topic"), qos_of("1bv"));
+  ASSERT_TRUE(eventually([&] { return witness->get_publisher_count() == 1; }));
+  Told<IncompatibleQosInfo> told;
+  auto subscription = node.create_subscription<Number>(
+      own("topic"), qos_of("1rv"),
+      SubscriptionOptions().incompatible_qos_callback(
+          [&](QOSRequestedIncompatibleQoSInfo& info) { told.add(info); }));
+  executor.spin_once();
+  ASSERT_EQ(told.infos.size(), 1u);
+  EXPECT_EQ(told.infos[0].total_count_change, 1);
+  EXPECT_EQ(told.infos[0].last_policy_kind, QosPolicyKind::reliability);
+  EXPECT_EQ(told.threads[0], std::this_thread::get_id());
+  executor.spin_some();
+  EXPECT_EQ(told.infos.size(), 1u) << "told once";
+}
+
+TEST_F(Events, AnotherTypeIsToldToWhoWasThere) {
+  Node node(own("node"));
+  Told<IncompatibleTypeInfo> told;
+  auto publisher =
+      node.create_publisher<Number>(own("topic"), 1,
+                                    PublisherOptions().incompatible_type_callback(
+                                        [&](IncompatibleTypeInfo& info) { told.add(info); }));
+  auto subscription = node.create_subscription<Number>(own("topic"), 1);
+  SecondProcess other({"other_type", own("topic")});
+  EXPECT_TRUE(eventually([&] { return told.last().total_count == 1; }));
+  EXPECT_TRUE(
+      eventually([&] { return subscription->get_type_mismatch_status().total_count == 1; }));
+  EXPECT_EQ(publisher->get_type_mismatch_status().total_count_change, 1);
+  EXPECT_EQ(publisher->get_type_mismatch_status().total_count_change, 0);
+  EXPECT_EQ(publisher->get_incompatible_qos_status().total_count, 0);
+}
+
+TEST_F(Events, AnExceptionOfAnEventCallbackIsTreatedLikeAnyOther) {
+  Node node(own("node"));
+  auto publisher = node.create_publisher<Number>(
+      own("topic"), 1, PublisherOptions().matched_callback([](MatchedInfo&) { throw 1; }));
+  auto subscription = node.create_subscription<Number>(own("topic"), 1);
+  EXPECT_TRUE(eventually([&] { return publisher->get_callback_exception_count() == 1; }));
+  SingleThreadedExecutor executor;
+  executor.add_node(node);
+  auto second = node.create_subscription<Number>(own("topic"), 1);
+  EXPECT_THROW(executor.spin(), int);
+}
+
+}  // namespace
+}  // namespace agnocast

@@ -1,0 +1,450 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: executors run the callbacks of their nodes, all of them once, in a fair order and in the
+// thread that spins, while nodes move between executors and the library's thread.
+// Method: the public interface, the real daemon, publishers in this process and (where messages flow
+// while something else happens) in a second one. tests/threads/executor_threads_test.cpp does the
+// moving for ThreadSanitizer.
+
+#include <agnocast/agnocast.hpp>
+#include <tests/integration/client/second_process.hpp>
+#include <tests/support/daemon_process.hpp>
+
+#include <poll.h>
+#include <signal.h>
+
+#include <gmock/gmock.h>
+
+#include <atomic>
+#include <chrono>
+#include <cstdlib>
+#include <future>
+#include <memory>
+#include <mutex>
+#include <stdexcept>
+#include <string>
+#include <thread>
+#include <vector>
+
+namespace agnocast {
+namespace {
+
+using namespace std::chrono_literals;
+using test::eventually;
+using test::Number;
+using test::SecondProcess;
+using Message = ipc_shared_ptr<const Number>;
+
+class Executors : public testing::Test {
+ protected:
+  // The library connects once per process, so all tests here share one daemon.
+  static void SetUpTestSuite() {
+    daemon = new test::DaemonProcess;
+    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
+  }
+  static void TearDownTestSuite() { delete daemon; }
+  static test::DaemonProcess* daemon;
+
+  /// Names of this test alone.
+  static std::string own(const std::string& name) {
+    return name + "_" + testing::UnitTest::GetInstance()->current_test_info()->name();
+  }
+  static void publish(Publisher<Number>& publisher, std::uint64_t value) {
+    auto number = publisher.borrow_loaned_message();
+    number->value = value;
+    ASSERT_TRUE(publisher.publish(std::move(number)));
+  }
+};
+test::DaemonProcess* Executors::daemon = nullptr;
+
+/// What callbacks saw, from any thread.
+struct Seen {
+  std::mutex mutex;
+  std::vector<std::uint64_t> values;
+  std::vector<std::thread::id> threads;
+  void add(std::uint64_t value) {
+    const std::lock_guard lock(mutex);
+    values.push_back(value);
+    threads.push_back(std::this_thread::get_id());
+  }
+  std::size_t count() {
+    const std::lock_guard lock(mutex);
+    return values.size();
+  }
+};
+
+std::vector<std::uint64_t> up_to(std::uint64_t last) {
+  std::vector<std::uint64_t> values;
+  for (std::uint64_t value = 1; value <= last; ++value) values.push_back(value);
+  return values;
+}
+
+template <class Function>
+std::string error_of(Function function) {
+  try {
+    function();
+  } catch (const Error& error) {
+    return error.what();
+  }
+  return "(no error)";
+}
+
+TEST_F(Executors, SpinRunsCallbacksInItsThreadUntilCancelled) {
+  Node node(own("node"));
+  Seen seen;
+  auto subscription =
+      node.create_subscription<Number>(own("topic"), test::qos_of("100rva"),
+                                       [&](const Message& number) { seen.add(number->value); });
+  SingleThreadedExecutor executor;
+  executor.add_node(node);
+  std::thread spinner([&] { executor.spin(); });
+  const std::thread::id id = spinner.get_id();
+  SecondProcess publisher({"publish", own("topic"), "100rva", "300"});
+  EXPECT_TRUE(eventually([&] { return seen.count() == 300; })) << seen.count();
+  EXPECT_TRUE(executor.is_spinning());
+  executor.cancel();
+  spinner.join();
+  EXPECT_FALSE(executor.is_spinning());
+  EXPECT_EQ(seen.values, up_to(300));
+  EXPECT_THAT(seen.threads, testing::Each(id));
+}
+
+TEST_F(Executors, ACancelBeforeSpinEndsIt) {
+  SingleThreadedExecutor executor;
+  executor.cancel();
+  executor.spin();
+  SpinningExecutor spinning(SpinningExecutor::forever);
+  spinning.cancel();
+  spinning.spin();
+}
+
+SingleThreadedExecutor* signalled = nullptr;
+
+TEST_F(Executors, ASignalHandlerMayCancel) {
+  SingleThreadedExecutor executor;
+  signalled = &executor;
+  struct sigaction action = {}, before = {};
+  action.sa_handler = [](int) { signalled->cancel(); };
+  ASSERT_EQ(::sigaction(SIGUSR1, &action, &before), 0);
+  std::thread other([&] {
+    EXPECT_TRUE(eventually([&] { return executor.is_spinning(); }));
+    ::kill(::getpid(), SIGUSR1);
+  });
+  executor.spin();
+  other.join();
+  ::sigaction(SIGUSR1, &before, nullptr);
+}
+
+// The node travels between two spinning executors, a third one that is made and destroyed, and the
+// library's thread, while a publisher in another process sends as fast as it can. keep-all: every
+// message must arrive.
+TEST_F(Executors, NothingIsLostOrDoubledOrOvertakenWhileANodeMoves) {
+  constexpr std::uint64_t count = 30000;
+  Node node(own("node")), other(own("other"));
+  Seen seen;
+  std::atomic<int> inside{0}, overlaps{0};
+  auto subscription = node.create_subscription<Number>(own("topic"), test::qos_of("100rva"),
+                                                       [&](const Message& number) {
+                                                         if (inside.fetch_add(1) != 0) ++overlaps;
+                                                         seen.add(number->value);
+                                                         --inside;
+                                                       });
+  auto second = other.create_subscription<Number>(own("nothing"), 1, [](const Message&) {});
+  SingleThreadedExecutor sleeping;
+  SpinningExecutor spinning(100us);
+  sleeping.add_node(other);
+  std::thread one([&] { sleeping.spin(); }), two([&] { spinning.spin(); });
+  SecondProcess publisher({"publish", own("topic"), "100rva", std::to_string(count)});
+  std::uint64_t moves = 0;
+  EXPECT_TRUE(eventually([&] {
+    for (int i = 0; i < 10; ++i) {
+      sleeping.add_node(node);
+      if (i % 3 == 0) std::this_thread::sleep_for(300us);
+      sleeping.remove_node(node);
+      if (i % 3 == 1) std::this_thread::sleep_for(300us);
+      spinning.add_node(node);
+      if (i % 3 == 2) std::this_thread::sleep_for(300us);
+      spinning.remove_node(node);
+      {
+        SingleThreadedExecutor passing;
+        passing.add_node(node);
+        passing.spin_some();
+      }
+      ++moves;
+    }
+    return seen.count() >= count;
+  })) << seen.count()
+      << " after " << moves << " rounds";
+  sleeping.cancel();
+  spinning.cancel();
+  one.join();
+  two.join();
+  subscription.reset();
+  EXPECT_EQ(overlaps, 0);
+  EXPECT_EQ(seen.values.size(), count);
+  EXPECT_TRUE(seen.values == up_to(count));
+  EXPECT_GT(moves, 10u);
+}
+
+// Asleep when it is taken, asleep when it is given back: the last message before and the first one
+// after a move must wake the right one.
+TEST_F(Executors, ANewHostIsWokenByWhatComesAfterTheMove) {
+  Node node(own("node"));
+  Seen seen;
+  auto subscription = node.create_subscription<Number>(
+      own("topic"), 10, [&](const Message& number) { seen.add(number->value); });
+  auto publisher = node.create_publisher<Number>(own("topic"), 10);
+  SingleThreadedExecutor executor;
+  std::thread spinner([&] { executor.spin(); });
+  for (std::uint64_t value = 1; value <= 40; ++value) {
+    publish(*publisher, value);
+    ASSERT_TRUE(eventually([&] { return seen.count() == value; })) << value;
+    if (value % 2 == 1) {
+      executor.add_node(node);
+    } else {
+      executor.remove_node(node);
+    }
+  }
+  const std::thread::id id = spinner.get_id();
+  executor.cancel();
+  spinner.join();
+  for (std::size_t i = 0; i < 40; ++i) EXPECT_EQ(seen.threads[i] == id, i % 2 == 1) << i;
+}
+
+TEST_F(Executors, EachSubscriptionHasItsTurn) {
+  Node fast(own("fast")), slow(own("slow"));
+  std::string order;
+  SingleThreadedExecutor executor;
+  executor.add_node(fast);
+  executor.add_node(slow);
+  auto a = fast.create_subscription<Number>(own("a"), 10, [&](const Message&) { order += 'a'; });
+  auto b = fast.create_subscription<Number>(own("b"), 10, [&](const Message&) { order += 'b'; });
+  auto c = slow.create_subscription<Number>(own("c"), 10, [&](const Message&) { order += 'c'; });
+  auto to_a = fast.create_publisher<Number>(own("a"), 10);
+  auto to_b = fast.create_publisher<Number>(own("b"), 10);
+  auto to_c = fast.create_publisher<Number>(own("c"), 10);
+  for (auto* publisher : {&to_a, &to_b, &to_c})
+    ASSERT_TRUE(eventually([&] { return (*publisher)->get_subscription_count() == 1; }));
+  for (auto* subscription : {&a, &b, &c})
+    ASSERT_TRUE(eventually([&] { return (*subscription)->get_publisher_count() == 1; }));
+  for (std::uint64_t value = 1; value <= 4; ++value) publish(*to_a, value);
+  for (std::uint64_t value = 1; value <= 2; ++value) publish(*to_b, value);
+  for (std::uint64_t value = 1; value <= 3; ++value) publish(*to_c, value);
+  EXPECT_EQ(order, "") << "nothing runs until the executor spins";
+  executor.spin_once();
+  executor.spin_once();
+  EXPECT_EQ(order, "ab") << "one callback each";
+  executor.spin_some();
+  EXPECT_EQ(order, "abc") << "the rest of the turn";
+  executor.spin_some();
+  EXPECT_EQ(order, "abcabc");
+  executor.spin_all(0s);
+  EXPECT_EQ(order, "abcabcaca");
+  executor.spin_some();
+  executor.spin_once(1ms);
+  EXPECT_EQ(order.size(), 9u);
+}
+
+TEST_F(Executors, AnExceptionLeavesSpinAndTheExecutorGoesOn) {
+  Node node(own("node"));
+  Seen seen;
+  auto subscription =
+      node.create_subscription<Number>(own("topic"), 10, [&](const Message& number) {
+        seen.add(number->value);
+        if (number->value % 2 == 1) throw std::runtime_error(std::to_string(number->value));
+      });
+  auto publisher = node.create_publisher<Number>(own("topic"), 10);
+  SingleThreadedExecutor executor;
+  executor.add_node(node);
+  for (std::uint64_t value = 1; value <= 4; ++value) publish(*publisher, value);
+  for (const char* number : {"1", "3"}) {
+    try {
+      executor.spin();
+      ADD_FAILURE() << "spin has returned";
+    } catch (const std::runtime_error& error) {
+      EXPECT_STREQ(error.what(), number);
+    }
+    EXPECT_FALSE(executor.is_spinning());
+  }
+  executor.spin_once();
+  EXPECT_EQ(seen.values, up_to(4));
+  EXPECT_EQ(subscription->get_callback_exception_count(), 0u) << "they were given to the caller";
+
+  executor.remove_node(node);
+  for (std::uint64_t value = 5; value <= 8; ++value) publish(*publisher, value);
+  EXPECT_TRUE(eventually([&] { return seen.count() == 8; }))
+      << "the library's thread survives them";
+  EXPECT_TRUE(eventually([&] { return subscription->get_callback_exception_count() == 2; }));
+}
+
+TEST_F(Executors, ALoopOfOnesOwnPollsAndDispatches) {
+  Node node(own("node"));
+  Seen seen;
+  auto subscription = node.create_subscription<Number>(
+      own("topic"), test::qos_of("20rva"), [&](const Message& number) { seen.add(number->value); });
+  SingleThreadedExecutor executor;
+  executor.add_node(node);
+  SecondProcess publisher({"publish", own("topic"), "20rva", "500"});
+  std::uint64_t timeouts = 0;
+  ASSERT_TRUE(eventually([&] {
+    for (int i = 0; i < 100 && seen.count() < 500; ++i) {
+      if (executor.prepare() == Executor::Readiness::armed) {
+        pollfd readable{executor.fd(), POLLIN, 0};
+        timeouts += ::poll(&readable, 1, static_cast<int>(Executor::poll_max.count())) == 0;
+      }
+      executor.dispatch();
+    }
+    return seen.count() == 500;
+  })) << seen.count();
+  EXPECT_EQ(seen.values, up_to(500));
+
+  // Nothing comes: it must not be readable for ever (that would be a loop without a sleep).
+  std::uint64_t silent = 0;
+  for (int i = 0; i < 10; ++i) {
+    ASSERT_EQ(executor.prepare(), Executor::Readiness::armed);
+    pollfd readable{executor.fd(), POLLIN, 0};
+    silent += ::poll(&readable, 1, 20) == 0;
+    EXPECT_EQ(executor.dispatch(), 0u);
+  }
+  EXPECT_GE(silent, 5u);
+  executor.cancel();
+  pollfd readable{executor.fd(), POLLIN, 0};
+  EXPECT_EQ(::poll(&readable, 1, 10000), 1) << "cancel ends the poll";
+  EXPECT_EQ(executor.dispatch(), 0u);
+}
+
+TEST_F(Executors, ASpinningExecutorGetsEverythingWithAnyBudget) {
+  for (const std::chrono::nanoseconds budget :
+       {std::chrono::nanoseconds(50us), SpinningExecutor::forever}) {
+    Node node(own("node"));
+    const std::string topic =
+        own("topic") + (budget == SpinningExecutor::forever ? "_forever" : "");
+    Seen seen;
+    auto subscription = node.create_subscription<Number>(
+        topic, test::qos_of("20rva"), [&](const Message& number) { seen.add(number->value); });
+    SpinningExecutor executor(budget);
+    executor.add_node(node);
+    std::thread spinner([&] { executor.spin(); });
+    SecondProcess publisher({"publish", topic, "20rva", "500"});
+    EXPECT_TRUE(eventually([&] { return seen.count() == 500; })) << seen.count();
+    executor.cancel();
+    spinner.join();
+    EXPECT_EQ(seen.values, up_to(500));
+  }
+}
+
+TEST_F(Executors, SpinUntilFutureCompleteEndsWithTheFuture) {
+  Node node(own("node"));
+  std::promise<std::uint64_t> first;
+  auto subscription = node.create_subscription<Number>(
+      own("topic"), 10, [&](const Message& number) { first.set_value(number->value); });
+  auto publisher = node.create_publisher<Number>(own("topic"), 10);
+  SingleThreadedExecutor executor;
+  executor.add_node(node);
+  auto future = first.get_future();
+  EXPECT_EQ(executor.spin_until_future_complete(future, 1ms), FutureReturnCode::TIMEOUT);
+  executor.cancel();
+  EXPECT_EQ(executor.spin_until_future_complete(future), FutureReturnCode::INTERRUPTED);
+  publish(*publisher, 42);
+  EXPECT_EQ(executor.spin_until_future_complete(future), FutureReturnCode::SUCCESS);
+  EXPECT_EQ(future.get(), 42u);
+  std::promise<void> elsewhere;
+  auto shared = elsewhere.get_future().share();
+  std::thread other([&] { elsewhere.set_value(); });
+  EXPECT_EQ(executor.spin_until_future_complete(shared), FutureReturnCode::SUCCESS);
+  other.join();
+}
+
+/// Look-alikes of rclcpp's node and of its base interface: all that add_node asks for.
+struct BaseInterface {
+  std::string name;
+  const char* get_fully_qualified_name() const { return name.c_str(); }
+};
+struct LookAlikeNode {
+  std::string name = "like";
+  const char* get_name() const { return name.c_str(); }
+  const char* get_namespace() const { return "/ns"; }
+  std::string get_fully_qualified_name() const { return "/ns/" + name; }
+  std::shared_ptr<BaseInterface> get_node_base_interface() const {
+    return std::make_shared<BaseInterface>(BaseInterface{get_fully_qualified_name()});
+  }
+};
+
+TEST_F(Executors, NodesOfOtherTypesAreKnownByTheirName) {
+  auto node = std::make_shared<LookAlikeNode>();
+  Seen seen;
+  auto publisher = create_publisher<Number>(node, own("topic"), 10);
+  SingleThreadedExecutor executor;
+  executor.add_node(node);  // before its first subscription
+  auto subscription = create_subscription<Number>(
+      node.get(), own("topic"), 10, [&](const Message& number) { seen.add(number->value); });
+  publish(*publisher, 1);
+  executor.spin_once();
+  EXPECT_EQ(seen.values, up_to(1));
+  EXPECT_THAT(seen.threads, testing::ElementsAre(std::this_thread::get_id()));
+  executor.remove_node(node->get_node_base_interface());
+  publish(*publisher, 2);
+  EXPECT_TRUE(eventually([&] { return seen.count() == 2; })) << "the library's thread again";
+}
+
+TEST_F(Executors, ACallbackMayMoveItsNodeAndEndItsSubscription) {
+  Node node(own("node"));
+  Seen seen;
+  SingleThreadedExecutor executor, other;
+  Subscription<Number>::SharedPtr subscription;
+  subscription = node.create_subscription<Number>(own("topic"), 10, [&](const Message& number) {
+    seen.add(number->value);
+    if (number->value == 1) {
+      executor.remove_node(node);
+      other.add_node(node);
+    }
+    if (number->value == 2) subscription.reset();
+  });
+  auto publisher = node.create_publisher<Number>(own("topic"), 10);
+  executor.add_node(node);
+  ASSERT_TRUE(eventually([&] { return subscription->get_publisher_count() == 1; }));
+  for (std::uint64_t value = 1; value <= 3; ++value) publish(*publisher, value);
+  executor.spin_all(0s);
+  EXPECT_EQ(seen.values, up_to(1));
+  other.spin_all(0s);
+  EXPECT_EQ(seen.values, up_to(2));
+}
+
+TEST_F(Executors, MistakesAreNamed) {
+  Node node(own("node"));
+  SingleThreadedExecutor executor, other;
+  executor.add_node(node);
+  EXPECT_THAT(error_of([&] { executor.add_node(node); }), testing::HasSubstr("already"));
+  EXPECT_THAT(error_of([&] { other.add_node(node); }), testing::HasSubstr("already"));
+  EXPECT_THAT(error_of([&] { other.remove_node(node); }),
+              testing::HasSubstr("not in this executor"));
+  std::string within;
+  auto subscription = node.create_subscription<Number>(
+      own("topic"), 1, [&](const Message&) { within = error_of([&] { executor.spin_some(); }); });
+  auto publisher = node.create_publisher<Number>(own("topic"), 1);
+  publish(*publisher, 1);
+  executor.spin_once();
+  EXPECT_THAT(within, testing::HasSubstr("spinning already"));
+}
+
+TEST_F(Executors, ANodeTooManyIsRefusedAndALaterOneIsNot) {
+  std::vector<std::unique_ptr<Node>> nodes;
+  std::vector<Subscription<Number>::SharedPtr> subscriptions;
+  std::string refused = "(no error)";
+  for (int i = 0; i < 40 && refused == "(no error)"; ++i) {
+    nodes.push_back(std::make_unique<Node>(own("node") + std::to_string(i)));
+    refused = error_of([&] {
+      subscriptions.push_back(
+          nodes.back()->create_subscription<Number>(own("topic"), 1, [](const Message&) {}));
+    });
+  }
+  EXPECT_LE(subscriptions.size(), 32u);
+  EXPECT_GE(subscriptions.size(), 31u) << "one may be kept for subscriptions without callbacks";
+  EXPECT_THAT(refused, testing::HasSubstr("more than 32 nodes with callbacks in one process"));
+  subscriptions.pop_back();
+  EXPECT_NO_THROW(subscriptions.push_back(
+      nodes.back()->create_subscription<Number>(own("topic"), 1, [](const Message&) {})));
+}
+
+}  // namespace
+}  // namespace agnocast

@@ -1,0 +1,48 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// SecondProcess: this test program started once more, as a publisher or a subscription of its own.
+// second_process.cpp has the main() of both roles. Ends with its standard input, at the latest with
+// the destructor.
+//
+//   publish TOPIC QOS COUNT   waits for a subscription, publishes Number 1 … COUNT, stays
+//   subscribe TOPIC QOS       stays
+//   other_type TOPIC          asks for the topic with another type, is refused, stays
+//
+// QOS: a depth, then r/b (reliable, best effort), v/t (volatile, transient local), a for keep-all:
+// "10rv", "100rva".
+#pragma once
+
+#include <agnocast/qos.hpp>
+
+#include <sys/types.h>
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+namespace agnocast::test {
+
+struct Number {
+  std::uint64_t value = 0;
+};
+
+QoS qos_of(const std::string& text);
+
+class SecondProcess {
+ public:
+  explicit SecondProcess(const std::vector<std::string>& role);
+  ~SecondProcess() { kill(); }
+  SecondProcess(const SecondProcess&) = delete;
+  SecondProcess& operator=(const SecondProcess&) = delete;
+  /// SIGKILL, and waits for its end.
+  void kill();
+  /// Lets it end by itself; its exit status.
+  int end();
+
+ private:
+  int reap();
+  pid_t pid_ = -1;
+  int input_ = -1;
+};
+
+}  // namespace agnocast::test

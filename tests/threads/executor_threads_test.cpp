@@ -1,0 +1,216 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: a node's callbacks are handed from host to host without a race, a lost wake-up, or two
+// callbacks at a time.
+// Method: the executors' core and the library's thread without daemon and client; a source of
+// callbacks is a queue that threads of this test fill, which ring like a publisher: only an armed
+// sleep word, through the real bells. Nothing is protected by more than the code under test promises,
+// so ThreadSanitizer sees what it forgets.
+
+#include <client/executors/executor_core.hpp>
+#include <client/executors/node_thread.hpp>
+#include <tests/support/aligned_region.hpp>
+#include <tests/support/daemon_process.hpp>
+
+#include <sys/epoll.h>
+#include <sys/eventfd.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <gtest/gtest.h>
+
+#include <atomic>
+#include <chrono>
+#include <cstdint>
+#include <memory>
+#include <mutex>
+#include <thread>
+#include <vector>
+
+namespace agnocast {
+namespace {
+
+using test::eventually;
+using M = SharedMemory;
+
+constexpr std::uint64_t word_offset = offsetof(abi::ClientRegionHeader, executor);
+
+/// A queue whose messages are taken without any lock of the consumer's: the callbacks of one node
+/// exclude each other, or this is a race.
+class Queue final : public CallbackSource {
+ public:
+  explicit Queue(std::uint64_t size) : messages_(size) {}
+  bool has_work() const noexcept override {
+    return head_.load(std::memory_order_acquire) > taken_.load(std::memory_order_relaxed);
+  }
+  bool run_one() override {
+    const std::uint64_t next = taken_.load(std::memory_order_relaxed);
+    if (next == head_.load(std::memory_order_acquire)) return false;
+    received.push_back(messages_[next]);  // not atomic, no lock
+    taken_.store(next + 1, std::memory_order_release);
+    return true;
+  }
+  void push(std::uint64_t message) {
+    const std::uint64_t head = head_.load(std::memory_order_relaxed);
+    messages_[head] = message;
+    head_.store(head + 1, std::memory_order_release);
+  }
+  std::uint64_t taken() const { return taken_.load(std::memory_order_acquire); }
+
+  std::vector<std::uint64_t> received;
+
+ private:
+  std::vector<std::uint64_t> messages_;
+  std::atomic<std::uint64_t> head_{0}, taken_{0};
+};
+
+/// A node with its library thread.
+struct Node {
+  Node() : region(abi::page_bytes), eventfd(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
+    int pair[2];
+    if (::socketpair(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0, pair) != 0) abort();
+    datagram.reset(pair[1]);
+    callbacks = std::make_shared<NodeCallbacks>(
+        "/node",
+        std::make_shared<Sleeper>(
+            region.base(), 0, DoorbellReceiver(UniqueFd(::dup(eventfd.get())), UniqueFd(pair[0]))));
+    epoll.reset(::epoll_create1(EPOLL_CLOEXEC));
+    EXPECT_TRUE(callbacks->sleeper()->bells().add_to(epoll.get(), 0, 1));
+    thread = std::thread([this] { serve(*callbacks, epoll.get()); });
+    callbacks->hand_to(callbacks.get());
+  }
+  ~Node() {
+    callbacks->stop();
+    thread.join();
+  }
+  /// P6, P8: behind the commit.
+  void ring(bool by_datagram) {
+    M::fence();
+    if (M::word(region.base(), word_offset).load(std::memory_order_relaxed) % 2 == 0) return;
+    const std::uint64_t one = 1;
+    if (by_datagram) {
+      (void)!::send(datagram.get(), "", 1, MSG_DONTWAIT);
+    } else {
+      (void)!::write(eventfd.get(), &one, sizeof one);
+    }
+  }
+
+  test::AlignedRegion region;
+  UniqueFd eventfd, datagram, epoll;
+  std::shared_ptr<NodeCallbacks> callbacks;
+  std::thread thread;
+};
+
+/// A spinning thread on an ExecutorCore, as Executor::spin() is.
+struct Spinner {
+  explicit Spinner(bool polls) : core(std::move(*ExecutorCore::make())) {
+    thread = std::thread([this, polls] {
+      while (!core->take_cancel()) {
+        if (core->run_next()) continue;
+        if (!polls && !core->prepare()) core->sleep(ExecutorCore::sleep_max);
+      }
+    });
+  }
+  ~Spinner() {
+    core->cancel();
+    thread.join();
+  }
+  std::unique_ptr<ExecutorCore> core;
+  std::thread thread;
+};
+
+TEST(ExecutorThreads, EverythingIsRunOnceAndInOrderWhileHostsChange) {
+  constexpr std::uint64_t count = 20000;
+  Node node;
+  Spinner sleeping(false), polling(true);
+  auto first = std::make_shared<Queue>(count), second = std::make_shared<Queue>(count);
+  node.callbacks->add(first);
+  node.callbacks->add(second);
+  std::vector<std::thread> publishers;
+  for (Queue* queue : {first.get(), second.get()}) {
+    publishers.emplace_back([&node, queue, by_datagram = queue == second.get()] {
+      for (std::uint64_t i = 0; i < count; ++i) {
+        // In bursts: hosts fall asleep in between.
+        if (i % 500 == 0) std::this_thread::sleep_for(std::chrono::milliseconds(1));
+        queue->push(i);
+        node.ring(by_datagram);
+      }
+    });
+  }
+  EXPECT_TRUE(eventually([&] {
+    for (Spinner* spinner : {&sleeping, &polling, &sleeping}) {
+      EXPECT_TRUE(spinner->core->adopt(node.callbacks));
+      std::this_thread::sleep_for(std::chrono::microseconds(200));
+      spinner->core->drop(*node.callbacks);
+      node.callbacks->hand_to(node.callbacks.get());
+    }
+    return first->taken() == count && second->taken() == count;
+  }));
+  for (std::thread& publisher : publishers) publisher.join();
+  node.callbacks->remove(*first);
+  node.callbacks->remove(*second);
+  for (Queue* queue : {first.get(), second.get()}) {
+    ASSERT_EQ(queue->received.size(), count);
+    for (std::uint64_t i = 0; i < count; ++i) ASSERT_EQ(queue->received[i], i);
+  }
+}
+
+// The safety timeout hides a lost wake-up for a second: 300 of them do not fit into the deadline.
+TEST(ExecutorThreads, EveryHostIsWokenAfterAHandOver) {
+  constexpr std::uint64_t rounds = 300;
+  const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(60);
+  Node node;
+  Spinner one(false), other(false);
+  auto queue = std::make_shared<Queue>(rounds);
+  node.callbacks->add(queue);
+  for (std::uint64_t pushed = 0; pushed < rounds;) {
+    Spinner* const spinner = pushed % 3 == 0 ? &one : pushed % 3 == 1 ? &other : nullptr;
+    if (spinner != nullptr) {
+      EXPECT_TRUE(spinner->core->adopt(node.callbacks));
+    } else {
+      node.callbacks->hand_to(node.callbacks.get());
+    }
+    queue->push(pushed++);
+    node.ring(pushed % 2 == 0);
+    while (queue->taken() != pushed) {
+      ASSERT_LT(std::chrono::steady_clock::now(), deadline) << "after " << pushed << " rounds";
+      std::this_thread::yield();
+    }
+    if (spinner != nullptr) spinner->core->drop(*node.callbacks);
+  }
+}
+
+TEST(ExecutorThreads, RemoveWaitsForTheCallbackInAnyHost) {
+  struct Slow final : CallbackSource {
+    std::atomic<bool> entered{false}, may_end{false}, ended{false};
+    bool has_work() const noexcept override { return !entered; }
+    bool run_one() override {
+      entered = true;
+      while (!may_end) std::this_thread::yield();
+      ended = true;
+      return true;
+    }
+  };
+  Node node;
+  Spinner spinner(false);
+  auto slow = std::make_shared<Slow>();
+  node.callbacks->add(slow);
+  ASSERT_TRUE(eventually([&] { return slow->entered.load(); })) << "in the library's thread";
+  ASSERT_TRUE(spinner.core->adopt(node.callbacks)) << "moves while it runs";
+  std::thread ender([&] {
+    std::this_thread::sleep_for(std::chrono::milliseconds(20));
+    slow->may_end = true;
+  });
+  node.callbacks->remove(*slow);
+  EXPECT_TRUE(slow->ended);
+  ender.join();
+  auto queue = std::make_shared<Queue>(1);
+  node.callbacks->add(queue);
+  queue->push(1);
+  node.ring(false);
+  EXPECT_TRUE(eventually([&] { return queue->taken() == 1; })) << "and the new host goes on";
+  spinner.core->drop(*node.callbacks);
+}
+
+}  // namespace
+}  // namespace agnocast

@@ -1,0 +1,107 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: ROS arguments mean what they mean to ROS 2, and wrong ones are named.
+// Method: command lines as tables; the rules are those of the static remapping article of ROS 2.
+
+#include <client/node/arguments.hpp>
+
+#include <gmock/gmock.h>
+
+#include <string>
+#include <vector>
+
+namespace agnocast {
+namespace {
+
+using testing::ElementsAre;
+using testing::HasSubstr;
+using Line = std::vector<std::string>;
+
+std::vector<RemapRule> rules_of(Line rules) {
+  Line line{"--ros-args"};
+  for (std::string& rule : rules) {
+    line.push_back("-r");
+    line.push_back(std::move(rule));
+  }
+  Result<Arguments> parsed = parse_arguments(line);
+  EXPECT_TRUE(parsed) << parsed.error().what;
+  return parsed ? parsed->rules : std::vector<RemapRule>();
+}
+
+std::string error_of(const Line& line) {
+  const auto parsed = parse_arguments(line);
+  return parsed ? "(no error)" : parsed.error().what;
+}
+
+/// What the node /space/node makes of `topic`.
+std::string remapped(const Line& rules, const std::string& topic) {
+  const auto result = remap_topic(rules_of(rules), topic, "node", "/space");
+  return result ? *result : std::string("error: ") + result.error().what;
+}
+
+TEST(Arguments, OnlyWhatFollowsRosArgsIsForRos) {
+  const auto parsed = parse_arguments({"program", "-r", "mine:=too", "--ros-args", "--remap",
+                                       "a:=b", "--", "own", "--ros-args", "-r", "c:=d"});
+  ASSERT_TRUE(parsed);
+  EXPECT_THAT(parsed->others, ElementsAre("program", "-r", "mine:=too", "own"));
+  ASSERT_EQ(parsed->rules.size(), 2u);
+  EXPECT_EQ(parsed->rules[0].from, "a");
+  EXPECT_EQ(parsed->rules[1].to, "d");
+  EXPECT_TRUE(parse_arguments({}));
+  EXPECT_TRUE(parse_arguments({"--ros-args"}));
+  EXPECT_TRUE(parse_arguments({"--ros-args", "--", "--"}));
+}
+
+TEST(Arguments, OfLaunchFilesDoNoHarm) {
+  const auto parsed = parse_arguments({"--ros-args", "--params-file", "/some/file.yaml", "-p",
+                                       "rate:=10", "--log-level", "info", "-e", "/enclave",
+                                       "--disable-rosout-logs", "-r", "a:=b"});
+  ASSERT_TRUE(parsed) << parsed.error().what;
+  EXPECT_EQ(parsed->rules.size(), 1u);
+}
+
+TEST(Arguments, AreNamedWhenTheyAreWrong) {
+  const struct {
+    const char* rule;
+    const char* sentence;
+  } table[] = {
+      {"nonsense", "'nonsense': a remap rule is from:=to"},
+      {":=to", "a remap rule is from:=to"},
+      {"from:=", "a remap rule is from:=to"},
+      {"from:=a b", "right side: a space is not allowed, at character 2"},
+      {"fr om:=a", "left side: a space is not allowed, at character 3"},
+      {"a//b:=c", "left side: two slashes in a row"},
+      {"/*:=c", "left side: only letters"},
+      {"__node:=a/b", "right side: the name of a node has no slash"},
+      {"__ns:=/a/", "right side: a slash cannot be the last character"},
+      {"1node:a:=b", "node: a digit cannot be the first character"},
+  };
+  for (const auto& row : table)
+    EXPECT_THAT(error_of({"--ros-args", "-r", row.rule}), HasSubstr(row.sentence)) << row.rule;
+  EXPECT_THAT(error_of({"--ros-args", "-r"}), HasSubstr("'-r': its value is missing"));
+  EXPECT_THAT(error_of({"--ros-args", "--bogus"}), HasSubstr("'--bogus': not an option"));
+}
+
+TEST(Arguments, RemapTopicsByTheirFullNamesAndTheFirstRuleWins) {
+  EXPECT_EQ(remapped({"points:=cloud"}, "/space/points"), "/space/cloud");
+  EXPECT_EQ(remapped({"points:=/cloud"}, "/space/points"), "/cloud");
+  EXPECT_EQ(remapped({"/space/points:=cloud"}, "/space/points"), "/space/cloud");
+  EXPECT_EQ(remapped({"~/points:=~/cloud"}, "/space/node/points"), "/space/node/cloud");
+  EXPECT_EQ(remapped({"points:=cloud"}, "/points"), "/points") << "another topic";
+  EXPECT_EQ(remapped({"a:=b", "a:=c"}, "/space/a"), "/space/b");
+  EXPECT_EQ(remapped({"a:=b", "b:=c"}, "/space/a"), "/space/b") << "rules do not chain";
+  EXPECT_EQ(remapped({"rostopic://a:=b"}, "/space/a"), "/space/b");
+  EXPECT_EQ(remapped({"rosservice://a:=b"}, "/space/a"), "/space/a");
+}
+
+TEST(Arguments, WithANodesNameApplyToThatNode) {
+  EXPECT_EQ(remapped({"node:a:=b"}, "/space/a"), "/space/b");
+  EXPECT_EQ(remapped({"other:a:=b", "a:=c"}, "/space/a"), "/space/c");
+  const auto rules = rules_of({"other:__node:=x", "node:__node:=y", "__node:=z", "__ns:=deep/er"});
+  EXPECT_EQ(find_rule(rules, RemapRule::Kind::node_name, "node")->to, "y");
+  EXPECT_EQ(find_rule(rules, RemapRule::Kind::node_name, "third")->to, "z");
+  EXPECT_EQ(find_rule(rules, RemapRule::Kind::node_namespace, "node")->to, "/deep/er");
+}
+
+}  // namespace
+}  // namespace agnocast
