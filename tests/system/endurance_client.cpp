@@ -15,6 +15,8 @@
 //     also pub|sub TOPIC               → ok      one more, keep-last 5; it is not looked at until
 //     drain                            → ok
 
+#include <tests/system/sheaf.hpp>
+
 #include <agnocast/abi/heaphook.h>
 #include <agnocast/agnocast.hpp>
 
@@ -30,25 +32,6 @@
 #include <vector>
 
 namespace agnocast::test {
-
-struct Sheaf {
-  std::uint64_t number = 0;
-  std::vector<std::uint64_t> words;
-  std::vector<std::string> names;
-};
-
-}  // namespace agnocast::test
-
-template <>
-struct agnocast::MessageTraits<agnocast::test::Sheaf> {
-  static constexpr const char* name = "tests/Sheaf";
-  static void for_each_pointer(const agnocast::test::Sheaf& sheaf, PointerVisitor& visit) noexcept {
-    visit("words", sheaf.words);
-    visit("names", sheaf.names);
-  }
-};
-
-namespace agnocast::test {
 namespace {
 
 struct Node {
@@ -56,21 +39,6 @@ struct Node {
   const char* get_namespace() const { return "/"; }
   const char* get_fully_qualified_name() const { return "/endurance"; }
 };
-
-/// Sizes go through the same few hundred values again and again, so a heap that leaks nothing stops
-/// growing.
-void fill(Sheaf& sheaf, std::uint64_t number) {
-  sheaf.number = number;
-  const std::uint64_t size = number * 7919 % 257;
-  for (std::uint64_t i = 0; i < size; ++i) sheaf.words.push_back(number + i);
-  for (std::uint64_t i = 0; i < number % 3; ++i)
-    sheaf.names.emplace_back(20 + (number + i) % 50, static_cast<char>('a' + number % 26));
-}
-bool is_intact(const Sheaf& sheaf, std::uint64_t number) {
-  Sheaf expected;
-  fill(expected, number);
-  return sheaf.number == number && sheaf.words == expected.words && sheaf.names == expected.names;
-}
 
 QoS keep_all() { return QoS(100).keep_all(100); }
 

@@ -50,7 +50,7 @@ class FreeRun {
         keep_all_(random_.chance(25)) {}
 
   void run() {
-    const std::uint64_t reader_count = 1 + random_.below(6);
+    const std::uint64_t reader_count = 1 + random_.below(random_.chance(30) ? 16 : 5);
     const std::uint64_t writer_count = 1 + random_.below(3);
     for (std::uint64_t i = 0; i < reader_count; ++i)
       add_reader(i == 0 || random_.chance(60), writer_count);

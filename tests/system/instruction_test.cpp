@@ -1,0 +1,121 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: borrow, publish, take and release do not become slower unnoticed.
+// Method: callgrind counts the instructions of the calling thread (instruction_subject.cpp): the
+// same on a busy machine. Each count may exceed what is recorded in instruction_counts.txt by 5 %.
+// Records belong to an architecture, a compiler and a build type; for another one the test is
+// skipped. To record what is measured now, after a change that is worth it:
+//
+//   AGNOCAST_RECORD=1 ctest … -R system_instructions
+
+#include <tests/support/daemon_process.hpp>
+#include <tests/support/steered_process.hpp>
+
+#include <gtest/gtest.h>
+
+#include <sys/utsname.h>
+
+#include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <sstream>
+#include <string>
+#include <vector>
+
+namespace agnocast::test {
+namespace {
+
+constexpr double margin = 0.05;
+constexpr std::uint64_t counted_turns = 1000;  // as in instruction_subject.cpp
+constexpr const char* remedy =
+    "; if this is meant, record it: AGNOCAST_RECORD=1 ctest -R system_instructions, and commit "
+    "tests/system/instruction_counts.txt";
+
+using Counts = std::map<std::string, std::uint64_t>;
+
+std::string key_of_this_build() {
+  utsname name{};
+  ::uname(&name);
+  return std::string(name.machine) + "/" AGNOCAST_COMPILER "/" AGNOCAST_BUILD_TYPE;
+}
+
+/// key → name → instructions. Lines: KEY NAME COUNT; # begins a comment.
+std::map<std::string, Counts> read_records() {
+  std::map<std::string, Counts> records;
+  std::ifstream file(AGNOCAST_RECORDS);
+  for (std::string line; std::getline(file, line);) {
+    std::istringstream words(line);
+    std::string key, name;
+    std::uint64_t count = 0;
+    if (line.rfind('#', 0) != 0 && words >> key >> name >> count) records[key][name] = count;
+  }
+  return records;
+}
+
+void write_records(const std::map<std::string, Counts>& records) {
+  std::ofstream file(AGNOCAST_RECORDS);
+  file << "# Instructions per call, by callgrind: architecture/compiler/build, call, count. "
+          "Written by\n"
+          "# AGNOCAST_RECORD=1 ctest -R system_instructions; gated at 5 % by "
+          "instruction_test.cpp.\n";
+  for (const auto& [key, counts] : records) {
+    for (const auto& [name, count] : counts) file << key << " " << name << " " << count << "\n";
+  }
+}
+
+/// One dump of callgrind: its name and its total.
+void read_dump(const std::filesystem::path& path, Counts& counts) {
+  std::ifstream file(path);
+  const std::string trigger = "desc: Trigger: Client Request: ";
+  std::string name;
+  for (std::string line; std::getline(file, line);) {
+    if (line.rfind(trigger, 0) == 0) name = line.substr(trigger.size());
+    if (line.rfind("summary: ", 0) == 0 && !name.empty())
+      counts[name] = std::strtoull(line.c_str() + 9, nullptr, 10) / counted_turns;
+  }
+}
+
+Counts measure() {
+  DaemonProcess daemon;
+  const std::string out = daemon.directory() + "/counts";
+  std::filesystem::create_directory(out);
+  SteeredProcess counted({AGNOCAST_VALGRIND, "--tool=callgrind", "-q", "--collect-atstart=no",
+                          "--callgrind-out-file=" + out + "/dump", AGNOCAST_COUNTED},
+                         {"AGNOCAST_SOCKET=" + daemon.socket_path(), "LD_PRELOAD=" AGNOCAST_HOOK});
+  EXPECT_EQ(counted.finish(), 0);
+  Counts counts;
+  for (const auto& entry : std::filesystem::directory_iterator(out))
+    read_dump(entry.path(), counts);
+  return counts;
+}
+
+TEST(Instructions, AreNoMoreThanRecorded) {
+  const std::string key = key_of_this_build();
+  auto records = read_records();
+  const bool record = std::getenv("AGNOCAST_RECORD") != nullptr;
+  if (!record && records.count(key) == 0) {
+    GTEST_SKIP() << "no instruction counts are recorded for " << key << remedy;
+  }
+  const Counts counts = measure();
+  ASSERT_EQ(counts.size(), 7u);
+  for (const auto& [name, count] : counts) {
+    const std::uint64_t recorded = records[key][name];
+    std::printf("%-14s %6llu instructions, recorded %llu\n", name.c_str(),
+                static_cast<unsigned long long>(count), static_cast<unsigned long long>(recorded));
+    EXPECT_GT(count, 10u) << name << ": nothing was counted";
+    if (record) continue;
+    EXPECT_LE(static_cast<double>(count), static_cast<double>(recorded) * (1 + margin))
+        << name << " became slower" << remedy;
+    if (static_cast<double>(count) < static_cast<double>(recorded) * (1 - margin))
+      std::printf("  faster than recorded%s\n", remedy);
+  }
+  if (!record || HasFailure()) return;
+  records[key] = counts;
+  write_records(records);
+}
+
+}  // namespace
+}  // namespace agnocast::test
