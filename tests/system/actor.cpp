@@ -105,7 +105,7 @@ class Actor {
     std::string topic, qos;
     std::size_t quota = 0;
     line >> topic >> qos >> quota;
-    auto made = try_create_subscription<Specimen>(node_, topic, qos_of(qos), nullptr,
+    auto made = try_create_subscription<Specimen>(node_, topic, qos_of(qos),
                                                   SubscriptionOptions().hold_quota(quota));
     if (!made) throw Error(made.error());
     subscriptions_[id] = {std::move(*made), {}};
