@@ -16,7 +16,6 @@
 #include <examples/demo/ack.hpp>
 #include <examples/demo/content.hpp>
 #include <examples/demo/dds_road.hpp>
-#include <examples/node.hpp>
 
 #include <poll.h>
 #include <unistd.h>
@@ -66,7 +65,7 @@ struct Latencies {
 
 class Work {
  public:
-  explicit Work(example::Node& node, bool with_dds)
+  explicit Work(agnocast::Node& node, bool with_dds)
       : clouds_(agnocast::create_publisher<Cloud>(node, "/demo/cloud", agnocast::QoS(1))),
         timed_(agnocast::create_publisher<Cloud>(node, "/demo/latency", agnocast::QoS(1))) {
     std::string why;
@@ -224,7 +223,7 @@ class Work {
 };
 
 int run(const char* name, bool with_dds) {
-  example::Node node(name);
+  agnocast::Node node(name);
   Work work(node, with_dds);
   std::puts("ready");
   std::fflush(stdout);
