@@ -102,7 +102,12 @@ class Work {
       if (whom == "dds") return dds_ != nullptr && dds_->is_matched();
       return (whom == "cloud" ? clouds_ : timed_)->get_subscription_count() == count;
     });
-    if (!matched) throw Failure("the subscriptions of " + whom + " did not appear");
+    if (!matched && whom == "dds") {
+      // The comparison is not what the demo is about: it goes on without.
+      std::puts("no_dds writer and reader of Cyclone DDS do not find each other");
+    } else if (!matched) {
+      throw Failure("the subscriptions of " + whom + " did not appear");
+    }
   }
 
   /// Waits while a subscription that may lose nothing is behind.
