@@ -16,7 +16,6 @@
 #include <examples/demo/ack.hpp>
 #include <examples/demo/content.hpp>
 #include <examples/demo/dds_road.hpp>
-#include <examples/node.hpp>
 
 #include <poll.h>
 #include <unistd.h>
@@ -66,7 +65,7 @@ struct Latencies {
 
 class Work {
  public:
-  explicit Work(example::Node& node, bool with_dds)
+  explicit Work(agnocast::Node& node, bool with_dds)
       : clouds_(agnocast::create_publisher<Cloud>(node, "/demo/cloud", agnocast::QoS(1))),
         timed_(agnocast::create_publisher<Cloud>(node, "/demo/latency", agnocast::QoS(1))) {
     std::string why;
@@ -103,7 +102,12 @@ class Work {
       if (whom == "dds") return dds_ != nullptr && dds_->is_matched();
       return (whom == "cloud" ? clouds_ : timed_)->get_subscription_count() == count;
     });
-    if (!matched) throw Failure("the subscriptions of " + whom + " did not appear");
+    if (!matched && whom == "dds") {
+      // The comparison is not what the demo is about: it goes on without.
+      std::puts("no_dds writer and reader of Cyclone DDS do not find each other");
+    } else if (!matched) {
+      throw Failure("the subscriptions of " + whom + " did not appear");
+    }
   }
 
   /// Waits while a subscription that may lose nothing is behind.
@@ -224,7 +228,7 @@ class Work {
 };
 
 int run(const char* name, bool with_dds) {
-  example::Node node(name);
+  agnocast::Node node(name);
   Work work(node, with_dds);
   std::puts("ready");
   std::fflush(stdout);

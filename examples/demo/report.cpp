@@ -98,10 +98,9 @@ std::string Report::bar(std::size_t length, bool filled) const {
 void Report::table(const std::vector<Latency>& latencies) {
   const bool with_dds = std::any_of(latencies.begin(), latencies.end(),
                                     [](const Latency& row) { return row.dds_count > 0; });
-  line(with_dds
-           ? "              agnocast               Cyclone DDS           Cyclone DDS / agnocast"
-           : "              agnocast");
-  line(with_dds ? "      size       p50       p99         p50       p99         p50   messages each"
+  line(with_dds ? "              agnocast              Cyclone DDS          DDS/agnocast  messages"
+                : "              agnocast");
+  line(with_dds ? "      size       p50       p99         p50       p99         p50      of each"
                 : "      size       p50       p99   messages");
   for (const Latency& row : latencies) {
     std::string text = right(size_text(row.bytes), 10) + right(time_text(row.agnocast_p50_ns), 10) +
@@ -109,7 +108,7 @@ void Report::table(const std::vector<Latency>& latencies) {
     if (with_dds) {
       text += right(time_text(row.dds_p50_ns), 12) + right(time_text(row.dds_p99_ns), 10);
       text += right(row.dds_count > 0 ? format("%.1f x", row.ratio) : "-", 12);
-      text += right(format("%llu", static_cast<unsigned long long>(row.agnocast_count)), 16);
+      text += right(format("%llu", static_cast<unsigned long long>(row.agnocast_count)), 13);
     } else {
       text += right(format("%llu", static_cast<unsigned long long>(row.agnocast_count)), 11);
     }

@@ -14,7 +14,6 @@
 #include <examples/demo/ack.hpp>
 #include <examples/demo/content.hpp>
 #include <examples/demo/dds_road.hpp>
-#include <examples/node.hpp>
 
 #include <unistd.h>
 
@@ -48,7 +47,7 @@ void say(const char* text) {
 }
 
 int run(const char* name, bool with_latency, bool with_dds) {
-  example::Node node(name);
+  agnocast::Node node(name);
   Counts counts;
   // Keep-all with a small bound: nothing may be lost, and the publisher waits for the slower one.
   auto clouds = agnocast::create_subscription<Cloud>(

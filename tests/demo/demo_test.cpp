@@ -12,6 +12,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <chrono>
 #include <csignal>
@@ -87,6 +88,16 @@ class Demo : public testing::Test {
     return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
   }
 
+  /// In characters of UTF-8.
+  std::size_t longest_line() const {
+    std::size_t longest = 0, columns = 0;
+    for (const char c : text_) {
+      columns = c == '\n' ? 0 : columns + ((static_cast<unsigned char>(c) & 0xc0) != 0x80);
+      longest = std::max(longest, columns);
+    }
+    return longest;
+  }
+
   static bool all_processes_end() {
     for (int attempt = 0; attempt < 2000; ++attempt) {
       if (::waitpid(-1, nullptr, WNOHANG) < 0) return errno == ECHILD;
@@ -109,6 +120,7 @@ TEST_F(Demo, PassesWhenEveryMessageArrivesIntact) {
   EXPECT_THAT(text_, HasSubstr("scope loan  adopted_bytes 1048576"));
   EXPECT_THAT(text_, HasSubstr("scope all   adopted_bytes       0"));
   EXPECT_THAT(text_, HasSubstr("latency, p50, logarithmic"));
+  EXPECT_LE(longest_line(), 80u) << text_;
   EXPECT_TRUE(all_processes_end());
   EXPECT_TRUE(std::filesystem::is_empty(directory_));
 }

@@ -1,11 +1,9 @@
 // Checks every byte of every cloud.
 #include "robot.hpp"
 
-#include <atomic>
 #include <chrono>
 #include <cstdio>
 #include <cstdlib>
-#include <thread>
 
 static bool is_right(const Cloud& cloud) {
   if (cloud.data.size() != bytes_of(cloud.width)) return false;
@@ -16,8 +14,10 @@ static bool is_right(const Cloud& cloud) {
 
 int main(int argc, char** argv) try {
   const auto count = static_cast<std::uint32_t>(argc > 1 ? std::atoi(argv[1]) : 1);
-  Node node{"counter"};
-  std::atomic<std::uint32_t> clouds{0}, names{0}, wrong{0};
+  agnocast::Node node("counter");
+  agnocast::SingleThreadedExecutor executor;
+  executor.add_node(node);
+  std::uint32_t clouds = 0, names = 0, wrong = 0;
   auto cloud_subscription = agnocast::create_subscription<Cloud>(
       node, "cloud_count", agnocast::QoS(100), [&](const agnocast::ipc_shared_ptr<const Cloud>& cloud) {
         if (cloud->width != clouds + 1 || !is_right(*cloud)) ++wrong;
@@ -30,9 +30,9 @@ int main(int argc, char** argv) try {
       });
   const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(60);
   while ((clouds < count || names < count) && std::chrono::steady_clock::now() < end)
-    std::this_thread::sleep_for(std::chrono::milliseconds(5));
+    executor.spin_once(std::chrono::milliseconds(100));
   std::printf(wrong == 0 ? "%u clouds and %u names are right\n" : "%u clouds and %u names, not all right\n",
-              clouds.load(), names.load());
+              clouds, names);
   return wrong == 0 && clouds == count && names == count ? 0 : 1;
 } catch (const agnocast::Error& error) {
   std::fprintf(stderr, "counter: %s\n", error.what());

@@ -7,7 +7,7 @@
 
 int main(int argc, char** argv) try {
   const auto count = static_cast<std::uint32_t>(argc > 1 ? std::atoi(argv[1]) : 1);
-  Node node{"lidar"};
+  agnocast::Node node("lidar");
   auto clouds = agnocast::create_publisher<Cloud>(node, "cloud_count", agnocast::QoS(1).transient_local());
   auto names = agnocast::create_publisher<Name>(node, "cloud_name", agnocast::QoS(1).transient_local());
   unsigned long long adopted = 0;

@@ -11,14 +11,6 @@
 using Cloud = sensor_msgs::msg::PointCloud2;
 using Name = std_msgs::msg::String;
 
-// Any class of this shape is a node.
-struct Node {
-  std::string name;
-  const char* get_name() const { return name.c_str(); }
-  const char* get_namespace() const { return "/"; }
-  std::string get_fully_qualified_name() const { return "/" + name; }
-};
-
 inline std::uint8_t byte_of(std::uint32_t cloud, std::size_t place) {
   return static_cast<std::uint8_t>(cloud * 31 + place * 7);
 }
