@@ -83,10 +83,13 @@ struct Node {
     callbacks->stop();
     thread.join();
   }
+  bool is_armed() {
+    return M::word(region.base(), word_offset).load(std::memory_order_relaxed) % 2 == 1;
+  }
   /// P6, P8: behind the commit.
   void ring(bool by_datagram) {
     M::fence();
-    if (M::word(region.base(), word_offset).load(std::memory_order_relaxed) % 2 == 0) return;
+    if (!is_armed()) return;
     const std::uint64_t one = 1;
     if (by_datagram) {
       (void)!::send(datagram.get(), "", 1, MSG_DONTWAIT);
@@ -155,10 +158,19 @@ TEST(ExecutorThreads, EverythingIsRunOnceAndInOrderWhileHostsChange) {
   }
 }
 
-// The safety timeout hides a lost wake-up for a second: 300 of them do not fit into the deadline.
-TEST(ExecutorThreads, EveryHostIsWokenAfterAHandOver) {
-  constexpr std::uint64_t rounds = 300;
-  const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(60);
+// The safety timeout hides a lost wake-up for a second: so many of them do not fit into the deadline
+// of the next two tests.
+constexpr std::uint64_t rounds = 300;
+std::chrono::steady_clock::time_point deadline_of_all_rounds() {
+  return std::chrono::steady_clock::now() + std::chrono::seconds(60);
+}
+
+TEST(ExecutorThreads, EveryHostFallsAsleepAndIsWokenAfterAHandOver) {
+  const auto deadline = deadline_of_all_rounds();
+  const auto wait_for = [&](auto condition) {
+    while (!condition() && std::chrono::steady_clock::now() < deadline) std::this_thread::yield();
+    return condition();
+  };
   Node node;
   Spinner one(false), other(false);
   auto queue = std::make_shared<Queue>(rounds);
@@ -170,39 +182,64 @@ TEST(ExecutorThreads, EveryHostIsWokenAfterAHandOver) {
     } else {
       node.callbacks->hand_to(node.callbacks.get());
     }
+    ASSERT_TRUE(wait_for([&] { return node.is_armed(); })) << "after " << pushed << " rounds";
     queue->push(pushed++);
     node.ring(pushed % 2 == 0);
-    while (queue->taken() != pushed) {
-      ASSERT_LT(std::chrono::steady_clock::now(), deadline) << "after " << pushed << " rounds";
-      std::this_thread::yield();
-    }
+    ASSERT_TRUE(wait_for([&] { return queue->taken() == pushed; }))
+        << "after " << pushed << " rounds";
     if (spinner != nullptr) spinner->core->drop(*node.callbacks);
   }
 }
 
-TEST(ExecutorThreads, RemoveWaitsForTheCallbackInAnyHost) {
-  struct Slow final : CallbackSource {
-    std::atomic<bool> entered{false}, may_end{false}, ended{false};
-    bool has_work() const noexcept override { return !entered; }
-    bool run_one() override {
-      entered = true;
-      while (!may_end) std::this_thread::yield();
-      ended = true;
-      return true;
+/// Runs once where the test says when it may end, then once more anywhere.
+struct Slow final : CallbackSource {
+  std::atomic<std::uint64_t> begun{0}, ended{0};
+  std::atomic<bool> may_end{false};
+  bool has_work() const noexcept override { return begun < 2; }
+  bool run_one() override {
+    if (begun == 2) return false;
+    ++begun;
+    while (!may_end) std::this_thread::yield();
+    ++ended;
+    return true;
+  }
+};
+
+TEST(ExecutorThreads, ANewHostGoesOnWhenACallbackInTheOldOneHasEnded) {
+  const auto deadline = deadline_of_all_rounds();
+  Node node;
+  Spinner spinner(false);
+  for (std::uint64_t round = 0; round < rounds; ++round) {
+    auto slow = std::make_shared<Slow>();
+    node.callbacks->add(slow);
+    while (slow->begun == 0) std::this_thread::yield();
+    ASSERT_TRUE(spinner.core->adopt(node.callbacks));
+    while (!node.is_armed()) std::this_thread::yield();  // it has nothing to do until then
+    EXPECT_EQ(slow->begun, 1u) << "one at a time";
+    slow->may_end = true;
+    while (slow->ended != 2) {
+      ASSERT_LT(std::chrono::steady_clock::now(), deadline) << "after " << round << " rounds";
+      std::this_thread::yield();
     }
-  };
+    node.callbacks->remove(*slow);
+    spinner.core->drop(*node.callbacks);
+    node.callbacks->hand_to(node.callbacks.get());
+  }
+}
+
+TEST(ExecutorThreads, RemoveWaitsForTheCallbackInAnyHost) {
   Node node;
   Spinner spinner(false);
   auto slow = std::make_shared<Slow>();
   node.callbacks->add(slow);
-  ASSERT_TRUE(eventually([&] { return slow->entered.load(); })) << "in the library's thread";
+  ASSERT_TRUE(eventually([&] { return slow->begun == 1; })) << "in the library's thread";
   ASSERT_TRUE(spinner.core->adopt(node.callbacks)) << "moves while it runs";
   std::thread ender([&] {
     std::this_thread::sleep_for(std::chrono::milliseconds(20));
     slow->may_end = true;
   });
   node.callbacks->remove(*slow);
-  EXPECT_TRUE(slow->ended);
+  EXPECT_EQ(slow->ended, slow->begun);
   ender.join();
   auto queue = std::make_shared<Queue>(1);
   node.callbacks->add(queue);
