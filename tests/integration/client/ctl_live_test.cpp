@@ -75,10 +75,28 @@ TEST(CtlLive, CountsWhatWasAdoptedAndLost) {
   EXPECT_EQ(info()["publishers"][0]["held_messages"], 2);
   first.reset();
   EXPECT_EQ(info()["subscriptions"][0]["held_messages"], 1);
+
+  // One that must not lose anything and reads nothing: the publisher is told to wait.
+  auto keeper = create_subscription<Cloud>(node, "/kept", QoS(1).keep_all(2));
+  auto hasty = create_publisher<Cloud>(node, "/kept", QoS(1).keep_all(2));
+  const auto kept = [&] {
+    return run_ctl(daemon.socket_path(), {"topic", "info", "/kept", "-j"}).json()["publishers"][0];
+  };
+  ASSERT_TRUE(test::eventually([&] { return hasty->get_subscription_count() == 1; }));
+  int refused = 0;
+  for (int i = 0; i < 5; ++i) {
+    const PublishResult result = hasty->publish(std::make_unique<Cloud>());
+    if (!result) {
+      EXPECT_EQ(result.code, Errc::would_block);
+      ++refused;
+    }
+  }
+  EXPECT_GT(refused, 0);
+  EXPECT_EQ(kept()["refused_would_block"], refused);
+  EXPECT_EQ(kept()["published_messages"], 5 - refused);
 }
 
-TEST(CtlLive, CountsWhatDidNotFit) {
-  // A keep-all subscription that reads nothing: the publisher may keep so many and no more.
+TEST(CtlLive, CountsWhatFellOutOfADepthInAnotherProcess) {
   DaemonProcess daemon;
   ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
   ASSERT_EQ(subscriber.ask("sub /points 3"), "ok");
@@ -127,7 +145,9 @@ TEST(CtlLive, VerifyIsQuietUnderTrafficAndDeaths) {
         } else {
           EXPECT_NE(number_taken, "damaged");
           ++taken;
-          if (i % 3 != 0) EXPECT_EQ(tool.ask("release"), "ok");
+          if (i % 3 != 0) {
+            EXPECT_EQ(tool.ask("release"), "ok");
+          }
         }
       }
       tool.kill();
