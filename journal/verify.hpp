@@ -5,28 +5,45 @@
 //
 // Called after every step of the tests, after recoveries, and by `agnocast-ctl verify`. A publisher
 // or subscription that is in the middle of an operation may break some of them for a moment; the
-// caller says which endpoints are at rest.
+// caller says which endpoints are at rest. The table also names what holds for the system as a whole;
+// ctl/audit.cpp checks that.
 #pragma once
 
 #include <client/dataplane/views.hpp>
 
+#include <algorithm>
 #include <cstdint>
 
 namespace agnocast::journal {
 
 // X(name, sentence)
-#define AGNOCAST_INVARIANT_TABLE(X)                                                    \
-  X(none, "every invariant holds")                                                     \
-  X(queue_head, "head is not older than the first sequence of its generation")         \
-  X(queue_slot_committed, "a used slot carries a sequence between the first and head") \
-  X(queue_slot_unique, "no two slots carry the same sequence")                         \
-  X(queue_order, "a ring entry says nothing newer than head")                          \
-  X(queue_order_slot, "the ring entry of a live slot names that slot")                 \
-  X(queue_intent, "the intent of a publisher at rest is idle")                         \
-  X(link_cursor, "a cursor lies between the first sequence and one past head")         \
-  X(link_unlinked_zero, "a line that is not linked is zero")                           \
-  X(hold_slot_used, "a held slot is in use")                                           \
-  X(hold_behind_cursor, "what is held was taken: its sequence is behind the cursor")
+#define AGNOCAST_INVARIANT_TABLE(X)                                                          \
+  X(none, "every invariant holds")                                                           \
+  X(queue_head, "head is not older than the first sequence of its generation")               \
+  X(queue_slot_committed, "a used slot carries a sequence between the first and head")       \
+  X(queue_slot_unique, "no two slots carry the same sequence")                               \
+  X(queue_order, "a ring entry says nothing newer than head")                                \
+  X(queue_order_slot, "the ring entry of a live slot names that slot")                       \
+  X(queue_intent, "the intent of a publisher at rest is idle")                               \
+  X(link_cursor, "a cursor lies between the first sequence and one past head")               \
+  X(link_unlinked_zero, "a line that is not linked is zero")                                 \
+  X(hold_slot_used, "a held slot is in use")                                                 \
+  X(hold_behind_cursor, "what is held was taken: its sequence is behind the cursor")         \
+  X(queue_intent_known, "an intent is one that exists")                                      \
+  X(queue_address, "the message of a used slot lies in a window, below its frontier")        \
+  X(link_generation, "a line is linked to the publisher that has its index, or to none")     \
+  X(hold_quota, "a subscription holds no more of a publisher than it asked for")             \
+  X(region_header, "a client region says whose it is")                                       \
+  X(region_readable, "a region is as long as its extents")                                   \
+  X(window_header, "a process describes its windows as the daemon gave them")                \
+  X(window_frontier, "a frontier is a whole number of pages and lies in its window")         \
+  X(window_inside, "every window lies in the arena")                                         \
+  X(window_overlap, "no two windows overlap")                                                \
+  X(extent_inside, "an extent begins with a page and lies in its region, behind the header") \
+  X(extent_overlap, "no two extents of a process overlap")                                   \
+  X(board_endpoint, "the board says of an endpoint what the daemon knows")                   \
+  X(board_free, "a place that nobody has is free on the board")                              \
+  X(endpoint_process, "an endpoint belongs to a process that is there")
 
 enum class Invariant : std::uint8_t {
 #define AGNOCAST_INVARIANT_ENUMERATOR(name, sentence) name,
@@ -43,37 +60,50 @@ constexpr const char* sentence_of(Invariant invariant) noexcept {
   return sentences[static_cast<std::uint8_t>(invariant)];
 }
 
+/// What was found wrong: the same words again are the same fault, not another operation under way.
+struct Witness {
+  std::uint64_t place = 0;  // slot, ring entry or hold word
+  std::uint64_t word = 0;   // what it says
+};
+
 /// One publisher's queue. `at_rest`: no operation of the publisher is under way (or its process is
 /// dead and recovered).
 template <class M>
 Invariant verify_queue(const dataplane::PublisherWords<M>& words, std::uint64_t first_sequence,
-                       std::uint64_t slot_count, bool at_rest) noexcept {
+                       std::uint64_t slot_count, bool at_rest,
+                       Witness* witness = nullptr) noexcept {
+  const auto broken = [&](Invariant which, std::uint64_t place, std::uint64_t word) {
+    if (witness != nullptr) *witness = {place, word};
+    return which;
+  };
   const std::uint64_t head = abi::sequence_of(words.head().load(std::memory_order_acquire));
-  if (head < first_sequence) return Invariant::queue_head;
+  if (head < first_sequence) return broken(Invariant::queue_head, 0, head);
+  const std::uint64_t intent = words.intent_op().load(std::memory_order_acquire);
+  if (intent != abi::intent_idle && intent != abi::intent_publish)
+    return broken(Invariant::queue_intent_known, 0, intent);
   for (std::uint64_t i = 0; i < slot_count; ++i) {
     const std::uint64_t id = words.slot_id(i).load(std::memory_order_acquire);
     if (id == 0) continue;
     const std::uint64_t sequence = id & ~abi::retired_mark;
     if (at_rest && (sequence <= first_sequence || sequence > head))
-      return Invariant::queue_slot_committed;
+      return broken(Invariant::queue_slot_committed, i, id);
     for (std::uint64_t j = 0; j < i; ++j) {
       if ((words.slot_id(j).load(std::memory_order_relaxed) & ~abi::retired_mark) == sequence)
-        return Invariant::queue_slot_unique;
+        return broken(Invariant::queue_slot_unique, i, id);
     }
     const std::uint64_t entry = words.order(sequence).load(std::memory_order_acquire);
     if (at_rest && abi::sequence_of(entry) == sequence && abi::slot_of(entry) != i)
-      return Invariant::queue_order_slot;
+      return broken(Invariant::queue_order_slot, i, entry);
     if (at_rest && id == sequence && head - sequence < M::ring_count() &&
         entry != abi::pack_entry(sequence, i)) {
-      return Invariant::queue_order_slot;
+      return broken(Invariant::queue_order_slot, i, entry);
     }
   }
   for (std::uint64_t i = 0; at_rest && i < M::ring_count(); ++i) {
-    if (abi::sequence_of(words.order(i).load(std::memory_order_acquire)) > head)
-      return Invariant::queue_order;
+    const std::uint64_t entry = words.order(i).load(std::memory_order_acquire);
+    if (abi::sequence_of(entry) > head) return broken(Invariant::queue_order, i, entry);
   }
-  if (at_rest && words.intent_op().load(std::memory_order_acquire) != abi::intent_idle)
-    return Invariant::queue_intent;
+  if (at_rest && intent != abi::intent_idle) return broken(Invariant::queue_intent, 0, intent);
   return Invariant::none;
 }
 
@@ -81,22 +111,31 @@ Invariant verify_queue(const dataplane::PublisherWords<M>& words, std::uint64_t 
 template <class M>
 Invariant verify_link(const dataplane::LinkWords<M>& link,
                       const dataplane::PublisherWords<M>& words, std::uint64_t generation,
-                      std::uint64_t first_sequence, std::uint64_t slot_count) noexcept {
+                      std::uint64_t first_sequence, std::uint64_t slot_count,
+                      Witness* witness = nullptr) noexcept {
+  const auto broken = [&](Invariant which, std::uint64_t place, std::uint64_t word) {
+    if (witness != nullptr) *witness = {place, word};
+    return which;
+  };
   const std::uint64_t linked = link.publisher_generation().load(std::memory_order_acquire);
   const std::uint64_t cursor = link.cursor().load(std::memory_order_acquire);
   const std::uint64_t head = abi::sequence_of(words.head().load(std::memory_order_acquire));
   const bool is_linked = linked == generation;
-  if (linked == 0 && cursor != 0) return Invariant::link_unlinked_zero;
-  if (is_linked && (cursor <= first_sequence || cursor > head + 1)) return Invariant::link_cursor;
-  for (std::uint64_t word = 0; word * 64 < slot_count; ++word) {
+  if (linked == 0 && cursor != 0) return broken(Invariant::link_unlinked_zero, 0, cursor);
+  if (is_linked && (cursor <= first_sequence || cursor > head + 1))
+    return broken(Invariant::link_cursor, 0, cursor);
+  // The words of the line itself may hold bits beyond the slots there are; those are wrong as well.
+  const std::uint64_t end = std::max<std::uint64_t>(slot_count, M::near_slot_count());
+  for (std::uint64_t word = 0; word * 64 < end; ++word) {
     for (std::uint64_t bits = link.hold(word).load(std::memory_order_acquire); bits != 0;
          bits &= bits - 1) {
       const std::uint64_t slot = word * 64 + static_cast<std::uint64_t>(__builtin_ctzll(bits));
-      if (!is_linked) return Invariant::link_unlinked_zero;
+      if (!is_linked) return broken(Invariant::link_unlinked_zero, word, bits);
       const std::uint64_t id =
           slot < slot_count ? words.slot_id(slot).load(std::memory_order_acquire) : 0;
-      if (id == 0) return Invariant::hold_slot_used;
-      if ((id & ~abi::retired_mark) >= cursor) return Invariant::hold_behind_cursor;
+      if (id == 0) return broken(Invariant::hold_slot_used, slot, 0);
+      if ((id & ~abi::retired_mark) >= cursor)
+        return broken(Invariant::hold_behind_cursor, slot, id);
     }
   }
   return Invariant::none;

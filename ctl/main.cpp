@@ -1,0 +1,75 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// agnocast-ctl: the table of commands, and the one place where answers and complaints leave.
+//
+// It observes (docs/control-plane.md) and reads shared regions; it never maps anything writable,
+// never subscribes and never changes anything.
+
+#include <ctl/commands.hpp>
+
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include <csignal>
+#include <cstdio>
+#include <cstdlib>
+#include <string>
+#include <vector>
+
+namespace agnocast::ctl {
+namespace {
+
+constexpr Command commands[] = {
+    {"status", "", "the daemon, what it holds and allows", nothing, show_status,
+     "agnocast-ctl status\nagnocast-ctl status --json=pretty"},
+    {"topic", "list", "the topics of the domain", domains | types | count | verbose | hidden,
+     list_topics,
+     "agnocast-ctl topic list -t\nagnocast-ctl topics --all-domains\nagnocast-ctl topic list -c"},
+    {"topic", "info", "who publishes and subscribes there, and what it cost",
+     a_name | domain | verbose, show_topic,
+     "agnocast-ctl topic info -v /points\nagnocast-ctl topic info /points --json=short"},
+    {"process", "list", "the processes that publish or subscribe", domains, list_processes,
+     "agnocast-ctl process list\nagnocast-ctl processes --all-domains"},
+    {"heap", "list", "the shared heap windows and how far they are in use", domains, list_heaps,
+     "agnocast-ctl heap list\nagnocast-ctl heaps --json"},
+    {"verify", "", "check every invariant of the running system", nothing, verify_system,
+     "agnocast-ctl verify\nagnocast-ctl verify --json || echo broken"},
+};
+
+int complain(const Problem& problem) {
+  std::fprintf(stderr, "agnocast-ctl: %s: %s\nhint: %s\n", problem.what.c_str(),
+               problem.why.c_str(), problem.hint.c_str());
+  return static_cast<int>(problem.status);
+}
+
+// One descriptor for each process until its region is mapped; the soft limit of 1024 is select()'s.
+void raise_descriptor_limit() noexcept {
+  rlimit limit{};
+  if (::getrlimit(RLIMIT_NOFILE, &limit) != 0) return;
+  limit.rlim_cur = limit.rlim_max;
+  ::setrlimit(RLIMIT_NOFILE, &limit);
+}
+
+int run(int argc, const char* const* argv) {
+  const std::vector<std::string> words(argv + (argc > 0 ? 1 : 0), argv + argc);
+  const Surroundings around = Surroundings::of_process();
+  const auto parsed = parse_arguments(words, commands, around);
+  if (!parsed) return complain(parsed.error());
+  if (const auto* const answer = std::get_if<Answer>(&*parsed)) {
+    std::fputs(answer->text.c_str(), stdout);
+    return 0;
+  }
+  const Arguments& arguments = std::get<Arguments>(*parsed);
+  raise_descriptor_limit();
+  const char* const no_colour = std::getenv("NO_COLOR");
+  Console console(stdout, around.out_is_terminal && (no_colour == nullptr || *no_colour == '\0'));
+  const Outcome<void> done = arguments.command->run(arguments, console);
+  if (std::fflush(stdout) != 0 && done)
+    return complain({Status::failed, "output", "it cannot be written", "df; agnocast-ctl status"});
+  return done ? 0 : complain(done.error());
+}
+
+}  // namespace
+}  // namespace agnocast::ctl
+
+int main(int argc, char** argv) { return agnocast::ctl::run(argc, argv); }

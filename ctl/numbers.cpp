@@ -1,0 +1,133 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <ctl/numbers.hpp>
+
+#include <client/dataplane/windows.hpp>
+
+#include <algorithm>
+#include <bit>
+#include <cstddef>
+
+namespace agnocast::ctl {
+namespace {
+
+using M = SharedMemory;
+using Words = dataplane::PublisherWords<M>;
+using Line = dataplane::LinkWords<M>;
+
+constexpr auto relaxed = std::memory_order_relaxed;
+constexpr auto acquire = std::memory_order_acquire;
+
+// Words of hold bits for so many slots; those behind the link line have memory only when there are
+// such slots.
+std::uint64_t hold_word_count(std::uint64_t slot_count) noexcept {
+  return std::min<std::uint64_t>((slot_count + 63) / 64, abi::slot_count_max / 64);
+}
+
+const Endpoint* publisher_at(const Topic& topic, std::uint64_t index) {
+  for (const Endpoint& publisher : topic.publishers) {
+    if (publisher.facts.index == index) return &publisher;
+  }
+  return nullptr;
+}
+
+bool takes_messages(const Endpoint& subscription) noexcept {
+  return subscription.state() == abi::MemberState::active ||
+         subscription.state() == abi::MemberState::leaving;
+}
+
+}  // namespace
+
+std::optional<PublisherNumbers> numbers_of_publisher(const System& system, const Topic& topic,
+                                                     const Endpoint& publisher) {
+  std::byte* const region = system.region_of(publisher);
+  if (region == nullptr) return std::nullopt;
+  const Words words{region, publisher.facts.extent};
+  using Fields = abi::PublisherEndpoint;
+  PublisherNumbers numbers;
+  const std::uint64_t head = abi::sequence_of(words.head().load(acquire));
+  numbers.published =
+      head > publisher.facts.first_sequence ? head - publisher.facts.first_sequence : 0;
+  for (std::uint64_t slot = 0; slot < publisher.facts.slot_count; ++slot) {
+    if (words.slot_id(slot).load(relaxed) != 0) ++numbers.messages;
+  }
+  numbers.adopted_messages = words.counter(offsetof(Fields, adopted_messages)).load(relaxed);
+  numbers.adopted_bytes = words.counter(offsetof(Fields, adopted_bytes)).load(relaxed);
+  numbers.refused_no_slot = words.counter(offsetof(Fields, refused_no_slot)).load(relaxed);
+  numbers.refused_would_block = words.counter(offsetof(Fields, refused_would_block)).load(relaxed);
+  numbers.refused_heap_exhausted =
+      words.counter(offsetof(Fields, refused_heap_exhausted)).load(relaxed);
+  for (std::uint64_t word = 0; word < hold_word_count(publisher.facts.slot_count); ++word) {
+    std::uint64_t held = 0;
+    for (const Endpoint& subscription : topic.subscriptions) {
+      std::byte* const holder = system.region_of(subscription);
+      if (holder == nullptr || !takes_messages(subscription)) continue;
+      const Line line{holder, subscription.facts.extent, publisher.facts.index};
+      if (line.publisher_generation().load(acquire) == publisher.facts.generation)
+        held |= line.hold(word).load(relaxed);
+    }
+    numbers.held += static_cast<std::uint64_t>(std::popcount(held));
+  }
+  // Its extent may have become somebody else's while we read.
+  std::atomic_thread_fence(acquire);
+  if (!system.is_still_there(topic, publisher)) return std::nullopt;
+  return numbers;
+}
+
+std::optional<SubscriptionNumbers> numbers_of_subscription(const System& system, const Topic& topic,
+                                                           const Endpoint& subscription) {
+  std::byte* const region = system.region_of(subscription);
+  if (region == nullptr) return std::nullopt;
+  SubscriptionNumbers numbers;
+  const std::uint64_t depth = abi::window_of(abi::unpack_qos(subscription.facts.qos));
+  for (std::uint64_t index = 0; takes_messages(subscription) && index < M::publisher_count();
+       ++index) {
+    const Line line{region, subscription.facts.extent, index};
+    const std::uint64_t generation = line.publisher_generation().load(acquire);
+    if (generation == 0) continue;
+    const Endpoint* const publisher = publisher_at(topic, index);
+    if (publisher == nullptr || publisher->facts.generation != generation) continue;
+    ++numbers.linked;
+    for (std::uint64_t word = 0; word < hold_word_count(publisher->facts.slot_count); ++word)
+      numbers.held += static_cast<std::uint64_t>(std::popcount(line.hold(word).load(relaxed)));
+    const std::uint64_t cursor = line.cursor().load(acquire);
+    if (std::byte* const queue = system.region_of(*publisher); queue != nullptr) {
+      const std::uint64_t end =
+          abi::sequence_of(Words{queue, publisher->facts.extent}.head().load(acquire)) + 1;
+      numbers.unread += std::min(end > cursor ? end - cursor : 0, depth);
+    }
+  }
+  const dataplane::SubscriptionWords<M> words{region, subscription.facts.extent};
+  using Fields = abi::SubscriptionCounters;
+  numbers.lost = words.counter(offsetof(Fields, lost)).load(relaxed);
+  numbers.malformed = words.counter(offsetof(Fields, malformed)).load(relaxed);
+  std::atomic_thread_fence(acquire);
+  if (!system.is_still_there(topic, subscription)) return std::nullopt;
+  return numbers;
+}
+
+std::vector<WindowNumbers> numbers_of_windows(const System& system, const Process& process) {
+  if (!process.region) return {};
+  std::vector<WindowNumbers> windows(process.facts.window_count);
+  for (std::uint32_t w = 0; w < process.facts.window_count; ++w)
+    windows[w].used_bytes =
+        dataplane::load_frontier<M>(process.region.base(), w, process.facts.window[w].bytes);
+  for (const auto& [index, topic] : system.topics) {
+    for (const Endpoint& publisher : topic.publishers) {
+      if (system.process_of(publisher) != &process || system.region_of(publisher) == nullptr)
+        continue;
+      const Words words{process.region.base(), publisher.facts.extent};
+      for (std::uint64_t slot = 0; slot < publisher.facts.slot_count; ++slot) {
+        if (words.slot_id(slot).load(acquire) == 0) continue;
+        const std::uint64_t address = words.slot_address(slot).load(relaxed);
+        for (std::uint32_t w = 0; w < process.facts.window_count; ++w) {
+          const auto& window = process.facts.window[w];
+          if (address - window.base < window.bytes) ++windows[w].messages;
+        }
+      }
+    }
+  }
+  return windows;
+}
+
+}  // namespace agnocast::ctl

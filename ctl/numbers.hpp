@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Numbers: what the regions say of endpoints and windows, now. Counters for people: each is true for
+// a moment of its own, and what a process wrote about itself.
+#pragma once
+
+#include <ctl/system.hpp>
+
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+namespace agnocast::ctl {
+
+struct PublisherNumbers {
+  std::uint64_t published = 0;
+  std::uint64_t messages = 0;  // slots in use: history, unread or held
+  std::uint64_t held = 0;      // of them, by at least one subscription
+  std::uint64_t adopted_messages = 0;
+  std::uint64_t adopted_bytes = 0;
+  std::uint64_t refused_no_slot = 0;
+  std::uint64_t refused_would_block = 0;
+  std::uint64_t refused_heap_exhausted = 0;
+};
+
+struct SubscriptionNumbers {
+  std::uint64_t linked = 0;  // publishers
+  std::uint64_t held = 0;
+  std::uint64_t unread = 0;  // that are still in its depth
+  std::uint64_t lost = 0;
+  std::uint64_t malformed = 0;
+};
+
+/// Nothing when the endpoint is gone, or its region cannot be read.
+std::optional<PublisherNumbers> numbers_of_publisher(const System& system, const Topic& topic,
+                                                     const Endpoint& publisher);
+std::optional<SubscriptionNumbers> numbers_of_subscription(const System& system, const Topic& topic,
+                                                           const Endpoint& subscription);
+
+/// Of one window of a process.
+struct WindowNumbers {
+  std::uint64_t used_bytes = 0;  // the frontier
+  std::uint64_t messages = 0;    // message objects that begin in it
+};
+/// As many as the process has windows; empty when its region cannot be read. `messages` counts the
+/// slots of all its publishers.
+std::vector<WindowNumbers> numbers_of_windows(const System& system, const Process& process);
+
+}  // namespace agnocast::ctl

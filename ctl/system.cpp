@@ -1,0 +1,286 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <ctl/system.hpp>
+
+#include <agnocast/abi/fingerprint.hpp>
+#include <agnocast/error.hpp>
+#include <base/text.hpp>
+
+#include <poll.h>
+#include <sys/stat.h>
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <cstring>
+#include <system_error>
+
+namespace agnocast::ctl {
+namespace {
+
+using wire::Opcode;
+
+// A daemon under load answers within milliseconds.
+constexpr int patience_ms = 5'000;
+
+Status status_of(Errc code) noexcept {
+  if (code == Errc::permission_denied) return Status::permission_denied;
+  if (code == Errc::daemon_not_running) return Status::not_reachable;
+  return Status::failed;
+}
+
+tl::unexpected<Problem> unreachable(const std::string& path, const char* why) {
+  return problem(Status::not_reachable, path, why, remedy_of(Errc::daemon_not_running));
+}
+
+std::string text_of(const wire::Name& name) {
+  return std::string(name.text, ::strnlen(name.text, sizeof name.text));
+}
+
+void split_node(const std::string& full, Endpoint& endpoint) {
+  const std::size_t slash = full.rfind('/');
+  endpoint.node_name = slash == std::string::npos ? full : full.substr(slash + 1);
+  endpoint.node_namespace = slash == std::string::npos || slash == 0 ? "/" : full.substr(0, slash);
+}
+
+std::uint64_t extent_bytes(const wire::DumpEndpoint& endpoint) noexcept {
+  return endpoint.kind == wire::Kind::publisher ? abi::publisher_extent_bytes
+                                                : abi::subscription_extent_bytes;
+}
+
+}  // namespace
+
+const Process* System::process_of(const Endpoint& endpoint) const {
+  const auto found = processes.find(endpoint.facts.client);
+  if (found == processes.end() ||
+      found->second.facts.generation != endpoint.facts.client_generation)
+    return nullptr;
+  return &found->second;
+}
+
+std::byte* System::region_of(const Endpoint& endpoint) const {
+  const Process* const process = process_of(endpoint);
+  if (process == nullptr || !process->region) return nullptr;
+  // The mapping reaches as far as the highest extent that fits into the region.
+  if (endpoint.facts.extent > process->region.bytes() ||
+      process->region.bytes() - endpoint.facts.extent < extent_bytes(endpoint.facts))
+    return nullptr;
+  return process->region.base();
+}
+
+bool System::is_still_there(const Topic& topic, const Endpoint& endpoint) const {
+  const auto words = words_of(topic);
+  const std::uint64_t word =
+      endpoint.is_publisher()
+          ? words.publisher(endpoint.facts.index, offsetof(abi::PublisherEntry, word))
+                .load(std::memory_order_acquire)
+          : words.subscription(endpoint.facts.index, offsetof(abi::SubscriptionEntry, word))
+                .load(std::memory_order_acquire);
+  return abi::generation_of(word) == endpoint.facts.generation;
+}
+
+struct Observer::Received {
+  alignas(8) std::array<std::byte, wire::packet_bytes_max> bytes;
+  Packet packet;
+
+  wire::Header header() const noexcept {
+    wire::Header header{};
+    std::memcpy(&header, bytes.data(), sizeof header);
+    return header;
+  }
+  template <class Body>
+  bool read(Body& body) const noexcept {
+    if (packet.bytes != sizeof body) return false;
+    std::memcpy(static_cast<void*>(&body), bytes.data(), sizeof body);
+    return true;
+  }
+};
+
+tl::unexpected<Problem> Observer::nonsense() const {
+  return problem(Status::failed, path_, sentence_of(Errc::protocol_violation),
+                 remedy_of(Errc::protocol_violation));
+}
+
+Outcome<Observer> Observer::connect(const std::string& path) {
+  auto socket = PacketSocket::connect(path);
+  if (!socket) {
+    const Failure& failure = socket.error();
+    std::string why = sentence_of(failure.code);
+    if (failure.code == Errc::invalid_argument || failure.code == Errc::os_failure)
+      why = failure.what;
+    if (failure.os_errno != 0) why += ": " + std::generic_category().message(failure.os_errno);
+    return problem(status_of(failure.code), escaped(path), why, remedy_of(failure.code));
+  }
+  Observer observer(std::move(*socket), escaped(path));
+  wire::Observe hello{};
+  hello.fingerprint = abi::fingerprint();
+  if (auto sent = observer.send(Opcode::observe, hello); !sent) return tl::unexpected(sent.error());
+  auto answer = observer.receive();
+  if (!answer) return tl::unexpected(answer.error());
+  wire::Observed observed{};
+  if (answer->header().opcode != Opcode::observed || !answer->read(observed) ||
+      answer->packet.descriptor_count != 1)
+    return observer.nonsense();
+  auto board =
+      Mapping::map(answer->packet.descriptors[0].get(), abi::board_bytes, Mapping::Access::read);
+  if (!board)
+    return problem(Status::failed, "the board", board.error().what, remedy_of(board.error().code));
+  observer.board_ = std::move(*board);
+  observer.region_bytes_ = observed.client_region_bytes;
+  return observer;
+}
+
+template <class Body>
+Outcome<void> Observer::send(Opcode opcode, Body body) {
+  body.header = {opcode, sizeof body, 1};
+  const auto sent = socket_.send(std::as_bytes(std::span(&body, 1)), {}, Wait::yes);
+  // One that was turned away at the door reads why.
+  if (sent && *sent == Sent::would_block) return unreachable(path_, "agnocastd does not read");
+  return {};
+}
+
+Outcome<Observer::Received> Observer::receive() {
+  pollfd readable{socket_.fd(), POLLIN, 0};
+  int ready = 0;
+  do {
+    ready = ::poll(&readable, 1, patience_ms);
+  } while (ready < 0 && errno == EINTR);
+  if (ready <= 0) return unreachable(path_, "agnocastd does not answer within 5 s");
+  Received received;
+  auto packet = socket_.receive(received.bytes);
+  if (!packet) return unreachable(path_, packet.error().what);
+  if (packet->kind != Packet::Kind::data)
+    return unreachable(path_, "agnocastd has ended the connection");
+  received.packet = std::move(*packet);
+  if (received.packet.bytes < sizeof(wire::Header) || received.packet.truncated) return nonsense();
+  if (received.packet.descriptors_lost)
+    return problem(Status::failed, "descriptors", "this process may not open enough of them",
+                   "ulimit -n 4096");
+  wire::Refused refused{};
+  if (received.header().opcode == Opcode::refused) {
+    if (!received.read(refused)) return nonsense();
+    const auto code = static_cast<Errc>(refused.code);
+    return problem(status_of(code), path_, escaped(text_of(refused.text)), remedy_of(code));
+  }
+  return received;
+}
+
+Outcome<System> Observer::look() {
+  if (auto sent = send(Opcode::dump, wire::Dump{}); !sent) return tl::unexpected(sent.error());
+  System system;
+  system.board = board_.base();
+  wire::DumpEnd seen{};
+  for (;;) {
+    auto packet = receive();
+    if (!packet) return tl::unexpected(packet.error());
+    if (packet->header().opcode == Opcode::dump_end) {
+      wire::DumpEnd end{};
+      if (!packet->read(end) || end.process_count != seen.process_count ||
+          end.topic_count != seen.topic_count || end.endpoint_count != seen.endpoint_count ||
+          end.user_count != seen.user_count)
+        return nonsense();
+      break;
+    }
+    if (auto accepted = accept(*packet, system, seen); !accepted)
+      return tl::unexpected(accepted.error());
+  }
+  map_regions(system);
+  return system;
+}
+
+Outcome<void> Observer::accept(Received& packet, System& system, wire::DumpEnd& seen) const {
+  switch (packet.header().opcode) {
+    case Opcode::dump_daemon:
+      if (!packet.read(system.daemon)) return nonsense();
+      return {};
+    case Opcode::dump_process: {
+      Process process;
+      if (!packet.read(process.facts) || process.facts.client >= abi::client_count_max ||
+          process.facts.window_count > abi::window_count_max ||
+          process.facts.region_count != packet.packet.descriptor_count)
+        return nonsense();
+      process.name = text_of(process.facts.name);
+      if (process.facts.region_count == 1)
+        process.region_fd = std::move(packet.packet.descriptors[0]);
+      system.processes.insert_or_assign(process.facts.client, std::move(process));
+      ++seen.process_count;
+      return {};
+    }
+    case Opcode::dump_topic: {
+      Topic topic;
+      if (!packet.read(topic.facts) || topic.facts.topic >= abi::topic_count_max) return nonsense();
+      topic.name = text_of(topic.facts.name);
+      topic.type = text_of(topic.facts.type);
+      system.topics.insert_or_assign(topic.facts.topic, std::move(topic));
+      ++seen.topic_count;
+      return {};
+    }
+    case Opcode::dump_endpoint: {
+      Endpoint endpoint;
+      if (!packet.read(endpoint.facts)) return nonsense();
+      const auto topic = system.topics.find(endpoint.facts.topic);
+      const bool publisher = endpoint.is_publisher();
+      if (topic == system.topics.end() ||
+          (!publisher && endpoint.facts.kind != wire::Kind::subscription) ||
+          endpoint.facts.index >=
+              (publisher ? abi::publisher_count_max : abi::subscription_count_max) ||
+          endpoint.facts.slot_count > abi::slot_count_max)
+        return nonsense();
+      split_node(text_of(endpoint.facts.node), endpoint);
+      if (const auto owner = system.processes.find(endpoint.facts.client);
+          owner != system.processes.end())
+        ++(publisher ? owner->second.publisher_count : owner->second.subscription_count);
+      (publisher ? topic->second.publishers : topic->second.subscriptions)
+          .push_back(std::move(endpoint));
+      ++seen.endpoint_count;
+      return {};
+    }
+    case Opcode::dump_user:
+      system.users.emplace_back();
+      if (!packet.read(system.users.back())) return nonsense();
+      ++seen.user_count;
+      return {};
+    default:
+      return nonsense();
+  }
+}
+
+// Each as far as its extents reach, and no further: a region is a gigabyte of addresses.
+void Observer::map_regions(System& system) const {
+  std::map<std::uint64_t, std::uint64_t> end;
+  for (const auto& [index, topic] : system.topics) {
+    for (const auto* endpoints : {&topic.publishers, &topic.subscriptions}) {
+      for (const Endpoint& endpoint : *endpoints) {
+        const std::uint64_t bytes = extent_bytes(endpoint.facts);
+        if (endpoint.facts.extent > region_bytes_ || region_bytes_ - endpoint.facts.extent < bytes)
+          continue;
+        std::uint64_t& reached = end[endpoint.facts.client];
+        reached = std::max(reached, endpoint.facts.extent + bytes);
+      }
+    }
+  }
+  for (auto& [index, process] : system.processes) {
+    if (!process.region_fd) continue;
+    const std::uint64_t bytes = std::max(end[index], abi::page_bytes);
+    struct stat file {};
+    if (::fstat(process.region_fd.get(), &file) != 0 ||
+        static_cast<std::uint64_t>(file.st_size) < bytes) {
+      process.region_fault = "its region is shorter than its extents";
+    } else if (auto mapping = Mapping::map(process.region_fd.get(), bytes, Mapping::Access::read)) {
+      process.region = std::move(*mapping);
+    } else {
+      process.region_fault = "its region cannot be mapped";
+    }
+    process.region_fd.reset();
+  }
+}
+
+Outcome<Look> look_at(const std::string& socket) {
+  auto observer = Observer::connect(socket);
+  if (!observer) return tl::unexpected(observer.error());
+  auto system = observer->look();
+  if (!system) return tl::unexpected(system.error());
+  return Look{std::move(*observer), std::move(*system)};
+}
+
+}  // namespace agnocast::ctl

@@ -1,0 +1,104 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// System: what the daemon says of one moment, with the regions that go with it, mapped for reading.
+//
+// Everything in it was checked once: indexes are inside the tables, extents inside their regions,
+// regions as long as they are used. What the regions *say* is other processes' and changes all the
+// time; whoever reads it copies it once and believes nothing.
+#pragma once
+
+#include <agnocast/abi/board.hpp>
+#include <agnocast/abi/observe.hpp>
+#include <base/mapping.hpp>
+#include <base/memory_policy.hpp>
+#include <base/packet_socket.hpp>
+#include <client/dataplane/views.hpp>
+#include <ctl/problem.hpp>
+
+#include <cstddef>
+#include <cstdint>
+#include <map>
+#include <string>
+#include <vector>
+
+namespace agnocast::ctl {
+
+namespace wire = abi::wire;
+
+struct Process {
+  wire::DumpProcess facts{};
+  std::string name;
+  UniqueFd region_fd;
+  /// The header and every extent that is in use; empty when the daemon had no region, or one that is
+  /// not what it should be (`region_fault` says so).
+  Mapping region;
+  std::string region_fault;
+  std::uint64_t publisher_count = 0, subscription_count = 0;
+};
+
+struct Endpoint {
+  wire::DumpEndpoint facts{};
+  std::string node_name, node_namespace;
+
+  abi::MemberState state() const noexcept { return abi::state_of(facts.member); }
+  bool is_publisher() const noexcept { return facts.kind == wire::Kind::publisher; }
+};
+
+struct Topic {
+  wire::DumpTopic facts{};
+  std::string name, type;
+  std::vector<Endpoint> publishers, subscriptions;
+};
+
+struct System {
+  wire::DumpDaemon daemon{};
+  std::map<std::uint64_t, Process> processes;  // by index
+  std::map<std::uint32_t, Topic> topics;       // by index
+  std::vector<wire::DumpUser> users;
+  std::byte* board = nullptr;  // the observer's
+
+  /// The process of an endpoint; nothing when the daemon's dump names none.
+  const Process* process_of(const Endpoint& endpoint) const;
+  /// Its mapped region; nullptr when there is none.
+  std::byte* region_of(const Endpoint& endpoint) const;
+  dataplane::TopicWords<SharedMemory> words_of(const Topic& topic) const noexcept {
+    return {board, abi::topic_offset(topic.facts.topic)};
+  }
+  /// Does the board still show this endpoint? What was read of its extent before is its own then.
+  bool is_still_there(const Topic& topic, const Endpoint& endpoint) const;
+};
+
+/// A connection that looks. Problems: not_reachable, permission_denied, failed.
+class Observer {
+ public:
+  static Outcome<Observer> connect(const std::string& socket);
+  /// One moment.
+  Outcome<System> look();
+  /// How long every client region is.
+  std::uint64_t region_bytes() const noexcept { return region_bytes_; }
+
+ private:
+  Observer(PacketSocket socket, std::string path)
+      : socket_(std::move(socket)), path_(std::move(path)) {}
+  struct Received;
+  Outcome<Received> receive();
+  template <class Body>
+  Outcome<void> send(wire::Opcode opcode, Body body);
+  tl::unexpected<Problem> nonsense() const;
+  Outcome<void> accept(Received& packet, System& system, wire::DumpEnd& seen) const;
+  void map_regions(System& system) const;
+
+  PacketSocket socket_;
+  std::string path_;
+  Mapping board_;
+  std::uint64_t region_bytes_ = 0;
+};
+
+/// Connects and looks once: what most commands need. `observer` keeps the board.
+struct Look {
+  Observer observer;
+  System system;
+};
+Outcome<Look> look_at(const std::string& socket);
+
+}  // namespace agnocast::ctl

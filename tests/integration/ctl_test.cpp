@@ -1,0 +1,647 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: agnocast-ctl says what is there, in ros2's shapes and as JSON, with the promised exit statuses
+// and two-line errors; verify finds every kind of broken word and nothing else. Method: the real
+// daemon, raw clients whose regions this test writes like an honest process and then breaks, and
+// agnocast-ctl as a program of its own.
+
+#include <agnocast/abi/fingerprint.hpp>
+#include <agnocast/version.hpp>
+#include <client/dataplane/views.hpp>
+#include <tests/support/ctl.hpp>
+#include <tests/support/daemon_process.hpp>
+#include <tests/support/wire_client.hpp>
+
+#include <gmock/gmock.h>
+#include <signal.h>
+#include <sys/stat.h>
+
+#include <functional>
+#include <map>
+#include <memory>
+#include <regex>
+#include <string>
+#include <vector>
+
+namespace agnocast::test {
+namespace {
+
+using abi::Qos;
+using testing::HasSubstr;
+using testing::MatchesRegex;
+using testing::StartsWith;
+using wire::Opcode;
+using M = SharedMemory;
+
+/// A raw client whose region lies open. Domain 0 unless said otherwise.
+struct Node {
+  explicit Node(const std::string& socket, std::uint64_t domain = 0) : wire(socket) {
+    Incoming answer = wire.hello(abi::fingerprint(), domain);
+    if (answer.opcode() != Opcode::welcome) {
+      ADD_FAILURE() << answer.refused_text();
+      return;
+    }
+    region = std::move(
+        Mapping::map(answer.fds[1].get(), std::uint64_t{1} << 30, Mapping::Access::read_write)
+            .value());
+  }
+  wire::EndpointCreated create(Opcode opcode, const std::string& topic, const Qos& qos,
+                               const std::string& node, const std::string& type) {
+    auto body = WireClient::endpoint(topic, qos, type);
+    body.node = wire_name(node);
+    const Incoming answer = wire.ask(opcode, body);
+    EXPECT_EQ(answer.opcode(), Opcode::endpoint_created) << answer.refused_text();
+    return answer.as<wire::EndpointCreated>();
+  }
+  wire::EndpointCreated publisher(const std::string& topic, const Qos& qos = {7},
+                                  const std::string& node = "/ns/talker",
+                                  const std::string& type = "test/msg/Type") {
+    return create(Opcode::create_publisher, topic, qos, node, type);
+  }
+  wire::EndpointCreated subscription(const std::string& topic, const Qos& qos = {5},
+                                     const std::string& node = "/listener",
+                                     const std::string& type = "test/msg/Type") {
+    if (!executor) wire.open_executor();
+    executor = true;
+    return create(Opcode::create_subscription, topic, qos, node, type);
+  }
+  /// As an honest publisher would: `count` messages, all still in the history.
+  void commit(const wire::EndpointCreated& publisher, std::uint64_t count) {
+    const dataplane::PublisherWords<M> words{region.base(), publisher.extent};
+    for (std::uint64_t i = 0; i < count; ++i) {
+      const std::uint64_t sequence = publisher.first_sequence + 1 + i;
+      words.slot_address(i).store(window.base + 64 * i);
+      words.slot_size(i).store(64);
+      words.slot_id(i).store(sequence);
+      words.order(sequence).store(abi::pack_entry(sequence, i));
+      words.head().store(abi::pack_entry(sequence, i));
+    }
+  }
+  void open_window() {
+    window = wire.open_window(0).as<wire::WindowOpened>();
+    auto& entry = reinterpret_cast<abi::ClientRegionHeader*>(region.base())->window[0];
+    entry.base.store(window.base);
+    entry.length.store(window.bytes);
+    entry.frontier.store(std::uint64_t{1} << 20);
+  }
+  /// As an honest subscription that has taken `taken` messages and holds the first `held`.
+  void link(const wire::EndpointCreated& own, const wire::EndpointCreated& publisher,
+            std::uint64_t taken, std::uint64_t held) {
+    const dataplane::LinkWords<M> line{region.base(), own.extent, publisher.index};
+    line.cursor().store(publisher.first_sequence + 1 + taken);
+    line.publisher_generation().store(publisher.generation);
+    line.hold(0).store((std::uint64_t{1} << held) - 1);
+  }
+
+  WireClient wire;
+  Mapping region;
+  wire::WindowOpened window{};
+  bool executor = false;
+};
+
+// --- what it says
+
+TEST(Ctl, ListsTopicsInTheShapesOfRos2) {
+  DaemonProcess daemon;
+  Node a(daemon.socket_path()), elsewhere(daemon.socket_path(), 7);
+  a.publisher("/chatter", {7}, "/talker", "std_msgs/msg/String");
+  a.publisher("/chatter", {7}, "/talker", "std_msgs/msg/String");
+  a.subscription("/points", {5}, "/listener", "sensor_msgs/msg/PointCloud2");
+  a.publisher("/_private/x");
+  elsewhere.publisher("/far");
+  const auto ctl = [&](std::vector<std::string> words, std::vector<std::string> environment = {}) {
+    const CtlResult result = run_ctl(daemon.socket_path(), std::move(words), environment);
+    EXPECT_EQ(result.status, 0) << result.err;
+    EXPECT_EQ(result.err, "");
+    return result.out;
+  };
+  EXPECT_EQ(ctl({"topic", "list"}), "/chatter\n/points\n");
+  EXPECT_EQ(ctl({"topics"}), "/chatter\n/points\n") << "the plural is short for list";
+  EXPECT_EQ(ctl({"topic", "list", "-t"}),
+            "/chatter [std_msgs/msg/String]\n/points [sensor_msgs/msg/PointCloud2]\n");
+  EXPECT_EQ(ctl({"topic", "list", "-c"}), "2\n");
+  EXPECT_EQ(ctl({"topic", "list", "--count-topics", "--include-hidden-topics"}), "3\n");
+  EXPECT_EQ(ctl({"topic", "list", "-v"}),
+            "Published topics:\n * /chatter [std_msgs/msg/String] 2 publishers\n\n"
+            "Subscribed topics:\n * /points [sensor_msgs/msg/PointCloud2] 1 subscriber\n");
+  EXPECT_EQ(ctl({"topic", "list"}, {"ROS_DOMAIN_ID=7"}), "/far\n");
+  EXPECT_EQ(ctl({"topic", "list", "--domain", "7"}), "/far\n");
+  EXPECT_EQ(ctl({"topic", "list", "--all-domains"}),
+            "/chatter (domain 0)\n/far (domain 7)\n/points (domain 0)\n");
+  EXPECT_EQ(ctl({"--socket", daemon.socket_path(), "topic", "list"}, {"AGNOCAST_SOCKET=/x"}),
+            "/chatter\n/points\n")
+      << "--socket goes before AGNOCAST_SOCKET, and options may stand first";
+}
+
+TEST(Ctl, TellsOfATopicWhatRos2TellsAndWhatItCost) {
+  DaemonProcess daemon;
+  Node a(daemon.socket_path()), b(daemon.socket_path());
+  a.open_window();
+  const auto p = a.publisher("/points", {7, true, true, false, false});
+  const auto s = b.subscription("/points", {5, false, false, true, false});
+  a.commit(p, 6);
+  b.link(s, p, 4, 2);
+  auto& endpoint = *reinterpret_cast<abi::PublisherEndpoint*>(a.region.base() + p.extent);
+  const auto pid = std::to_string(::getpid());
+  EXPECT_EQ(run_ctl(daemon.socket_path(), {"topic", "info", "/points"}).out,
+            "Type: test/msg/Type\nPublisher count: 1\nSubscription count: 1\n");
+  CtlResult info = run_ctl(daemon.socket_path(), {"topic", "info", "-v", "points"});
+  EXPECT_EQ(info.status, 0) << info.err;
+  EXPECT_THAT(info.out, HasSubstr("Zero-copy: yes\n"));
+  endpoint.adopted_messages.store(2);
+  endpoint.adopted_bytes.store(12345);
+  endpoint.refused_no_slot.store(3);
+  const dataplane::SubscriptionWords<M> counters{b.region.base(), s.extent};
+  counters.counter(offsetof(abi::SubscriptionCounters, lost)).store(9);
+  counters.counter(offsetof(abi::SubscriptionCounters, malformed)).store(1);
+  info = run_ctl(daemon.socket_path(), {"topic", "info", "points", "--verbose"});
+  const std::string gid = std::regex_replace(
+      info.out, std::regex("GID: ([0-9a-f]{2}\\.){15}[0-9a-f]{2}\n"), "GID: X\n");
+  EXPECT_EQ(gid,
+            "Type: test/msg/Type\n\nPublisher count: 1\n\n"
+            "Node name: talker\nNode namespace: /ns\nTopic type: test/msg/Type\n"
+            "Endpoint type: PUBLISHER\nGID: X\nQoS profile:\n  Reliability: RELIABLE\n"
+            "  History (Depth): KEEP_LAST (7)\n  Durability: TRANSIENT_LOCAL\n"
+            "  Lifespan: Infinite\n  Deadline: Infinite\n  Liveliness: AUTOMATIC\n"
+            "  Liveliness lease duration: Infinite\n"
+            "Process: wire_client (pid " +
+                pid + ", uid " + std::to_string(::geteuid()) +
+                ")\nZero-copy: no, 12345 bytes adopted (2 messages)\nPublished: 6 messages\n"
+                "Allocated: 6 messages of 64, 2 held by subscriptions\n"
+                "Refused: 3 no_slot, 0 would_block, 0 heap_exhausted\n\n"
+                "Subscription count: 1\n\n"
+                "Node name: listener\nNode namespace: /\nTopic type: test/msg/Type\n"
+                "Endpoint type: SUBSCRIPTION\nGID: X\nQoS profile:\n"
+                "  Reliability: BEST_EFFORT\n  History (Depth): KEEP_ALL (5)\n"
+                "  Durability: VOLATILE\n  Lifespan: Infinite\n  Deadline: Infinite\n"
+                "  Liveliness: AUTOMATIC\n  Liveliness lease duration: Infinite\n"
+                "Process: wire_client (pid " +
+                pid + ", uid " + std::to_string(::geteuid()) +
+                ")\nLinked: 1 publisher\nHeld: 2 messages, at most 4 of each publisher\n"
+                "Unread: 2 messages\nLost: 9 messages, 1 malformed\n\n");
+  const auto json = run_ctl(daemon.socket_path(), {"topic", "info", "/points", "-j"}).json();
+  EXPECT_EQ(json["schema"], "agnocast.topic-info/1");
+  EXPECT_EQ(json["name"], "/points");
+  const auto& publisher = json["publishers"][0];
+  EXPECT_EQ(publisher["node_name"], "talker");
+  EXPECT_EQ(publisher["node_namespace"], "/ns");
+  EXPECT_EQ(publisher["generation"], p.generation);
+  EXPECT_EQ(publisher["qos"]["durability"], "transient_local");
+  EXPECT_EQ(publisher["is_zero_copy"], false);
+  EXPECT_EQ(publisher["adopted_bytes"], 12345);
+  EXPECT_EQ(publisher["published_messages"], 6);
+  EXPECT_EQ(publisher["held_messages"], 2);
+  const auto& subscription = json["subscriptions"][0];
+  EXPECT_EQ(subscription["lost_messages"], 9);
+  EXPECT_EQ(subscription["unread_messages"], 2);
+  EXPECT_EQ(subscription["held_messages_max_per_publisher"], 4);
+  EXPECT_EQ(subscription["pid"], ::getpid());
+}
+
+TEST(Ctl, ListsProcessesAliveOrphanedAndDead) {
+  DaemonProcess daemon;
+  Node watcher(daemon.socket_path()), orphan(daemon.socket_path());
+  watcher.subscription("/topic");
+  orphan.publisher("/other");
+  const pid_t pid = ::fork();
+  if (pid == 0) {
+    Node dying(daemon.socket_path());
+    dying.open_window();
+    dying.publisher("/topic");
+    ::raise(SIGKILL);
+  }
+  ::waitpid(pid, nullptr, 0);
+  watcher.wire.expect<wire::Announcement>(Opcode::announce);
+  watcher.wire.expect<wire::Orphaned>(Opcode::orphaned);
+  orphan.wire.socket().close();  // alive, and its region is mapped
+  nlohmann::json list;
+  ASSERT_TRUE(eventually([&] {
+    list = run_ctl(daemon.socket_path(), {"process", "list", "--json"}).json();
+    return list["processes"][1]["state"] == "orphaned";
+  }));
+  EXPECT_EQ(list["schema"], "agnocast.process-list/1");
+  EXPECT_EQ(list["process_count"], 3);
+  EXPECT_EQ(list["processes"][0]["state"], "alive");
+  EXPECT_EQ(list["processes"][0]["subscription_count"], 1);
+  EXPECT_EQ(list["processes"][2]["state"], "dead");
+  EXPECT_EQ(list["processes"][2]["pid"], pid);
+  EXPECT_EQ(list["processes"][2]["window_count"], 1);
+  const CtlResult text = run_ctl(daemon.socket_path(), {"processes"});
+  EXPECT_THAT(text.out, StartsWith("PID"));
+  EXPECT_THAT(text.out, HasSubstr("  orphaned  "));
+  EXPECT_THAT(text.out, HasSubstr("  dead  "));
+  EXPECT_THAT(run_ctl(daemon.socket_path(), {"topic", "info", "-v", "/topic"}).out,
+              HasSubstr("Publisher count: 0 (and 1 that has left or died)"));
+  EXPECT_THAT(run_ctl(daemon.socket_path(), {"topic", "info", "-v", "/topic"}).out,
+              HasSubstr("State: orphan: publishes no more, is being read to its end"));
+  const CtlResult verdict = run_ctl(daemon.socket_path(), {"verify"});
+  EXPECT_EQ(verdict.status, 0) << verdict.out << verdict.err;
+}
+
+TEST(Ctl, ListsHeapsWithWhatIsInUse) {
+  DaemonProcess daemon;
+  Node a(daemon.socket_path());
+  a.open_window();
+  a.commit(a.publisher("/points"), 3);
+  const auto list = run_ctl(daemon.socket_path(), {"heap", "list", "-j"}).json();
+  EXPECT_EQ(list["schema"], "agnocast.heap-list/1");
+  ASSERT_EQ(list["windows"].size(), 1u);
+  EXPECT_EQ(list["windows"][0]["length_bytes"], a.window.bytes);
+  EXPECT_EQ(list["windows"][0]["used_bytes"], 1 << 20);
+  EXPECT_EQ(list["windows"][0]["messages"], 3);
+  EXPECT_EQ(list["windows"][0]["base_address"], "0x0000200000000000");
+  EXPECT_THAT(run_ctl(daemon.socket_path(), {"heaps"}).out, HasSubstr("1.0 MiB  3\n"));
+}
+
+TEST(Ctl, SaysHowTheDaemonIs) {
+  DaemonProcess daemon({.config = "[quota]\nclients = 5\n[limits]\ntopics = 9\n"});
+  Node a(daemon.socket_path());
+  a.publisher("/points");
+  a.wire.create_publisher("bad name");
+  const auto status = run_ctl(daemon.socket_path(), {"status", "--json=pretty"}).json();
+  EXPECT_EQ(status["schema"], "agnocast.status/1");
+  EXPECT_EQ(status["daemon"]["pid"], daemon.pid());
+  EXPECT_EQ(status["daemon"]["socket"], daemon.socket_path());
+  EXPECT_GT(status["daemon"]["uptime_ns"], 0);
+  EXPECT_EQ(status["in_use"]["processes"], 1);
+  EXPECT_EQ(status["in_use"]["publishers"], 1);
+  EXPECT_EQ(status["counters"]["processes_registered"], 1);
+  EXPECT_EQ(status["counters"]["requests_refused"], 1);
+  EXPECT_EQ(status["limits"]["topics"], 9);
+  EXPECT_EQ(status["quota_per_user"]["processes"], 5);
+  EXPECT_TRUE(status["quota_per_user"]["heap_bytes"].is_null()) << "unlimited is no number";
+  EXPECT_EQ(status["users"][0]["uid"], ::geteuid());
+  EXPECT_EQ(status["users"][0]["in_use"]["publishers"], 1);
+  const CtlResult text = run_ctl(daemon.socket_path(), {"status"});
+  EXPECT_EQ(text.status, 0);
+  EXPECT_THAT(text.out, HasSubstr("processes      1 of 2048\n"));
+  EXPECT_THAT(text.out, HasSubstr("topics         1 of 9\n"));
+  EXPECT_EQ(text.out.find('\x1b'), std::string::npos) << "no colour where no terminal is";
+}
+
+void expect_keys(const nlohmann::json& value) {
+  for (const auto& [key, inner] : value.items()) {
+    if (value.is_object()) {
+      EXPECT_THAT(key, MatchesRegex("[a-z][a-z0-9_]*"));
+    }
+    if (inner.is_structured()) expect_keys(inner);
+  }
+}
+
+TEST(Ctl, JsonIsOneObjectWithASchema) {
+  DaemonProcess daemon;
+  Node a(daemon.socket_path());
+  a.open_window();
+  a.commit(a.publisher("/points"), 1);
+  a.subscription("/points");
+  const std::vector<std::pair<std::vector<std::string>, std::string>> cases = {
+      {{"status"}, "agnocast.status/1"},
+      {{"topic", "list"}, "agnocast.topic-list/1"},
+      {{"topic", "info", "/points"}, "agnocast.topic-info/1"},
+      {{"process", "list"}, "agnocast.process-list/1"},
+      {{"heap", "list"}, "agnocast.heap-list/1"},
+      {{"verify"}, "agnocast.verify/1"}};
+  for (const auto& [words, schema] : cases) {
+    for (const char* form : {"-j", "--json", "--json=short", "--json=pretty"}) {
+      auto with_form = words;
+      with_form.insert(with_form.begin(), form);
+      const CtlResult result = run_ctl(daemon.socket_path(), with_form);
+      EXPECT_EQ(result.status, 0) << schema << result.err;
+      EXPECT_EQ(result.json().begin().value().is_null(), false);
+      EXPECT_EQ(result.json()["schema"], schema);
+      EXPECT_THAT(result.out, StartsWith(form == std::string("--json=pretty") ? "{\n  \"schema\""
+                                                                              : "{\"schema\":\""));
+      expect_keys(result.json());
+    }
+  }
+}
+
+TEST(Ctl, PrintsNoControlCharactersOfOthers) {
+  DaemonProcess daemon;
+  Node a(daemon.socket_path());
+  a.publisher("/points", {7}, "/no\x1b]0;de", "pkg/\x1b[2Jmsg/\nType");
+  for (const char* words : {"list -t", "list -v", "info -v"}) {
+    std::vector<std::string> all = {"topic"};
+    const std::string text = words;
+    all.push_back(text.substr(0, 4));
+    all.push_back(text.substr(5));
+    if (text.starts_with("info")) all.emplace_back("/points");
+    const CtlResult result = run_ctl(daemon.socket_path(), all);
+    EXPECT_EQ(result.status, 0) << result.err;
+    EXPECT_EQ(result.out.find('\x1b'), std::string::npos) << result.out;
+    EXPECT_THAT(result.out, HasSubstr("pkg/\\x1b[2Jmsg/\\nType"));
+  }
+}
+
+// --- what it says when something is wrong
+
+TEST(Ctl, NamesWhatIsWrongInTwoLines) {
+  DaemonProcess daemon;
+  Node a(daemon.socket_path()), far(daemon.socket_path(), 3);
+  a.publisher("/points");
+  far.publisher("/far");
+  struct Case {
+    std::vector<std::string> words;
+    int status;
+    std::string err;
+    std::vector<std::string> environment = {};
+  };
+  const Case cases[] = {
+      {{"topic", "info", "/pionts"},
+       4,
+       "agnocast-ctl: /pionts: there is no such topic in domain 0; did you mean /points?\n"
+       "hint: agnocast-ctl topic info /points\n"},
+      {{"topic", "info", "zebra"},
+       4,
+       "agnocast-ctl: /zebra: there is no such topic in domain 0\nhint: agnocast-ctl topic list\n"},
+      {{"topic", "info", "/far"},
+       4,
+       "agnocast-ctl: /far: there is no such topic in domain 0\n"
+       "hint: agnocast-ctl topic info /far --domain 3\n"},
+      {{"topic", "info"},
+       2,
+       "agnocast-ctl: NAME: is missing\nhint: agnocast-ctl topic info -v /points\n"},
+      {{"topic", "lst"},
+       2,
+       "agnocast-ctl: topic lst: unknown command\nhint: agnocast-ctl topic list\n"},
+      {{"topics", "x"},
+       2,
+       "agnocast-ctl: x: agnocast-ctl topic list takes no such word\n"
+       "hint: agnocast-ctl topic list --help\n"},
+      {{"statsu"}, 2, "agnocast-ctl: statsu: unknown command\nhint: agnocast-ctl status\n"},
+      {{"frobnicate"}, 2, "agnocast-ctl: frobnicate: unknown command\nhint: agnocast-ctl --help\n"},
+      {{"topic"}, 2, "agnocast-ctl: topic: a verb is missing\nhint: agnocast-ctl topic --help\n"},
+      {{}, 2, "agnocast-ctl: command line: a command is missing\nhint: agnocast-ctl --help\n"},
+      {{"--frob"}, 2, "agnocast-ctl: --frob: unknown option\nhint: agnocast-ctl --help\n"},
+      {{"topic", "list", "--show-typs"},
+       2,
+       "agnocast-ctl: --show-typs: unknown option\nhint: agnocast-ctl topic list --show-types\n"},
+      {{"status", "-t"}, 2, "agnocast-ctl: -t: unknown option\nhint: agnocast-ctl status --help\n"},
+      {{"status", "--json=xml"},
+       2,
+       "agnocast-ctl: --json: \"xml\" is no form; known: short, pretty\n"
+       "hint: agnocast-ctl status --help\n"},
+      {{"topics"},
+       2,
+       "agnocast-ctl: ROS_DOMAIN_ID: \"seven\" is no domain; it is a number from 0 to 232\n"
+       "hint: ROS_DOMAIN_ID=0 agnocast-ctl topic list\n",
+       {"ROS_DOMAIN_ID=seven"}},
+      {{"topics", "--domain", "233"},
+       2,
+       "agnocast-ctl: --domain: \"233\" is no domain; it is a number from 0 to 232\n"
+       "hint: ROS_DOMAIN_ID=0 agnocast-ctl topic list\n"},
+      {{"status", "--socket", "/nonexistent/socket"},
+       3,
+       "agnocast-ctl: /nonexistent/socket: agnocastd does not answer: No such file or directory\n"
+       "hint: start it: systemctl start agnocastd; or name its socket in AGNOCAST_SOCKET\n"},
+      {{"status", "--socket", std::string(200, 'x')},
+       1,
+       "agnocast-ctl: " + std::string(200, 'x') +
+           ": the path of a socket is longer than 107 bytes\nhint: see what is named beside it\n"},
+  };
+  for (const Case& c : cases) {
+    const CtlResult result = run_ctl(daemon.socket_path(), c.words, c.environment);
+    EXPECT_EQ(result.status, c.status) << c.err;
+    EXPECT_EQ(result.err, c.err);
+    EXPECT_EQ(result.out, "");
+  }
+}
+
+TEST(Ctl, HelpsWithEverything) {
+  const CtlResult all = run_ctl("/x", {"--help"});
+  EXPECT_EQ(all.status, 0);
+  for (const char* word : {"status", "topic list", "topic info NAME", "process list", "heap list",
+                           "verify", "--json", "Exit status", "Examples:"})
+    EXPECT_THAT(all.out, HasSubstr(word));
+  for (const std::vector<std::string>& words : {std::vector<std::string>{"status"},
+                                                {"topic", "list"},
+                                                {"topic", "info"},
+                                                {"process", "list"},
+                                                {"heap", "list"},
+                                                {"verify"},
+                                                {"topics"}}) {
+    auto with_help = words;
+    with_help.emplace_back("--help");
+    const CtlResult one = run_ctl("/x", with_help);
+    EXPECT_EQ(one.status, 0) << one.err;
+    EXPECT_THAT(one.out, HasSubstr("Examples:\nagnocast-ctl "));
+    EXPECT_THAT(one.out, HasSubstr("--socket PATH"));
+  }
+  EXPECT_THAT(run_ctl("/x", {"topic", "--help"}).out, HasSubstr("topic info NAME"));
+  EXPECT_THAT(run_ctl("/x", {"--version"}).out, StartsWith("agnocast-ctl "));
+}
+
+TEST(Ctl, SaysWhenTheDaemonIsAwayStoppedOrRefuses) {
+  {
+    DaemonProcess daemon;
+    daemon.kill();
+    const CtlResult gone = run_ctl(daemon.socket_path(), {"topic", "list"});
+    EXPECT_EQ(gone.status, 3);
+    EXPECT_THAT(gone.err,
+                HasSubstr("agnocastd does not answer: Connection refused\nhint: start it"));
+  }
+  DaemonProcess daemon;
+  ::kill(daemon.pid(), SIGSTOP);
+  const CtlResult stopped = run_ctl(daemon.socket_path(), {"status"});
+  ::kill(daemon.pid(), SIGCONT);
+  EXPECT_EQ(stopped.status, 3);
+  EXPECT_THAT(stopped.err, HasSubstr("agnocastd does not answer within 5 s\nhint: "));
+  std::vector<std::unique_ptr<WireClient>> observers;
+  for (std::uint32_t i = 0; i < abi::observer_count_max; ++i) {
+    observers.push_back(std::make_unique<WireClient>(daemon.socket_path()));
+    wire::Observe body{};
+    body.fingerprint = abi::fingerprint();
+    EXPECT_EQ(observers.back()->ask(Opcode::observe, body).opcode(), Opcode::observed);
+  }
+  const CtlResult refused = run_ctl(daemon.socket_path(), {"status"});
+  EXPECT_EQ(refused.status, 1);
+  EXPECT_THAT(refused.err, HasSubstr("this user may have 8 observers\nhint: close what"));
+}
+
+TEST(Ctl, SaysWhoMayNotLook) {
+  if (::geteuid() != 0) GTEST_SKIP() << "needs root";
+  DaemonProcess daemon({.config = "[daemon]\nsocket_mode = \"0600\"\n"});
+  const CtlResult refused = run_ctl(daemon.socket_path(), {"topic", "list"}, {}, 65534);
+  EXPECT_EQ(refused.status, 5) << refused.err;
+  EXPECT_EQ(refused.err,
+            "agnocast-ctl: " + daemon.socket_path() +
+                ": this user may not do that: Permission denied\nhint: ask the administrator for a "
+                "rule in agnocastd.toml, or to join the socket's group\n");
+}
+
+TEST(Ctl, DoesNotDisturbByLooking) {
+  DaemonProcess daemon;
+  Node a(daemon.socket_path()), b(daemon.socket_path());
+  a.open_window();
+  a.commit(a.publisher("/points"), 2);
+  b.subscription("/points");
+  a.wire.drain();
+  b.wire.drain();
+  const std::size_t descriptors = daemon.descriptor_count();
+  for (const std::vector<std::string>& words : {std::vector<std::string>{"status"},
+                                                {"topics", "-v"},
+                                                {"topic", "info", "-v", "/points"},
+                                                {"processes"},
+                                                {"heaps"},
+                                                {"verify"}})
+    EXPECT_EQ(run_ctl(daemon.socket_path(), words).status, 0);
+  EXPECT_TRUE(a.wire.drain().empty());
+  EXPECT_TRUE(b.wire.drain().empty());
+  EXPECT_TRUE(eventually([&] { return daemon.descriptor_count() == descriptors; }));
+  const auto status = run_ctl(daemon.socket_path(), {"status", "-j"}).json();
+  EXPECT_EQ(status["counters"]["processes_registered"], 2);
+}
+
+// --- verify
+
+TEST(CtlVerify, HoldsForHonestProcesses) {
+  DaemonProcess daemon;
+  Node a(daemon.socket_path()), b(daemon.socket_path());
+  a.open_window();
+  const auto p = a.publisher("/points");
+  const auto s = b.subscription("/points");
+  a.commit(p, 5);
+  b.link(s, p, 3, 2);
+  const CtlResult result = run_ctl(daemon.socket_path(), {"verify"});
+  EXPECT_EQ(result.status, 0) << result.out << result.err;
+  EXPECT_EQ(result.out, "every invariant holds: 2 processes, 1 topic, 1 queue at rest, 1 link\n");
+}
+
+TEST(CtlVerify, NamesEveryBrokenWordAndWhereItIs) {
+  DaemonProcess daemon;
+  Node a(daemon.socket_path()), b(daemon.socket_path());
+  a.open_window();
+  using Words = dataplane::PublisherWords<M>;
+  using Line = dataplane::LinkWords<M>;
+  struct Broken {
+    std::string invariant;
+    std::function<void(const Words&, std::uint64_t first, const Line&)> destroy;
+  };
+  // One topic each, with an honest publisher (five messages) and an honest subscription (three taken,
+  // two held) before.
+  const Broken cases[] = {
+      {"queue_head",
+       [](auto& w, auto first, auto&) { w.head().store(abi::pack_entry(first - 1, 0)); }},
+      {"queue_slot_committed", [](auto& w, auto first, auto&) { w.slot_id(9).store(first + 77); }},
+      {"queue_slot_unique",
+       [](auto& w, auto first, auto&) { w.slot_id(9).store(abi::retired_mark | (first + 2)); }},
+      {"queue_order", [](auto& w, auto first,
+                         auto&) { w.order(first + 500).store(abi::pack_entry(first + 500, 1)); }},
+      {"queue_order_slot",
+       [](auto& w, auto first, auto&) { w.order(first + 2).store(abi::pack_entry(first + 2, 4)); }},
+      {"queue_intent_known", [](auto& w, auto, auto&) { w.intent_op().store(77); }},
+      {"queue_address", [](auto& w, auto, auto&) { w.slot_address(2).store(4096); }},
+      {"link_cursor", [](auto&, auto first, auto& l) { l.cursor().store(first + 50); }},
+      {"link_unlinked_zero", [](auto&, auto, auto& l) { l.publisher_generation().store(0); }},
+      {"link_generation", [](auto&, auto, auto& l) { l.publisher_generation().store(999); }},
+      {"hold_slot_used", [](auto&, auto, auto& l) { l.hold(0).fetch_or(1 << 30); }},
+      {"hold_behind_cursor", [](auto&, auto, auto& l) { l.hold(0).fetch_or(1 << 4); }},
+      {"hold_quota",
+       [](auto& w, auto first, auto& l) {
+         l.cursor().store(first + 6);
+         l.hold(0).store(31);
+         static_cast<void>(w);
+       }},
+  };
+  std::map<std::string, std::string> wanted;  // topic to invariant
+  std::vector<std::function<void()>> destroy;
+  for (const Broken& broken : cases) {
+    const std::string topic = "/" + broken.invariant;
+    const auto p = a.publisher(topic);
+    const auto s = b.subscription(topic);
+    a.commit(p, 5);
+    b.link(s, p, 3, 2);
+    wanted[topic] = broken.invariant;
+    destroy.push_back([&, p, s] {
+      broken.destroy({a.region.base(), p.extent}, p.first_sequence,
+                     {b.region.base(), s.extent, p.index});
+    });
+  }
+  ASSERT_EQ(run_ctl(daemon.socket_path(), {"verify"}).status, 0) << "honest before";
+  for (const auto& one : destroy) one();
+  auto& header = *reinterpret_cast<abi::ClientRegionHeader*>(b.region.base());
+  header.generation.store(12345);
+  auto& window = reinterpret_cast<abi::ClientRegionHeader*>(a.region.base())->window[0];
+  window.base.store(1);
+  window.frontier.fetch_add(8);
+  const CtlResult result = run_ctl(daemon.socket_path(), {"verify", "--json"});
+  EXPECT_EQ(result.status, 6);
+  EXPECT_THAT(result.err,
+              MatchesRegex("agnocast-ctl: verify: [0-9]+ invariants are broken\nhint: .*\n"));
+  const auto json = result.json();
+  EXPECT_EQ(json["holds"], false);
+  std::map<std::string, std::string> found;
+  for (const auto& finding : json["broken"]) {
+    const std::string where = finding["where"];
+    const std::string place = where.substr(0, where.find(' '));
+    if (place[0] == '/') {
+      // A head that went back makes whatever is behind it wrong as well.
+      if (place == "/queue_head" && finding["invariant"] != "queue_head") continue;
+      const auto [known, fresh] = found.emplace(place, finding["invariant"]);
+      EXPECT_TRUE(fresh || known->second == finding["invariant"]) << finding;
+    } else {
+      found[finding["invariant"]] = where;
+    }
+  }
+  for (const auto& [topic, invariant] : wanted) EXPECT_EQ(found[topic], invariant);
+  EXPECT_EQ(found.count("region_header"), 1u);
+  EXPECT_EQ(found.count("window_header"), 1u);
+  EXPECT_EQ(found.count("window_frontier"), 1u);
+  EXPECT_EQ(found.size(), wanted.size() + 3) << json["broken"].dump(1);
+  // The same as text.
+  const CtlResult text = run_ctl(daemon.socket_path(), {"verify"});
+  EXPECT_EQ(text.status, 6);
+  EXPECT_THAT(text.out, HasSubstr("hold_slot_used: a held slot is in use (0x000000000000001e 0x"));
+  EXPECT_THAT(text.out, HasSubstr("broken: /link_cursor subscription 0 (generation "));
+}
+
+TEST(CtlVerify, LooksAtTheQueueOfTheDead) {
+  DaemonProcess daemon;
+  Node watcher(daemon.socket_path());
+  watcher.subscription("/topic");
+  const pid_t pid = ::fork();
+  if (pid == 0) {
+    Node dying(daemon.socket_path());
+    dying.open_window();
+    const auto p = dying.publisher("/topic");
+    dying.commit(p, 3);
+    dataplane::PublisherWords<M>{dying.region.base(), p.extent}.slot_id(1).store(p.first_sequence +
+                                                                                 1);
+    ::raise(SIGKILL);
+  }
+  ::waitpid(pid, nullptr, 0);
+  watcher.wire.expect<wire::Announcement>(Opcode::announce);
+  watcher.wire.expect<wire::Orphaned>(Opcode::orphaned);
+  const CtlResult result = run_ctl(daemon.socket_path(), {"verify"});
+  EXPECT_EQ(result.status, 6);
+  EXPECT_THAT(result.out, HasSubstr("/topic publisher 0"));
+  EXPECT_THAT(result.out, HasSubstr("pid " + std::to_string(pid)));
+  EXPECT_THAT(result.out, HasSubstr("broken: "));
+}
+
+TEST(CtlVerify, BelievesNothingThatMovesOn) {
+  // A line that is never the same twice is somebody at work, however odd it looks each time.
+  DaemonProcess daemon;
+  Node a(daemon.socket_path()), b(daemon.socket_path());
+  a.open_window();
+  const auto p = a.publisher("/points");
+  const auto s = b.subscription("/points");
+  a.commit(p, 5);
+  b.link(s, p, 3, 2);
+  const dataplane::LinkWords<M> line{b.region.base(), s.extent, p.index};
+  const pid_t pid = ::fork();
+  if (pid == 0) {
+    for (std::uint64_t i = 0; ::getppid() != 1; ++i) {
+      line.cursor().store(p.first_sequence + 100 + i);
+      ::usleep(1000);
+    }
+    ::_exit(0);
+  }
+  const CtlResult result = run_ctl(daemon.socket_path(), {"verify"});
+  ::kill(pid, SIGKILL);
+  ::waitpid(pid, nullptr, 0);
+  EXPECT_EQ(result.status, 0) << result.out;
+}
+
+}  // namespace
+}  // namespace agnocast::test

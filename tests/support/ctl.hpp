@@ -1,0 +1,77 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// run_ctl: agnocast-ctl as a user runs it: words in, status and both outputs out.
+#pragma once
+
+#include <base/unique_fd.hpp>
+
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+
+#include <fcntl.h>
+#include <grp.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace agnocast::test {
+
+struct CtlResult {
+  int status = -1;
+  std::string out;
+  std::string err;
+  /// The one object that was asked for with --json.
+  nlohmann::json json() const {
+    auto parsed = nlohmann::json::parse(out, nullptr, false);
+    EXPECT_FALSE(parsed.is_discarded()) << out << err;
+    return parsed;
+  }
+};
+
+/// `environment` are "NAME=value"; `uid`: as this user (the test must be root).
+inline CtlResult run_ctl(const std::string& socket, std::vector<std::string> words,
+                         const std::vector<std::string>& environment = {},
+                         std::optional<uid_t> uid = {}) {
+  const auto temporary = [] {
+    std::FILE* const file = std::tmpfile();
+    const UniqueFd fd(::dup(::fileno(file)));
+    std::fclose(file);
+    return UniqueFd(::fcntl(fd.get(), F_DUPFD_CLOEXEC, 10));
+  };
+  const UniqueFd out = temporary(), err = temporary();
+  words.insert(words.begin(), AGNOCAST_TEST_CTL);
+  std::vector<char*> arguments;
+  for (std::string& word : words) arguments.push_back(word.data());
+  arguments.push_back(nullptr);
+  const pid_t pid = ::fork();
+  if (pid == 0) {
+    ::unsetenv("ROS_DOMAIN_ID");
+    ::setenv("AGNOCAST_SOCKET", socket.c_str(), 1);
+    for (const std::string& variable : environment) ::putenv(const_cast<char*>(variable.c_str()));
+    ::dup2(out.get(), STDOUT_FILENO);
+    ::dup2(err.get(), STDERR_FILENO);
+    if (uid && (::setgroups(0, nullptr) != 0 || ::setgid(*uid) != 0 || ::setuid(*uid) != 0))
+      ::_exit(99);
+    ::execv(arguments[0], arguments.data());
+    ::_exit(98);
+  }
+  CtlResult result;
+  int status = 0;
+  ::waitpid(pid, &status, 0);
+  result.status = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  for (const auto& [fd, text] : {std::pair(&out, &result.out), std::pair(&err, &result.err)}) {
+    char buffer[4096];
+    for (off_t at = 0;;) {
+      const ssize_t count = ::pread(fd->get(), buffer, sizeof buffer, at);
+      if (count <= 0) break;
+      text->append(buffer, static_cast<std::size_t>(count));
+      at += count;
+    }
+  }
+  return result;
+}
+
+}  // namespace agnocast::test
