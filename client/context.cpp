@@ -325,6 +325,10 @@ Result<std::shared_ptr<PublisherEndpoint>> Context::create_publisher(
   if (Result<void> connected = connect(); !connected)
     return tl::unexpected<Failure>(connected.error());
   if (Result<void> heap = open_heap(); !heap) return tl::unexpected<Failure>(heap.error());
+  if (!request.uses_shared_allocator) {
+    if (Result<void> interposes = heap_->check_interposition(); !interposes)
+      return tl::unexpected<Failure>(interposes.error());
+  }
   const Result<wire::CreateEndpoint> body = describe(request, 0);
   if (!body) return tl::unexpected<Failure>(body.error());
   std::shared_ptr<PublisherEndpoint> publisher;

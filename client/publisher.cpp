@@ -32,7 +32,7 @@ class PublisherSource final : public CallbackSource {
 
 Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(
     const EndpointName& name, MessageType type, const QoS& qos, const PublisherOptions& options,
-    void (*destroy)(void*) noexcept) {
+    const MessageCode& code) {
   if (Result<void> depth = check_depth(qos); !depth) return tl::unexpected<Failure>(depth.error());
   std::shared_ptr<UntypedPublisher> publisher(new UntypedPublisher(std::move(type), name.topic));
   if (options.events()) {
@@ -46,7 +46,8 @@ Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(
   request.type = publisher->type_.name();
   request.layout_hash = publisher->type_.layout_hash();
   request.qos = to_abi(qos);
-  auto endpoint = Context::instance().create_publisher(request, destroy);
+  request.uses_shared_allocator = code.uses_shared_allocator;
+  auto endpoint = Context::instance().create_publisher(request, code.destroy);
   if (!endpoint) return tl::unexpected<Failure>(endpoint.error());
   publisher->endpoint_ = std::move(*endpoint);
   if (options.events()) {

@@ -12,6 +12,7 @@
 #include <agnocast/qos.hpp>
 #include <agnocast/residency.hpp>
 #include <agnocast/result.hpp>
+#include <agnocast/shared_allocator.hpp>
 
 #include <chrono>
 #include <cstddef>
@@ -80,11 +81,17 @@ class Patience {
   std::chrono::microseconds step_{10};
 };
 
+/// What only the user's translation unit knows about T.
+struct MessageCode {
+  void (*destroy)(void* message) noexcept;
+  bool uses_shared_allocator;
+};
+
 class AGNOCAST_PUBLIC UntypedPublisher {
  public:
   [[nodiscard]] static Result<std::shared_ptr<UntypedPublisher>> create(
       const EndpointName& name, MessageType type, const QoS& qos, const PublisherOptions& options,
-      void (*destroy)(void*) noexcept);
+      const MessageCode& code);
   ~UntypedPublisher();
   UntypedPublisher(const UntypedPublisher&) = delete;
   UntypedPublisher& operator=(const UntypedPublisher&) = delete;
@@ -249,7 +256,8 @@ template <class T, class Node>
   if (!type) return tl::unexpected<Failure>(type.error());
   auto untyped = detail::UntypedPublisher::create(
       *name, std::move(*type), qos, options,
-      [](void* message) noexcept { delete static_cast<T*>(message); });
+      detail::MessageCode{[](void* message) noexcept { delete static_cast<T*>(message); },
+                          std::is_base_of_v<SharedMessage, T>});
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
   return std::make_shared<Publisher<T>>(std::move(*untyped));
 }
