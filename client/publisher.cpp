@@ -8,6 +8,8 @@
 #include <client/qos_words.hpp>
 #include <client/runner.hpp>
 
+#include <dlfcn.h>
+
 #include <algorithm>
 #include <chrono>
 #include <thread>
@@ -15,6 +17,14 @@
 
 namespace agnocast::detail {
 namespace {
+
+// Messages are destroyed when they are old: maybe after the plugin that brought this code was closed.
+// So what holds it stays loaded; an executable does anyway, and is not found by its name here.
+void pin_object_of(void (*code)(void*) noexcept) noexcept {
+  Dl_info where{};
+  if (::dladdr(reinterpret_cast<const void*>(code), &where) == 0) return;
+  (void)::dlopen(where.dli_fname, RTLD_LAZY | RTLD_NOLOAD | RTLD_NODELETE);
+}
 
 class PublisherSource final : public CallbackSource {
  public:
@@ -50,6 +60,7 @@ Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(
   auto endpoint = Context::instance().create_publisher(request, code.destroy);
   if (!endpoint) return tl::unexpected<Failure>(endpoint.error());
   publisher->endpoint_ = std::move(*endpoint);
+  pin_object_of(code.destroy);
   if (options.events()) {
     publisher->endpoint_->events().wake_for(options.events(), publisher->runner_->sleeper());
     publisher->source_ = std::make_shared<PublisherSource>(publisher->endpoint_, options.events());
