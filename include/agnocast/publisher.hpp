@@ -137,6 +137,9 @@ class Publisher {
   /// is full the memory comes from libc and publish says heap_exhausted. Throws what T's constructor
   /// throws, and std::bad_alloc.
   ipc_shared_ptr<T> borrow_loaned_message() {
+    static_assert(std::is_default_constructible_v<T>,
+                  "agnocast: this message has no default constructor, so it cannot be borrowed; "
+                  "publish a std::unique_ptr of it");
     auto loan = std::make_unique<Loan>();
     loan->origin = untyped_.get();
     loan->end = [](detail::Block* block) noexcept { delete static_cast<Loan*>(block); };
