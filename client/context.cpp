@@ -88,6 +88,14 @@ constexpr std::size_t control_stack_bytes = std::size_t{1} << 20;
 
 }  // namespace
 
+Result<bool> is_switched_off() noexcept {
+  const char* const text = ::secure_getenv("AGNOCAST");
+  const std::string_view word = text != nullptr ? text : "";
+  if (word.empty() || word == "on") return false;
+  if (word == "off") return true;
+  return fail(Errc::invalid_argument, "AGNOCAST must be on or off");
+}
+
 Context& Context::instance() noexcept {
   static Context* const context =
       new Context;  // immortal: messages in statics outlive every static of ours

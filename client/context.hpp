@@ -49,6 +49,10 @@ struct EndpointRequest {
   std::uint64_t message_alignment = 1;
 };
 
+/// Whether AGNOCAST=off is in the environment: then endpoints are made that do nothing, without daemon
+/// and hook. Errors: invalid_argument: it is neither on nor off.
+[[nodiscard]] Result<bool> is_switched_off() noexcept;
+
 class Context {
  public:
   /// The one of this process. Any thread.

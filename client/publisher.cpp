@@ -40,11 +40,15 @@ class PublisherSource final : public CallbackSource {
 
 }  // namespace
 
-Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(
-    const EndpointName& name, MessageType type, const QoS& qos, const PublisherOptions& options,
-    const MessageCode& code) {
+Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(const EndpointName& name,
+                                                                   MessageType type, const QoS& qos,
+                                                                   const PublisherOptions& options,
+                                                                   const MessageCode& code) {
   if (Result<void> depth = check_depth(qos); !depth) return tl::unexpected<Failure>(depth.error());
   std::shared_ptr<UntypedPublisher> publisher(new UntypedPublisher(std::move(type), name.topic));
+  const Result<bool> off = is_switched_off();
+  if (!off) return tl::unexpected<Failure>(off.error());
+  if (*off) return publisher;
   if (options.events()) {
     auto runner = Runner::of_node(name.node);
     if (!runner) return tl::unexpected<Failure>(runner.error());
@@ -75,6 +79,7 @@ UntypedPublisher::~UntypedPublisher() {
 }
 
 Errc UntypedPublisher::state() const noexcept {
+  if (endpoint_ == nullptr) return Errc::switched_off;
   return is_forked_child() ? Errc::shut_down : Errc::ok;
 }
 
@@ -100,7 +105,7 @@ void UntypedPublisher::count_adoption(const Result<std::uint64_t>& adopted) noex
 
 SharedHeap UntypedPublisher::heap() const noexcept { return Context::instance().shared_heap(); }
 std::size_t UntypedPublisher::subscription_count() const noexcept {
-  return endpoint_->subscription_count();
+  return endpoint_ != nullptr ? endpoint_->subscription_count() : 0;
 }
 
 bool Patience::wait() noexcept {
@@ -115,13 +120,15 @@ std::uint64_t UntypedPublisher::callback_exception_count() const noexcept {
   return source_ != nullptr ? source_->exception_count.load(std::memory_order_relaxed) : 0;
 }
 MatchedInfo UntypedPublisher::matched_status() noexcept {
-  return endpoint_->events().matched_status();
+  return endpoint_ != nullptr ? endpoint_->events().matched_status() : MatchedInfo{};
 }
 IncompatibleQosInfo UntypedPublisher::incompatible_qos_status() noexcept {
-  return endpoint_->events().incompatible_qos_status();
+  return endpoint_ != nullptr ? endpoint_->events().incompatible_qos_status()
+                              : IncompatibleQosInfo{};
 }
 IncompatibleTypeInfo UntypedPublisher::incompatible_type_status() noexcept {
-  return endpoint_->events().incompatible_type_status();
+  return endpoint_ != nullptr ? endpoint_->events().incompatible_type_status()
+                              : IncompatibleTypeInfo{};
 }
 
 }  // namespace agnocast::detail
