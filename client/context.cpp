@@ -88,6 +88,14 @@ constexpr std::size_t control_stack_bytes = std::size_t{1} << 20;
 
 }  // namespace
 
+Result<bool> is_switched_off() noexcept {
+  const char* const text = ::secure_getenv("AGNOCAST");
+  const std::string_view word = text != nullptr ? text : "";
+  if (word.empty() || word == "on") return false;
+  if (word == "off") return true;
+  return fail(Errc::invalid_argument, "AGNOCAST must be on or off");
+}
+
 Context& Context::instance() noexcept {
   static Context* const context =
       new Context;  // immortal: messages in statics outlive every static of ours
@@ -325,6 +333,10 @@ Result<std::shared_ptr<PublisherEndpoint>> Context::create_publisher(
   if (Result<void> connected = connect(); !connected)
     return tl::unexpected<Failure>(connected.error());
   if (Result<void> heap = open_heap(); !heap) return tl::unexpected<Failure>(heap.error());
+  if (!request.uses_shared_allocator) {
+    if (Result<void> interposes = heap_->check_interposition(); !interposes)
+      return tl::unexpected<Failure>(interposes.error());
+  }
   const Result<wire::CreateEndpoint> body = describe(request, 0);
   if (!body) return tl::unexpected<Failure>(body.error());
   std::shared_ptr<PublisherEndpoint> publisher;

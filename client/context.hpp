@@ -42,10 +42,16 @@ struct EndpointRequest {
   std::string_view node;
   std::uint64_t layout_hash = 0;
   abi::Qos qos;
-  std::uint64_t quota = 0;          // subscriptions: messages held at once, per publisher
+  std::uint64_t quota = 0;  // subscriptions: messages held at once, per publisher
+  // Publishers: messages allocate from the shared heap by themselves, whoever answers malloc.
+  bool uses_shared_allocator = false;
   std::uint64_t message_bytes = 0;  // sizeof the message object; 0 = any
   std::uint64_t message_alignment = 1;
 };
+
+/// Whether AGNOCAST=off is in the environment: then endpoints are made that do nothing, without daemon
+/// and hook. Errors: invalid_argument: it is neither on nor off.
+[[nodiscard]] Result<bool> is_switched_off() noexcept;
 
 class Context {
  public:

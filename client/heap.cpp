@@ -5,6 +5,8 @@
 #include <client/dataplane/windows.hpp>
 #include <client/heap.hpp>
 
+#include <agnocast/shared_allocator.hpp>
+
 #include <dlfcn.h>
 
 #include <atomic>
@@ -28,8 +30,12 @@ struct Attached {
   std::atomic<std::uint64_t> count{0};
   std::atomic<bool> is_last{false};  // the newest window stays the newest
   const agnocast_heaphook_table* hook = nullptr;
+  bool malloc_is_ours = false;
+  bool new_is_ours = false;
 };
 Attached attached;
+// For SharedAllocator, in any thread: the hook, once its heap is open.
+std::atomic<const agnocast_heaphook_table*> open_hook{nullptr};
 
 // In whatever thread allocates, under the allocator's locks.
 void store_grown(void* context, std::uint32_t window, std::uint64_t bytes) {
@@ -174,12 +180,17 @@ Result<void> Heap::attach(std::byte* client_region, std::uint64_t base, std::uin
   void* volatile by_malloc = std::malloc(64);
   void* volatile by_new = new_block();
   hook_->leave();
-  const bool malloc_is_ours = lies_in_heap(*hook_, static_cast<void*>(by_malloc));
-  const bool new_is_ours = lies_in_heap(*hook_, static_cast<void*>(by_new));
+  attached.malloc_is_ours = lies_in_heap(*hook_, static_cast<void*>(by_malloc));
+  attached.new_is_ours = lies_in_heap(*hook_, static_cast<void*>(by_new));
   std::free(by_malloc);
   ::operator delete(by_new);
-  if (!malloc_is_ours) return ineffective("malloc", "malloc", hook_);
-  if (!new_is_ours) return ineffective("operator new", "_Znwm", hook_);
+  open_hook.store(hook_, std::memory_order_release);
+  return {};
+}
+
+Result<void> Heap::check_interposition() const {
+  if (!attached.malloc_is_ours) return ineffective("malloc", "malloc", hook_);
+  if (!attached.new_is_ours) return ineffective("operator new", "_Znwm", hook_);
   return {};
 }
 
@@ -222,6 +233,32 @@ void Heap::resume() const noexcept {
 
 SharedHeap Heap::shared_heap() const noexcept {
   return {nullptr, begin_adoption, end_adoption, windows, why_full};
+}
+
+namespace {
+
+constexpr bool is_ordinary(std::size_t alignment) noexcept {
+  return alignment <= __STDCPP_DEFAULT_NEW_ALIGNMENT__;
+}
+
+}  // namespace
+
+void* detail::allocate_shared(std::size_t bytes, std::size_t alignment) {
+  if (const auto* hook = open_hook.load(std::memory_order_acquire); hook != nullptr) {
+    if (void* const block = hook->allocate(alignment, bytes); block != nullptr) return block;
+  }
+  if (is_ordinary(alignment)) return ::operator new(bytes);
+  return ::operator new(bytes, std::align_val_t(alignment));
+}
+
+void detail::deallocate_shared(void* block, std::size_t alignment) noexcept {
+  const auto* const hook = open_hook.load(std::memory_order_acquire);
+  if (hook != nullptr && hook->deallocate(block) != 0) return;
+  if (is_ordinary(alignment)) {
+    ::operator delete(block);
+  } else {
+    ::operator delete(block, std::align_val_t(alignment));
+  }
 }
 
 }  // namespace agnocast

@@ -20,11 +20,14 @@ class Heap {
   [[nodiscard]] static Result<Heap> find();
 
   /// The first window. `client_region`: where the frontier is stored; `grown`: called after it was,
-  /// without locks of ours, must not allocate. Errors: hook_missing, hook_ineffective (malloc or
-  /// new are not the hook's: somebody else replaced them), arena_occupied, lock_limit, os_failure.
+  /// without locks of ours, must not allocate. Errors: hook_missing, arena_occupied, lock_limit,
+  /// os_failure.
   [[nodiscard]] Result<void> attach(std::byte* client_region, std::uint64_t base,
                                     std::uint64_t length, int write_fd, int read_fd,
                                     HeapScope scope, void (*grown)() noexcept);
+  /// Whether ordinary allocations in a scope come from this heap; found out by attach. Errors:
+  /// hook_ineffective (malloc or new are not the hook's: somebody else replaced them).
+  [[nodiscard]] Result<void> check_interposition() const;
   /// The next window.
   [[nodiscard]] Result<void> add_window(std::byte* client_region, std::uint64_t window,
                                         std::uint64_t base, std::uint64_t length, int write_fd,

@@ -18,7 +18,9 @@ Result<void> set_heap_scope(HeapScope scope) noexcept {
 }
 
 bool LoanScope::open() noexcept {
-  Context::instance().heap()->enter();  // there is a loan, so there is a heap
+  const Heap* const heap = Context::instance().heap();
+  if (heap == nullptr) return false;  // switched off
+  heap->enter();
   return true;
 }
 void LoanScope::close() noexcept { Context::instance().heap()->leave(); }
@@ -59,16 +61,17 @@ struct ThreadHome {
 }  // namespace
 
 void BorrowScope::open() noexcept {
+  const Heap* const heap = Context::instance().heap();
+  if (heap == nullptr) return;  // switched off
   static thread_local ThreadHome<Home> mine;
   if (mine.home == nullptr) mine.home = new (std::nothrow) Home;
   if (mine.home == nullptr)
     return;  // no memory: the loan is built on the ordinary heap and adopted at publish
   current() = mine.home;
-  const Heap& heap = *Context::instance().heap();
-  mine.home->pay(heap);
+  mine.home->pay(*heap);
   mine.home->users.fetch_add(1, std::memory_order_relaxed);
   home_ = mine.home;
-  heap.enter();
+  heap->enter();
 }
 
 BorrowScope::Home*& BorrowScope::current() noexcept {

@@ -8,6 +8,8 @@
 #include <client/qos_words.hpp>
 #include <client/runner.hpp>
 
+#include <dlfcn.h>
+
 #include <algorithm>
 #include <chrono>
 #include <thread>
@@ -15,6 +17,14 @@
 
 namespace agnocast::detail {
 namespace {
+
+// Messages are destroyed when they are old: maybe after the plugin that brought this code was closed.
+// So what holds it stays loaded; an executable does anyway, and is not found by its name here.
+void pin_object_of(void (*code)(void*) noexcept) noexcept {
+  Dl_info where{};
+  if (::dladdr(reinterpret_cast<const void*>(code), &where) == 0) return;
+  (void)::dlopen(where.dli_fname, RTLD_LAZY | RTLD_NOLOAD | RTLD_NODELETE);
+}
 
 class PublisherSource final : public CallbackSource {
  public:
@@ -30,11 +40,15 @@ class PublisherSource final : public CallbackSource {
 
 }  // namespace
 
-Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(
-    const EndpointName& name, MessageType type, const QoS& qos, const PublisherOptions& options,
-    void (*destroy)(void*) noexcept) {
+Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(const EndpointName& name,
+                                                                   MessageType type, const QoS& qos,
+                                                                   const PublisherOptions& options,
+                                                                   const MessageCode& code) {
   if (Result<void> depth = check_depth(qos); !depth) return tl::unexpected<Failure>(depth.error());
   std::shared_ptr<UntypedPublisher> publisher(new UntypedPublisher(std::move(type), name.topic));
+  const Result<bool> off = is_switched_off();
+  if (!off) return tl::unexpected<Failure>(off.error());
+  if (*off) return publisher;
   if (options.events()) {
     auto runner = Runner::of_node(name.node);
     if (!runner) return tl::unexpected<Failure>(runner.error());
@@ -46,9 +60,11 @@ Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(
   request.type = publisher->type_.name();
   request.layout_hash = publisher->type_.layout_hash();
   request.qos = to_abi(qos);
-  auto endpoint = Context::instance().create_publisher(request, destroy);
+  request.uses_shared_allocator = code.uses_shared_allocator;
+  auto endpoint = Context::instance().create_publisher(request, code.destroy);
   if (!endpoint) return tl::unexpected<Failure>(endpoint.error());
   publisher->endpoint_ = std::move(*endpoint);
+  pin_object_of(code.destroy);
   if (options.events()) {
     publisher->endpoint_->events().wake_for(options.events(), publisher->runner_->sleeper());
     publisher->source_ = std::make_shared<PublisherSource>(publisher->endpoint_, options.events());
@@ -63,6 +79,7 @@ UntypedPublisher::~UntypedPublisher() {
 }
 
 Errc UntypedPublisher::state() const noexcept {
+  if (endpoint_ == nullptr) return Errc::switched_off;
   return is_forked_child() ? Errc::shut_down : Errc::ok;
 }
 
@@ -88,7 +105,7 @@ void UntypedPublisher::count_adoption(const Result<std::uint64_t>& adopted) noex
 
 SharedHeap UntypedPublisher::heap() const noexcept { return Context::instance().shared_heap(); }
 std::size_t UntypedPublisher::subscription_count() const noexcept {
-  return endpoint_->subscription_count();
+  return endpoint_ != nullptr ? endpoint_->subscription_count() : 0;
 }
 
 bool Patience::wait() noexcept {
@@ -103,13 +120,15 @@ std::uint64_t UntypedPublisher::callback_exception_count() const noexcept {
   return source_ != nullptr ? source_->exception_count.load(std::memory_order_relaxed) : 0;
 }
 MatchedInfo UntypedPublisher::matched_status() noexcept {
-  return endpoint_->events().matched_status();
+  return endpoint_ != nullptr ? endpoint_->events().matched_status() : MatchedInfo{};
 }
 IncompatibleQosInfo UntypedPublisher::incompatible_qos_status() noexcept {
-  return endpoint_->events().incompatible_qos_status();
+  return endpoint_ != nullptr ? endpoint_->events().incompatible_qos_status()
+                              : IncompatibleQosInfo{};
 }
 IncompatibleTypeInfo UntypedPublisher::incompatible_type_status() noexcept {
-  return endpoint_->events().incompatible_type_status();
+  return endpoint_ != nullptr ? endpoint_->events().incompatible_type_status()
+                              : IncompatibleTypeInfo{};
 }
 
 }  // namespace agnocast::detail

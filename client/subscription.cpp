@@ -93,6 +93,9 @@ Result<std::shared_ptr<UntypedSubscription>> UntypedSubscription::create(
   if (Result<void> depth = check_depth(qos); !depth) return tl::unexpected<Failure>(depth.error());
   std::shared_ptr<UntypedSubscription> subscription(new UntypedSubscription);
   subscription->topic_ = name.topic;
+  const Result<bool> off = is_switched_off();
+  if (!off) return tl::unexpected<Failure>(off.error());
+  if (*off) return subscription;
   std::shared_ptr<Sleeper> sleeper;
   if (callback || options.events()) {
     auto runner = Runner::of_node(name.node);
@@ -132,22 +135,28 @@ UntypedSubscription::~UntypedSubscription() {
   Context::instance().destroy(endpoint_);
 }
 
-Block* UntypedSubscription::take() noexcept { return take_block(*endpoint_); }
-std::uint64_t UntypedSubscription::lost() const noexcept { return endpoint_->lost(); }
+Block* UntypedSubscription::take() noexcept {
+  return endpoint_ != nullptr ? take_block(*endpoint_) : nullptr;
+}
+std::uint64_t UntypedSubscription::lost() const noexcept {
+  return endpoint_ != nullptr ? endpoint_->lost() : 0;
+}
 std::size_t UntypedSubscription::publisher_count() const noexcept {
-  return endpoint_->publisher_count();
+  return endpoint_ != nullptr ? endpoint_->publisher_count() : 0;
 }
 std::uint64_t UntypedSubscription::callback_exception_count() const noexcept {
   return source_ != nullptr ? source_->exception_count.load(std::memory_order_relaxed) : 0;
 }
 MatchedInfo UntypedSubscription::matched_status() noexcept {
-  return endpoint_->events().matched_status();
+  return endpoint_ != nullptr ? endpoint_->events().matched_status() : MatchedInfo{};
 }
 IncompatibleQosInfo UntypedSubscription::incompatible_qos_status() noexcept {
-  return endpoint_->events().incompatible_qos_status();
+  return endpoint_ != nullptr ? endpoint_->events().incompatible_qos_status()
+                              : IncompatibleQosInfo{};
 }
 IncompatibleTypeInfo UntypedSubscription::incompatible_type_status() noexcept {
-  return endpoint_->events().incompatible_type_status();
+  return endpoint_ != nullptr ? endpoint_->events().incompatible_type_status()
+                              : IncompatibleTypeInfo{};
 }
 
 }  // namespace detail

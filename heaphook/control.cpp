@@ -9,6 +9,8 @@
 
 #include <agnocast/abi/heaphook.h>
 
+#include <cstddef>
+
 namespace agnocast::heaphook {
 namespace {
 
@@ -47,6 +49,18 @@ void resume() {
 
 std::uint64_t spilled() { return thread_state.spilled; }
 
+void* allocate(std::size_t alignment, std::size_t size) {
+  if (thread_state.blocked != 0 || !windows::is_owner()) return nullptr;
+  return alignment <= alignof(std::max_align_t) ? shared_heap::allocate(size) : shared_heap::allocate_aligned(alignment, size);
+}
+
+int deallocate(void* block) {
+  const windows::Window* const window = windows::window_of(block);
+  if (window == nullptr) return 0;
+  shared_heap::release(block, *window);
+  return 1;
+}
+
 int active() { return route::wants_shared() ? 1 : 0; }
 int owns(const void* address) {
   const windows::Window* const window = windows::window_of(address);
@@ -70,6 +84,8 @@ constexpr struct agnocast_heaphook_table table = {
     .pause = pause,
     .resume = resume,
     .spilled = spilled,
+    .allocate = allocate,
+    .deallocate = deallocate,
     .active = active,
     .owns = owns,
     .frontier = frontier,

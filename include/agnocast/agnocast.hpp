@@ -13,6 +13,7 @@
 #include <agnocast/publisher.hpp>
 #include <agnocast/qos.hpp>
 #include <agnocast/result.hpp>
+#include <agnocast/shared_allocator.hpp>
 #include <agnocast/subscription.hpp>
 #include <agnocast/version.hpp>
 

@@ -70,7 +70,8 @@ namespace agnocast {
   X(shut_down, "the library does not serve this process any more",                               \
     "call exec after fork, and create endpoints before exit handlers run")                       \
   X(address_limit, "the limit of addresses is too small for the shared heaps",                   \
-    "raise LimitAS of the unit or ulimit -v, or make [heap] arena_bytes smaller")
+    "raise LimitAS of the unit or ulimit -v, or make [heap] arena_bytes smaller")                \
+  X(switched_off, "agnocast is switched off in this process", "start it without AGNOCAST=off")
 
 /// Codes of everything that a user of the library can be told. Zero is success (std::error_code
 /// convention).

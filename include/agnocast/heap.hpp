@@ -47,7 +47,8 @@ class LoanScope {
   ~LoanScope() {
     if (is_open_) close();
   }
-  /// False if it was given no loan (empty, published, or a received message): then it does nothing.
+  /// False if it was given no loan (empty, published, or a received message), or agnocast is
+  /// switched off: then it does nothing.
   bool is_open() const noexcept { return is_open_; }
 
  private:

@@ -3,20 +3,25 @@
 // What a C++ type must be to be a message, and how a type says so. docs/messages.md is the same for
 // users.
 //
-//   described   rosidl messages: include <agnocast/rosidl.hpp> and nothing else       residency is
-//   checked member by member flat        trivially copyable classes: nothing to write nothing to
-//   check but the object itself visited     any class with a MessageTraits that has
-//   for_each_pointer              residency is checked by the visitor opaque      any class with a
-//   MessageTraits that has only a name                   always copied into the shared heap
+//   described   rosidl messages: include <agnocast/rosidl.hpp> and nothing else.
+//               Residency is checked member by member.
+//   flat        trivially copyable classes: nothing to write.
+//               Nothing to check but the object itself.
+//   visited     any class with a MessageTraits that has for_each_pointer.
+//               Residency is checked by the visitor.
+//   opaque      any class with a MessageTraits that has only a name.
+//               Always copied into the shared heap.
 //
 // Everything else is refused at compile time with a sentence that says why and what to do.
 #pragma once
 
 #include <agnocast/type_identity.hpp>
 
+#include <any>
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <memory>
 #include <string_view>
 #include <type_traits>
 #include <utility>
@@ -30,12 +35,12 @@ class PointerVisitor;
 ///
 ///     template <>
 ///     struct agnocast::MessageTraits<Map> {
-///       static constexpr const char* name = "my_package/Map";   // required; the same text in
-///       every process static constexpr std::uint64_t version = 1;              // optional; change
-///       it when the meaning changes
+///       // Required; the same text in every process.
+///       static constexpr const char* name = "my_package/Map";
+///       // Optional; change it when the meaning changes.
+///       static constexpr std::uint64_t version = 1;
 ///       // Optional. Shows every piece of heap memory that a reader of the message may touch.
-///       Without it, every
-///       // published Map is copied into the shared heap.
+///       // Without it, every published Map is copied into the shared heap.
 ///       static void for_each_pointer(const Map& map, PointerVisitor& visit) noexcept {
 ///         visit("name", map.name);
 ///         visit("cells", map.cells);
@@ -141,6 +146,25 @@ inline constexpr bool is_view<std::basic_string_view<C, Traits>> = true;
 template <class T>
 inline constexpr bool is_view<std::reference_wrapper<T>> = true;
 
+// Classes of the standard library that own or call something of this process.
+template <class T>
+inline constexpr bool is_bound_to_process = false;
+template <class T>
+inline constexpr bool is_bound_to_process<std::function<T>> = true;
+template <class T>
+inline constexpr bool is_bound_to_process<std::shared_ptr<T>> = true;
+template <class T>
+inline constexpr bool is_bound_to_process<std::weak_ptr<T>> = true;
+template <class T, class Deleter>
+inline constexpr bool is_bound_to_process<std::unique_ptr<T, Deleter>> = true;
+template <>
+inline constexpr bool is_bound_to_process<std::any> = true;
+
+template <class T, class = void>
+inline constexpr bool is_complete = false;
+template <class T>
+inline constexpr bool is_complete<T, std::void_t<decltype(sizeof(T))>> = true;
+
 // The compiler's spelling of T: "… [with T = my_package::Pose]" (GCC), "… [T = my_package::Pose]"
 // (Clang).
 template <class T>
@@ -170,6 +194,13 @@ constexpr bool require_message() {
     static_assert(never<T>, "agnocast: name the message type without const or volatile");
   } else if constexpr (!std::is_class_v<T>) {
     static_assert(never<T>, "agnocast: a message is a class; put the value into a struct");
+  } else if constexpr (!is_complete<T>) {
+    static_assert(never<T>,
+                  "agnocast: this message type is only declared here; include its definition");
+  } else if constexpr (is_bound_to_process<T>) {
+    static_assert(never<T>,
+                  "agnocast: a smart pointer or function object is not a message, because what it "
+                  "refers to stays in this process; use the class itself");
   } else if constexpr (std::is_polymorphic_v<T>) {
     static_assert(never<T>,
                   "agnocast: a class with virtual functions is not a message, because its table of "

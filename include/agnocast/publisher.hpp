@@ -12,6 +12,7 @@
 #include <agnocast/qos.hpp>
 #include <agnocast/residency.hpp>
 #include <agnocast/result.hpp>
+#include <agnocast/shared_allocator.hpp>
 
 #include <chrono>
 #include <cstddef>
@@ -34,7 +35,7 @@ class PublisherOptions : public detail::EventOptions<PublisherOptions> {};
 /// Otherwise the caller still has it.
 struct PublishResult {
   Errc code = Errc::ok;  ///< ok, no_slot, would_block, heap_exhausted, loan_invalid,
-                         ///< user_code_threw, shut_down (in a forked child)
+                         ///< user_code_threw, shut_down (in a forked child), switched_off
   std::uint64_t adopted_bytes =
       0;  ///< bytes outside the shared heap that had to be copied in; 0 = true zero-copy
   explicit operator bool() const noexcept { return code == Errc::ok; }
@@ -80,16 +81,22 @@ class Patience {
   std::chrono::microseconds step_{10};
 };
 
+/// What only the user's translation unit knows about T.
+struct MessageCode {
+  void (*destroy)(void* message) noexcept;
+  bool uses_shared_allocator;
+};
+
 class AGNOCAST_PUBLIC UntypedPublisher {
  public:
   [[nodiscard]] static Result<std::shared_ptr<UntypedPublisher>> create(
       const EndpointName& name, MessageType type, const QoS& qos, const PublisherOptions& options,
-      void (*destroy)(void*) noexcept);
+      const MessageCode& code);
   ~UntypedPublisher();
   UntypedPublisher(const UntypedPublisher&) = delete;
   UntypedPublisher& operator=(const UntypedPublisher&) = delete;
 
-  /// ok; shut_down in a forked child, where nothing can be published.
+  /// ok; shut_down in a forked child, switched_off: nothing can be published.
   Errc state() const noexcept;
   Errc publish(void* message, std::size_t bytes) noexcept;
   /// What make_resident did, unless nothing was foreign; for agnocast-ctl.
@@ -102,6 +109,7 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   MatchedInfo matched_status() noexcept;
   IncompatibleQosInfo incompatible_qos_status() noexcept;
   IncompatibleTypeInfo incompatible_type_status() noexcept;
+  bool is_active() const noexcept { return endpoint_ != nullptr; }
 
  private:
   UntypedPublisher(MessageType type, std::string topic) noexcept
@@ -130,6 +138,9 @@ class Publisher {
   /// is full the memory comes from libc and publish says heap_exhausted. Throws what T's constructor
   /// throws, and std::bad_alloc.
   ipc_shared_ptr<T> borrow_loaned_message() {
+    static_assert(std::is_default_constructible_v<T>,
+                  "agnocast: this message has no default constructor, so it cannot be borrowed; "
+                  "publish a std::unique_ptr of it");
     auto loan = std::make_unique<Loan>();
     loan->origin = untyped_.get();
     loan->end = [](detail::Block* block) noexcept { delete static_cast<Loan*>(block); };
@@ -208,6 +219,9 @@ class Publisher {
     return publish(std::move(message));
   }
 
+  /// False when AGNOCAST=off was in the environment as this was created: it can be used as always, and
+  /// publish says switched_off.
+  bool is_active() const noexcept { return untyped_->is_active(); }
   const char* get_topic_name() const noexcept { return untyped_->topic().c_str(); }
   /// Matched subscriptions that this process has mapped; a moment ago.
   std::size_t get_subscription_count() const noexcept { return untyped_->subscription_count(); }
@@ -249,7 +263,8 @@ template <class T, class Node>
   if (!type) return tl::unexpected<Failure>(type.error());
   auto untyped = detail::UntypedPublisher::create(
       *name, std::move(*type), qos, options,
-      [](void* message) noexcept { delete static_cast<T*>(message); });
+      detail::MessageCode{[](void* message) noexcept { delete static_cast<T*>(message); },
+                          std::is_base_of_v<SharedMessage, T>});
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
   return std::make_shared<Publisher<T>>(std::move(*untyped));
 }

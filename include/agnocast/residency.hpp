@@ -105,16 +105,18 @@ class PointerVisitor {
   /// `bytes` bytes from `first`. Nothing to check if bytes is 0.
   AGNOCAST_PUBLIC void operator()(const char* label, const void* first, std::size_t bytes) noexcept;
   /// The text of a string; one short enough to lie in the string object is fine.
-  template <class C, class Traits>
-  void operator()(const char* label, const std::basic_string<C, Traits>& text) noexcept {
+  template <class C, class Traits, class Allocator>
+  void operator()(const char* label, const std::basic_string<C, Traits, Allocator>& text) noexcept {
     const auto first = reinterpret_cast<std::uintptr_t>(text.data());
     const auto self = reinterpret_cast<std::uintptr_t>(&text);
     if (first >= self && first < self + sizeof(text)) return;
     (*this)(label, text.data(), (text.size() + 1) * sizeof(C));
   }
   /// The elements of a vector.
-  template <class E>
-  void operator()(const char* label, const std::vector<E>& elements) noexcept {
+  template <class E, class Allocator>
+  void operator()(const char* label, const std::vector<E, Allocator>& elements) noexcept {
+    static_assert(!std::is_same_v<E, bool>,
+                  "agnocast: only std::vector<bool> with its own allocator can be looked into");
     (*this)(label, elements.data(), elements.size() * sizeof(E));
   }
   AGNOCAST_PUBLIC void operator()(const char* label, const std::vector<bool>& bits) noexcept;

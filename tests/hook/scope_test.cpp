@@ -56,6 +56,34 @@ HOOKED_TEST(HookScope, LoanSharesOnlyInsideScopes) {
   EXPECT_FALSE(malloc_is_shared());
 }
 
+HOOKED_TEST(HookScope, TheTableAllocatesWhateverTheScopeIs) {
+  EXPECT_EQ(hook().allocate(16, 100), nullptr) << "inert";
+  WindowFile file(4 * MiB);
+  attach(file);
+  void* const block = hook().allocate(16, 100);
+  EXPECT_TRUE(is_shared(block));
+  EXPECT_FALSE(malloc_is_shared()) << "no scope was opened";
+  EXPECT_EQ(hook().deallocate(block), 1);
+  void* const aligned = hook().allocate(4096, 1);
+  EXPECT_TRUE(is_shared(aligned));
+  EXPECT_EQ(reinterpret_cast<std::uintptr_t>(aligned) % 4096, 0u);
+  free(aligned);
+
+  void* const of_libc = opaque(malloc(100));
+  EXPECT_EQ(hook().deallocate(of_libc), 0) << "not its own: left alone";
+  free(of_libc);
+  EXPECT_EQ(hook().deallocate(nullptr), 0);
+
+  hook().pause();
+  EXPECT_EQ(hook().allocate(16, 100), nullptr);
+  hook().resume();
+  const std::uint64_t spilled = hook().spilled();
+  EXPECT_EQ(hook().allocate(16, 64 * MiB), nullptr) << "no room, and never libc's";
+  EXPECT_EQ(hook().spilled(), spilled + 1);
+  EXPECT_EQ(hook_test::usage().live_bytes, 0u);
+  EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
+}
+
 HOOKED_TEST(HookScope, ScopesNest) {
   WindowFile file(64 * MiB);
   attach(file);

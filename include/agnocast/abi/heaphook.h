@@ -23,7 +23,7 @@ extern "C" {
 #endif
 
 /** Changes with any change of this header's layout or meaning. */
-#define AGNOCAST_HEAPHOOK_ABI_VERSION 1u
+#define AGNOCAST_HEAPHOOK_ABI_VERSION 2u
 
 /** Windows of one process. Eight of the default 16 GiB are 128 GiB of addresses: more than the memory of today's robots. */
 #define AGNOCAST_HEAPHOOK_WINDOWS_MAX 8u
@@ -122,6 +122,14 @@ struct agnocast_heaphook_table {
   /** How often an allocation of the calling thread, in shared scope, found no room in the windows and went to libc instead. Only
    *  grows. Unchanged between two calls: everything allocated in between lies in the windows. */
   uint64_t (*spilled)(void);
+
+  /** For allocators that ask by themselves, whoever answers malloc in this process: size bytes from the windows, whatever the scope
+   *  of the thread is; alignment is a power of two. NULL when the windows have no room, while paused or inert, and in a forked
+   *  child; never libc's memory. */
+  void* (*allocate)(size_t alignment, size_t size);
+
+  /** Gives back what lies in a window, as free does, and answers 1. Leaves every other address alone and answers 0. */
+  int (*deallocate)(void* block);
 
   /** 1 when an allocation by the calling thread would try the windows first, else 0. */
   int (*active)(void);

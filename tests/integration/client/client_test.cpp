@@ -83,7 +83,10 @@ TEST(Client, HoldsOfADeadSubscriberVanish) {
   {
     ClientTool subscriber(daemon.socket_path());
     ASSERT_EQ(subscriber.ask("sub /held 5"), "ok");
+    // Either side learns of the other at its own time; what was published before the link is missed.
     ASSERT_TRUE(publisher.eventually("matched", "2"));
+    ASSERT_TRUE(subscriber.eventually("links", "1"));
+    ASSERT_TRUE(other.eventually("links", "1"));
     ASSERT_EQ(publisher.ask("publish 3 1000"), "ok");
     ASSERT_EQ(subscriber.ask("wait 5000"), "news");
     ASSERT_EQ(subscriber.ask("take"), "1");

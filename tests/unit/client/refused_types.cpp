@@ -4,12 +4,14 @@
 // for every CASE and looks for the sentence; without CASE it must compile. Keep in step with the list there.
 
 #include <agnocast/message_type.hpp>
+#include <agnocast/publisher.hpp>
 #if !defined(CASE_rosidl_without_header)
 #include <agnocast/rosidl.hpp>
 #endif
 
 #include <std_msgs/msg/string.hpp>
 
+#include <any>
 #include <array>
 #include <cstdint>
 #include <functional>
@@ -23,6 +25,7 @@ namespace refused {
 struct Flat {
   int a;
 };
+enum class Number { one };
 struct Virtual {
   virtual ~Virtual() = default;
 };
@@ -43,6 +46,18 @@ struct PointerMember {
 template <class T>
 struct Box {
   T value;
+};
+struct Declared;
+class HiddenCopy {
+  std::string text;
+  HiddenCopy(const HiddenCopy&) = default;
+};
+struct Abstract {
+  virtual void act() = 0;
+};
+struct NoDefault {
+  explicit NoDefault(int);
+  int a;
 };
 struct Nameless {
   std::vector<int> numbers;
@@ -97,6 +112,29 @@ bool all() {
   return describe<refused::Flat&>();
 #elif defined(CASE_const)
   return describe<const refused::Flat>();
+#elif defined(CASE_volatile)
+  return describe<volatile refused::Flat>();
+#elif defined(CASE_array)
+  return describe<refused::Flat[3]>();
+#elif defined(CASE_enumeration)
+  return describe<refused::Number>();
+#elif defined(CASE_declared)
+  return describe<refused::Declared>();
+#elif defined(CASE_hidden_copy)
+  return describe<refused::HiddenCopy>();
+#elif defined(CASE_abstract)
+  return describe<refused::Abstract>();
+#elif defined(CASE_function)
+  return describe<std::function<void()>>();
+#elif defined(CASE_shared_ptr)
+  return describe<std::shared_ptr<refused::Flat>>();
+#elif defined(CASE_unique_ptr)
+  return describe<std::unique_ptr<refused::Flat>>();
+#elif defined(CASE_any)
+  return describe<std::any>();
+#elif defined(CASE_no_default)
+  static_cast<agnocast::Publisher<refused::NoDefault>*>(nullptr)->borrow_loaned_message();
+  return false;
 #elif defined(CASE_number)
   return describe<int>();
 #elif defined(CASE_virtual)
