@@ -28,6 +28,10 @@ namespace agnocast {
   X(P7_self, "load the own word")                                  \
   X(P7_since, "lower bound of where a new member starts")          \
   X(P7_seen, "remember the head of this epoch check")              \
+  X(P7_match, "does the publisher offer what a member requests?")  \
+  X(P7_window, "how much a new member can ask for")                \
+  X(P7_slots, "how many slots there are now")                      \
+  X(P8_lazy, "may this pass leave the links alone?")               \
   X(P8_armed, "load an executor's sleep word")                     \
   X(P8_asleep, "is it asleep and not rung yet?")                   \
   X(P8_rung, "remember the generation rung")                       \
@@ -63,9 +67,12 @@ namespace agnocast {
   X(S5_disarm, "sleep word: awake")                                \
   /* link, unlink */                                               \
   X(J6_head, "load the head the link starts from")                 \
+  X(J6_history, "does a late joiner get history?")                 \
   X(J6_cursor, "link line: cursor")                                \
   X(J6_generation, "link line: generation")                        \
   X(J6_check, "is the publisher still the announced one?")         \
+  X(J7_member, "remember where a newly mapped member's line is")   \
+  X(J7_rung, "forget what the executor's number was rung for")     \
   X(J7_ring, "ring a newly mapped member once")                    \
   X(U1_generation, "unlink: generation")                           \
   X(U2_cursor, "unlink: cursor")                                   \
@@ -82,10 +89,10 @@ namespace agnocast {
   X(D3_word, "board: publisher orphaned")                          \
   X(D3_epoch, "board: epoch after it")                             \
   X(D3_ring, "ring every subscription of the topic")               \
-  /* the daemon's redo log */                                                         \
-  X(W1_record, "redo log: the record")                                                \
-  X(W2_committed, "redo log: committed")                                              \
-  X(W3_applied, "redo log: applied")                                                  \
+  /* the daemon's redo log */                                      \
+  X(W1_record, "redo log: the record")                             \
+  X(W2_committed, "redo log: committed")                           \
+  X(W3_applied, "redo log: applied")                               \
   /* rule RU: who was told about a generation */                   \
   X(R1_tell, "journal: told, before the announcement is sent")     \
   X(R2_let_go, "journal: has let go")                              \

@@ -121,11 +121,14 @@ class PublisherCore {
               Environment& environment) noexcept {
     Member& member = members_[index];
     member.executor = executor;
-    rung_[executor] = 0;  // the number may have been another sleeper's
-    member.attached_generation = generation;
-    member.region = region;
-    member.extent = extent;
-    member.armed_offset = armed_offset;
+    // The number may have been another sleeper's.
+    AGNOCAST_STEP(J7_rung) rung_[executor] = 0;
+    AGNOCAST_STEP(J7_member) {
+      member.attached_generation = generation;
+      member.region = region;
+      member.extent = extent;
+      member.armed_offset = armed_offset;
+    }
     if (index >= member_high_) member_high_ = index + 1;
     AGNOCAST_STEP(J7_ring) environment.ring(executor, 0);
   }
@@ -244,6 +247,7 @@ class PublisherCore {
       const std::uint64_t slots =
           self_.topic.publisher(self_.index, offsetof(abi::PublisherEntry, slot_count))
               .load(std::memory_order_relaxed);
+      AGNOCAST_STEP(P7_slots)
       slot_count_ = std::clamp<std::uint64_t>(slots, slot_count_, M::slot_capacity);
     }
     if (over_ != 0 || abi::state_of(word) != abi::MemberState::active) history_ = 0;
@@ -259,9 +263,9 @@ class PublisherCore {
       const abi::Qos qos =
           abi::unpack_qos(self_.topic.subscription(index, offsetof(abi::SubscriptionEntry, qos))
                               .load(std::memory_order_relaxed));
-      if (!abi::qos_match(self_.qos, qos))
+      if (!M::holds(Step::P7_match, abi::qos_match(self_.qos, qos)))
         word = abi::pack_member(abi::generation_of(word), abi::MemberState::free);
-      member.window = abi::window_of(qos);
+      AGNOCAST_STEP(P7_window) member.window = abi::window_of(qos);
       member.bound = qos.keep_all && qos.reliable ? qos.depth : 0;
       member.since = head_sequence_ + 1;
       AGNOCAST_STEP(P7_since)
@@ -307,7 +311,7 @@ class PublisherCore {
     refresh_members();
     if (after_commit) {
       ring_sleepers(environment);
-      if (lazy_passes_ < self_.lazy_limit) {
+      if (M::holds(Step::P8_lazy, lazy_passes_ < self_.lazy_limit)) {
         ++lazy_passes_;
         return;
       }

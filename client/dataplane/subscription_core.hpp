@@ -55,7 +55,8 @@ class LinkCore {
     // [sync:join] seq_cst; behind J3 in the single total order, so a publisher that missed J3
     // looked at an earlier head.
     AGNOCAST_STEP(J6_head) head = self_.publisher.head().load(std::memory_order_seq_cst);
-    const bool history = self_.offered.transient_local && self_.requested.transient_local;
+    const bool history = M::holds(Step::J6_history,
+                                  self_.offered.transient_local && self_.requested.transient_local);
     const std::uint64_t back = history ? std::min(self_.offered.depth, self_.requested.depth) : 0;
     cursor_ = from_start
                   ? self_.first_sequence + 1

@@ -34,6 +34,10 @@ constexpr SubscriptionPlan leaving(SubscriptionPlan plan, bool rejoins) {
   plan.rejoins = rejoins;
   return plan;
 }
+constexpr SubscriptionPlan replaced_by_another(SubscriptionPlan plan, std::uint32_t depth) {
+  plan.rejoin_depth = depth;
+  return plan;
+}
 constexpr SubscriptionPlan hanging(SubscriptionPlan plan) {
   plan.hangs = true;
   return plan;
@@ -91,14 +95,39 @@ inline constexpr QueuePlan mutant_plans[] = {
      .publisher_deaths = 1,
      .daemon_deaths = 1,
      .store_buffers = false},
-    {.name = "s0 M=3 keep_all(1)",
-     .messages = 3,
+    {.name = "s0 M=2 keep_all(1)",
+     .messages = 2,
      .keep_all = true,
      .sub = {keeping_all(early(1)), none_planned}},
     {.name = "s1 late M=2 K=1 D=1, leaves and joins again",
      .messages = 2,
      .sub = {none_planned, leaving(late(1), true)},
      .store_buffers = false},
+    {.name = "s1 late M=2 D=1, another process joins with D=2",
+     .messages = 2,
+     .transient_local = false,
+     .sub = {none_planned, replaced_by_another(late(1), 2)},
+     .store_buffers = false},
+    {.name = "s1 late M=2 requests what is not offered",
+     .messages = 2,
+     .transient_local = false,
+     .sub = {none_planned, late(2, true)}},
+    {.name = "s1 late M=2 D=1 sleeps while holding, its join brings a slot",
+     .messages = 2,
+     .transient_local = false,
+     .slots = 2,
+     .slots_before = 1,
+     .sub = {none_planned, sleeping_while_holding(late(1), 2)},
+     .store_buffers = false},
+    {.name = "s0 M=2 K=1 D=2, the second one in another window",
+     .messages = 2,
+     .second_window_from = 2,
+     .sub = {early(2), none_planned}},
+    {.name = "s0 M=3 D=1 volatile, lazy passes",
+     .messages = 3,
+     .transient_local = false,
+     .lazy_limit = 1,
+     .sub = {early(1), none_planned}},
     {.name = "s1 late M=1 K=1 D=1, leaves and joins again, the publisher leaves",
      .messages = 1,
      .sub = {none_planned, leaving(late(1, true), true)},
@@ -143,6 +172,10 @@ inline constexpr QueuePlan proof_plans[] = {
     {.name = "s0 M=3 D=3, another thread releases",
      .messages = 3,
      .sub = {releasing_elsewhere(early(3), 2), none_planned}},
+    {.name = "s0 M=3 keep_all(1)",
+     .messages = 3,
+     .keep_all = true,
+     .sub = {keeping_all(early(1)), none_planned}},
     {.name = "s0 M=3 keep_all(2) transient_local",
      .messages = 3,
      .depth = 2,

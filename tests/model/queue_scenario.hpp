@@ -36,6 +36,9 @@ struct SubscriptionPlan {
   bool other_thread_releases = false;
   bool leaves = false;  // may leave after any take
   bool rejoins = false;
+  // Another process with this depth takes its place after it was woken twice, or when there is
+  // something to take; 0 = none. What its executor's number was rung for must not stick to it.
+  std::uint32_t rejoin_depth = 0;
   bool hangs = false;  // links and then never takes, as if stopped
 };
 
@@ -46,9 +49,12 @@ struct QueuePlan {
   bool transient_local = true;
   bool keep_all = false;
   std::uint64_t slots = 4;
+  std::uint64_t slots_before =
+      0;  // raised to `slots` by the first join; 0 = `slots` from the start
   std::uint64_t ring = 4;
   std::uint64_t lazy_limit = 0;
-  std::uint32_t grow_before = 0;  // the heap grows before this message (1-based); 0 = never
+  std::uint32_t grow_before = 0;         // the heap grows before this message (1-based); 0 = never
+  std::uint32_t second_window_from = 0;  // messages from this one on lie there; 0 = never
   SubscriptionPlan sub[2];
   std::uint32_t publisher_deaths = 0;
   std::uint32_t subscriber_deaths = 0;
@@ -80,7 +86,8 @@ class QueueScenario {
     wait_for_room,
     timer,
     finished_publishing,
-    leave_topic,  // publisher
+    leave_topic,
+    await_window,  // publisher
     join,
     await_join,
     link_up,
@@ -113,8 +120,10 @@ class QueueScenario {
   struct SubscriptionPrivate {
     dataplane::LinkCore<MM> link;
     dataplane::SleepCore<MM> sleep;
-    std::uint64_t opened = 0;  // bytes of the publisher's window that are accessible
-    std::uint64_t last = 0;    // newest sequence delivered
+    std::uint64_t opened[2] = {};    // bytes of the publisher's windows that are accessible
+    std::uint64_t windows_seen = 0;  // by the last take
+    std::uint64_t last = 0;          // newest sequence delivered
+    std::uint64_t wakes = 0;         // of a process that is to be replaced
     SubscriptionPrivate(const dataplane::LinkCore<MM>::Identity& identity, MM::Region region,
                         std::uint64_t armed)
         : link(identity), sleep(region, armed) {}
@@ -128,6 +137,7 @@ class QueueScenario {
     death_of_subscription,
     publisher_leaving,
     publisher_unlinked,
+    window_wanted,
     death_of_publisher
   };
   struct Journal {
@@ -158,6 +168,9 @@ class QueueScenario {
         0;  // daemon's table: 0 active, 1 orphan by its own wish, 2 free again
     std::uint64_t linked_to[2] =
         {};  // rule RU: the publisher was announced to this subscription, which has not unlinked
+    std::uint64_t second_window = 0;  // of the publisher: 1 asked for, 2 there
+    // The announcement of it: 1 in the subscriber's socket, 2 read.
+    std::uint64_t window_announced[2] = {};
     std::uint64_t timer_runs = 0;
     std::uint64_t room_snapshot = 0;
     // ghosts
@@ -177,7 +190,7 @@ class QueueScenario {
   static constexpr std::uint64_t first = 16;      // first_sequence of the publisher
   static constexpr std::uint64_t generation = 7;  // of the publisher
   static constexpr std::uint64_t pe = 4096, se = 4096;
-  static constexpr std::uint64_t heap = 0x10000, page = 0x100;
+  static constexpr std::uint64_t heap = 0x10000, second_heap = 0x20000, page = 0x100;
 
   W start() {
     machine.ring = plan_.ring;
@@ -188,21 +201,17 @@ class QueueScenario {
     poke(world, board, offsetof(abi::TopicHeader, publisher_high), 1);
     poke_publisher(world, offsetof(abi::PublisherEntry, word),
                    abi::pack_member(generation, abi::MemberState::active));
-    poke_publisher(world, offsetof(abi::PublisherEntry, slot_count), plan_.slots);
+    const std::uint64_t slots = plan_.slots_before != 0 ? plan_.slots_before : plan_.slots;
+    poke_publisher(world, offsetof(abi::PublisherEntry, slot_count), slots);
     poke(world, publisher_region, pe, abi::pack_entry(first, 0));
-    poke(world, publisher_region, frontier_offset(), page);
+    poke(world, publisher_region, frontier_offset(0), page);
     new (world.state.publisher) PublisherPrivate(
-        {topic(), words(), 0, generation, first, offered(), plan_.slots, plan_.lazy_limit});
+        {topic(), words(), 0, generation, first, offered(), slots, plan_.lazy_limit});
     world.threads[publisher_main].pc = publish;
     world.threads[daemon_main].pc = idle;
     for (std::uint32_t s = 0; s < 2; ++s) {
-      const dataplane::LinkCore<MM>::Identity identity{
-          topic(),   words(),      {{sub_region0 + s}, se, 0},
-          0,         generation,   first,
-          offered(), requested(s), 16,
-          16};
-      new (world.state.sub[s]) SubscriptionPrivate(identity, {sub_region0 + s}, armed_offset());
-      sub_private(world, s).last = 0;
+      new (world.state.sub[s])
+          SubscriptionPrivate(link_identity(s, 1), {sub_region0 + s}, armed_offset());
       const SubscriptionPlan& sub = plan_.sub[s];
       if (!sub.present) {
         world.threads[sub0 + s].pc = left;
@@ -215,7 +224,7 @@ class QueueScenario {
         poke(world, board, offsetof(abi::TopicHeader, subscription_high), s + 1);
         poke_sub(world, s, offsetof(abi::SubscriptionEntry, word),
                  abi::pack_member(1, abi::MemberState::active));
-        poke_sub(world, s, offsetof(abi::SubscriptionEntry, qos), abi::pack_qos(requested(s)));
+        poke_sub(world, s, offsetof(abi::SubscriptionEntry, qos), abi::pack_qos(requested(s, 1)));
         world.state.announce[s] = 1;
         world.state.announced[s] = 1;
         world.state.linked_to[s] = 1;
@@ -235,6 +244,7 @@ class QueueScenario {
       case publisher_main:
         if (state.publisher_dead != 0 || busy(world, publisher_control)) return false;
         return pc == publish || pc == timer || pc == leave_topic ||
+               (pc == await_window && state.second_window == 2) ||
                (pc == wait_for_room && state.room_snapshot != room_digest(world));
       case publisher_control:
         if (state.publisher_dead != 0 || busy(world, publisher_main)) return false;
@@ -283,19 +293,30 @@ class QueueScenario {
     }
     if (state.daemon_deaths < plan_.daemon_deaths && world.threads[daemon_main].pc != down)
       emit_prefixes(world, daemon_main, emit);
+    for (std::uint8_t s = 0; s < 2; ++s) {
+      if (state.window_announced[s] == 1 && state.sub_dead[s] == 0 &&
+          !busy(world, static_cast<std::uint8_t>(sub0 + s)))
+        emit(static_cast<std::uint8_t>(sub0 + s), 2000);
+    }
     if (state.publisher_dead == 0 && state.timer_runs < 2 &&
         publisher_private(world).core.has_reclaimable() && quiescent(world)) {
       emit(publisher_main, 1000);
     }
   }
 
-  /// Deaths; and the publisher's timer where nothing else moves. True if the move is not a death:
-  /// then the state was no ending.
+  /// Deaths; the publisher's timer where nothing else moves; and a subscriber's control thread that
+  /// reads the announcement of a window. True if the move is not a death: then the state was no
+  /// ending.
   bool perform(W& world, std::uint8_t t, std::uint16_t argument) {
     State& state = world.state;
     if (argument == 1000) {
       ++state.timer_runs;
       world.threads[publisher_main].pc = timer;
+      return true;
+    }
+    if (argument == 2000) {
+      state.window_announced[t - sub0] = 2;
+      state.bell[t - sub0] = 1;
       return true;
     }
     Thread& thread = world.threads[t];
@@ -459,14 +480,15 @@ class QueueScenario {
     return names[t];
   }
   static const char* describe(std::uint8_t, std::uint16_t argument) {
+    if (argument == 2000) return "reads of a window";
     return argument == 1000 ? "timer" : "dies";
   }
   static const char* operation_name(const W& world, std::uint8_t t) {
-    static const char* names[] = {"idle",        "publish", "wait for room", "timer", "finished",
-                                  "leave topic", "join",    "await join",    "link",  "take",
-                                  "release",     "sleep",   "wake",          "leave", "await leave",
-                                  "drain holds", "unlink",  "left",          "hung",  "restart",
-                                  "apply",       "reply",   "down"};
+    static const char* names[] = {
+        "idle",         "publish", "wait for room", "timer",       "finished",    "leave topic",
+        "await window", "join",    "await join",    "link",        "take",        "release",
+        "sleep",        "wake",    "leave",         "await leave", "drain holds", "unlink",
+        "left",         "hung",    "restart",       "apply",       "reply",       "down"};
     return t == publisher_control ? "control pass" : names[world.threads[t].pc];
   }
 
@@ -477,8 +499,13 @@ class QueueScenario {
   static constexpr std::uint64_t armed_offset() {
     return offsetof(abi::ClientRegionHeader, executor);
   }
-  static constexpr std::uint64_t frontier_offset() {
-    return offsetof(abi::ClientRegionHeader, window) + offsetof(abi::WindowEntry, frontier);
+  static constexpr std::uint64_t frontier_offset(std::uint64_t window) {
+    return offsetof(abi::ClientRegionHeader, window) + window * sizeof(abi::WindowEntry) +
+           offsetof(abi::WindowEntry, frontier);
+  }
+  std::uint64_t address_of(std::uint64_t number) const {
+    const bool second = plan_.second_window_from != 0 && number >= plan_.second_window_from;
+    return (second ? second_heap : heap) + number * 16;
   }
 
   void build_map() const {
@@ -500,7 +527,8 @@ class QueueScenario {
         address_map.add(board, at + f * 8, name);
       }
     }
-    address_map.add(publisher_region, frontier_offset(), "frontier");
+    address_map.add(publisher_region, frontier_offset(0), "frontier");
+    address_map.add(publisher_region, frontier_offset(1), "frontier of the second window");
     address_map.add(publisher_region, pe, "head");
     const char* intent[] = {"intent.op", "intent.sequence", "intent.slot", "intent.address"};
     for (std::uint64_t f = 0; f < 4; ++f) {
@@ -549,9 +577,27 @@ class QueueScenario {
   abi::Qos offered() const {
     return {plan_.depth, plan_.transient_local, true, plan_.keep_all, false};
   }
-  abi::Qos requested(std::uint32_t s) const {
-    return {plan_.sub[s].depth, plan_.sub[s].transient_local, true, plan_.sub[s].keep_all, false};
+  /// `subscription_generation`: 1, or 2 for who joined again.
+  abi::Qos requested(std::uint32_t s, std::uint64_t subscription_generation) const {
+    const SubscriptionPlan& plan = plan_.sub[s];
+    const bool again = subscription_generation > 1 && plan.rejoin_depth != 0;
+    return {again ? plan.rejoin_depth : plan.depth, plan.transient_local, true, plan.keep_all,
+            false};
   }
+  dataplane::LinkCore<MM>::Identity link_identity(std::uint32_t s,
+                                                  std::uint64_t subscription_generation) const {
+    return {topic(),
+            words(),
+            {{sub_region0 + s}, se, 0},
+            0,
+            generation,
+            first,
+            offered(),
+            requested(s, subscription_generation),
+            16,
+            16};
+  }
+  bool matches(std::uint32_t s) const { return abi::qos_match(offered(), requested(s, 1)); }
 
   static PublisherPrivate& publisher_private(W& world) {
     return *std::launder(reinterpret_cast<PublisherPrivate*>(world.state.publisher));
@@ -646,7 +692,7 @@ class QueueScenario {
     void freed(std::uint64_t, std::uint64_t address) {
       if (!machine.live) return;
       State& state = world.state;
-      const std::uint64_t number = (address - heap) / 16;
+      const std::uint64_t number = (address % (second_heap - heap)) / 16;
       if ((state.freed >> number & 1) != 0) machine.fail("a message was freed twice");
       state.freed |= std::uint64_t{1} << number;
       for (std::uint32_t s = 0; s < 2; ++s) {
@@ -675,6 +721,7 @@ class QueueScenario {
         if (machine.live) state.forget[s] = 0;
         if (mapped != 0 && unmapped != mapped)
           own.core.attach(s, mapped, {sub_region0 + s}, se, armed_offset(), s, environment);
+        if (mapped != 0 && machine.live) state.rung[s] = 0;
         if (unmapped != 0) own.core.detach(s, unmapped);
         if (unmapped != 0 && machine.live && state.announced[s] == unmapped)
           state.announced[s] = 0;  // UNLINKED
@@ -702,8 +749,20 @@ class QueueScenario {
     const std::uint64_t frontier =
         plan_.grow_before != 0 && number >= plan_.grow_before ? 2 * page : page;
     if (number == plan_.grow_before) dataplane::store_frontier<MM>({publisher_region}, 0, frontier);
+    if (number == plan_.second_window_from) {
+      if (machine.remember(state.second_window) != 2) {
+        // The hook cannot allocate there before it has the window.
+        state.publisher_request = window_wanted;
+        state.second_window = 1;
+        thread.pc = await_window;
+        return;
+      }
+      dataplane::store_frontier<MM>({publisher_region}, 1, frontier);
+    }
     if (machine.live) state.need_open[number] = frontier;
-    const auto outcome = own.core.publish({heap + number * 16, 16, number}, environment);
+    const std::uint64_t cursor_before = machine.remember(lowest_keep_all_cursor(world));
+    const auto outcome = own.core.publish({address_of(number), 16, number}, environment);
+    check_bound(world, own.core.head_sequence(), cursor_before, outcome);
     if (outcome == dataplane::PublishOutcome::published) {
       ++own.published;
       state.timer_runs = 0;
@@ -718,13 +777,53 @@ class QueueScenario {
     }
   }
 
-  struct ModelWindows {
-    std::uint64_t& opened;
-    void open() {
-      opened = std::max(opened, dataplane::load_frontier<MM>({publisher_region}, 0, 16 * page));
+  /// How far the keep-all subscription is that is farthest behind, of those that were there first:
+  /// who joins late may have one more message (see abi::window_of). One that the publisher has not
+  /// mapped yet counts as having read nothing.
+  std::uint64_t lowest_keep_all_cursor(const W& world) const {
+    std::uint64_t lowest = ~std::uint64_t{0};
+    for (std::uint32_t s = 0; s < 2; ++s) {
+      const SubscriptionPlan& plan = plan_.sub[s];
+      if (!plan_.keep_all || !plan.present || plan.late || !plan.keep_all) continue;
+      const std::uint64_t told =
+          world.state.announce[s] == 0 ? peek(world, sub_region0 + s, se + 8) : 0;
+      lowest = std::min(lowest, std::max(told, first + 1));
     }
+    return lowest;
+  }
+  /// Exactly the bound: never one unread message more, and no waiting while there is room for one.
+  void check_bound(const W& world, std::uint64_t head, std::uint64_t cursor_before,
+                   dataplane::PublishOutcome outcome) const {
+    if (!machine.live || cursor_before == ~std::uint64_t{0}) return;
+    std::uint64_t bound = plan_.depth;
+    for (const SubscriptionPlan& plan : plan_.sub) {
+      if (plan.keep_all) bound = std::min<std::uint64_t>(bound, plan.depth);
+    }
+    if (outcome == dataplane::PublishOutcome::published &&
+        head + 1 > lowest_keep_all_cursor(world) + bound)
+      machine.fail("a keep-all subscription has more unread messages than its bound");
+    if (outcome == dataplane::PublishOutcome::would_block && head + 1 < cursor_before + bound)
+      machine.fail("a keep-all publisher waits although there is room");
+  }
+
+  struct ModelWindows {
+    std::uint64_t (&opened)[2];
+    std::uint64_t count;  // announced and read
+    void open() {
+      for (std::uint64_t i = 0; i < count; ++i) {
+        opened[i] =
+            std::max(opened[i], dataplane::load_frontier<MM>({publisher_region}, i, 16 * page));
+      }
+    }
+    static std::uint64_t base(std::uint64_t window) { return window == 0 ? heap : second_heap; }
     bool contains(std::uint64_t address, std::uint64_t size) const {
-      return address >= heap && address + size <= heap + opened;
+      for (std::uint64_t i = 0; i < count; ++i) {
+        if (address >= base(i) && address + size <= base(i) + opened[i]) return true;
+      }
+      return false;
+    }
+    bool is_awaited(std::uint64_t address, std::uint64_t size) const {
+      return count == 1 && address >= second_heap && address + size <= second_heap + 16 * page;
     }
   };
 
@@ -757,6 +856,7 @@ class QueueScenario {
         check_start(world, s, own.link.cursor(), from_start);
         own.last = own.link.cursor() - 1;
         thread.pc = plan.hangs ? hung : take;
+        if (is_to_be_replaced(world, s)) thread.pc = sleep;
         break;
       }
       case take: {
@@ -764,7 +864,7 @@ class QueueScenario {
           thread.pc = release_one;
           break;
         }
-        if (plan.leaves && machine.choose(2) == 1) {
+        if (is_to_be_replaced(world, s) || (plan.leaves && machine.choose(2) == 1)) {
           thread.pc = leave;
           break;
         }
@@ -786,7 +886,7 @@ class QueueScenario {
         if (own.link.drained()) {
           own.sleep.disarm();
           thread.pc = drain_holds;
-        } else if (M_holds(Step::S3_news, own.link.has_news())) {
+        } else if (M_holds(Step::S3_news, own.link.has_news()) && !awaits_window(world, s, own)) {
           own.sleep.disarm();
           thread.pc = take;
         } else {
@@ -797,6 +897,7 @@ class QueueScenario {
         if (machine.live) state.bell[s] = 0;
         own.sleep.disarm();
         thread.pc = take;
+        if (is_to_be_replaced(world, s) && ++own.wakes < 2) thread.pc = sleep;
         break;
       case leave:
         state.request[s] = leaving;
@@ -824,7 +925,10 @@ class QueueScenario {
           state.request[s] = unlinked;
         } else {
           state.request[s] = drained;
-          if (plan.rejoins && state.generation[s] == 1) thread.pc = join;
+          if ((plan.rejoins || plan.rejoin_depth != 0) && state.generation[s] == 1)
+            thread.pc = join;
+          if (plan.rejoin_depth != 0 && state.generation[s] == 1)
+            become_another_process(world, s, own);
         }
         break;
       default:
@@ -833,21 +937,32 @@ class QueueScenario {
     std::memcpy(state.sub[s], scratch, sizeof scratch);
   }
 
+  static std::uint64_t windows_of(const W& world, std::uint32_t s) {
+    return world.state.window_announced[s] == 2 ? 2 : 1;
+  }
+  /// As Link::is_ready: asking again makes sense once there is another window.
+  static bool awaits_window(const W& world, std::uint32_t s, const SubscriptionPrivate& own) {
+    return own.link.is_awaiting_window() &&
+           machine.remember(windows_of(world, s)) == own.windows_seen;
+  }
+
   static bool M_holds(Step step, bool condition) { return MM::holds(step, condition); }
 
   void run_take(W& world, std::uint32_t s, SubscriptionPrivate& own, Thread& thread) {
     State& state = world.state;
     const SubscriptionPlan& plan = plan_.sub[s];
+    const abi::Qos qos = requested(s, state.generation[s]);
     const std::uint64_t from = own.link.cursor();
     const std::uint64_t head_before =
         machine.remember(abi::sequence_of(peek(world, publisher_region, pe)));
-    ModelWindows windows{own.opened};
+    own.windows_seen = machine.remember(windows_of(world, s));
+    ModelWindows windows{own.opened, own.windows_seen};
     const auto taken = own.link.take(windows);
     const std::uint64_t head = abi::sequence_of(peek(world, publisher_region, pe));
     const std::uint64_t to = taken ? taken->sequence : own.link.cursor();
     if (own.link.malformed() != 0) machine.fail("an honest publisher looks malformed");
     for (std::uint64_t q = from; q < to; ++q) {
-      if (head < q + plan.depth) machine.fail("a message was lost with fewer than D newer ones");
+      if (head < q + qos.depth) machine.fail("a message was lost with fewer than D newer ones");
       if (plan.keep_all && plan_.keep_all) machine.fail("keep-all lost a message");
     }
     if (!taken) {
@@ -858,13 +973,14 @@ class QueueScenario {
       return;
     }
     if (taken->sequence <= own.last) machine.fail("a message came twice or out of order");
-    if (taken->sequence + abi::window_of(requested(s)) <= head_before)
+    if (taken->sequence + abi::window_of(qos) <= head_before)
       machine.fail("a message outside the own depth was delivered");
     own.last = taken->sequence;
     const std::uint64_t number = taken->sequence - first;
-    if (taken->address != heap + number * 16 || taken->size != 16 || taken->stamp_ns != number)
+    if (taken->address != address_of(number) || taken->size != 16 || taken->stamp_ns != number)
       machine.fail("the entry of another message");
-    if (number < 16 && own.opened < state.need_open[number])
+    const bool second = taken->address >= second_heap;
+    if (number < 16 && own.opened[second ? 1 : 0] < state.need_open[number])
       machine.fail("the mapping does not cover the message");
     if (number < 64 && (state.freed >> number & 1) != 0)
       machine.fail("a freed message was handed out");
@@ -879,7 +995,7 @@ class QueueScenario {
       return;
     }
     const std::uint64_t back = plan_.transient_local && plan_.sub[s].transient_local
-                                   ? std::min(plan_.depth, plan_.sub[s].depth)
+                                   ? std::min(plan_.depth, requested(s, state.generation[s]).depth)
                                    : 0;
     const std::uint64_t earliest =
         std::max(first + 1, state.join_head[s] + 1 - std::min(back, state.join_head[s]));
@@ -904,6 +1020,17 @@ class QueueScenario {
     state.held[s][--state.held_count[s]] = {};
   }
 
+  bool is_to_be_replaced(const W& world, std::uint32_t s) const {
+    return plan_.sub[s].rejoin_depth != 0 && machine.remember(world.state.generation[s]) == 1;
+  }
+  /// Its region is a new one: the line is zero already, the sleep word begins anew.
+  void become_another_process(W& world, std::uint32_t s, SubscriptionPrivate& own) {
+    if (!machine.live) return;
+    poke(world, sub_region0 + s, armed_offset(), 0);
+    own.~SubscriptionPrivate();
+    new (&own) SubscriptionPrivate(link_identity(s, 2), {sub_region0 + s}, armed_offset());
+  }
+
   void run_releaser(W& world, std::uint32_t s) {
     alignas(8) unsigned char scratch[sizeof(SubscriptionPrivate)];
     std::memcpy(scratch, world.state.sub[s], sizeof scratch);
@@ -925,10 +1052,14 @@ class QueueScenario {
         switch (state.journal.request) {
           case joining:
             state.linked_to[state.journal.index] =
+                matches(static_cast<std::uint32_t>(state.journal.index)) &&
                 state.publisher_dead < 2 && state.publisher_state == 0;
             state.generation[state.journal.index] = state.journal.generation;
             state.announced[state.journal.index] =
-                state.publisher_dead == 0 ? state.journal.generation : 0;
+                matches(static_cast<std::uint32_t>(state.journal.index)) &&
+                        state.publisher_dead == 0
+                    ? state.journal.generation
+                    : 0;
             [[fallthrough]];
           case leaving:
           case drained:
@@ -940,6 +1071,7 @@ class QueueScenario {
             break;
           case publisher_leaving:
           case publisher_unlinked:
+          case window_wanted:
             state.publisher_request = none;
             break;
           case death_of_subscription:
@@ -963,9 +1095,15 @@ class QueueScenario {
         journal::BoardSteps<MM> steps(topic());
         switch (record.request) {
           case joining:
+            // Before it is a member: the publisher that sees it sees its slots.
+            if (plan_.slots_before != 0)
+              topic()
+                  .publisher(0, offsetof(abi::PublisherEntry, slot_count))
+                  .store(plan_.slots, std::memory_order_release);
             steps.add_subscription(
                 record.index, record.generation,
-                {requested(static_cast<std::uint32_t>(record.index)), 0, se, 1, 0});
+                {requested(static_cast<std::uint32_t>(record.index), record.generation), 0, se, 1,
+                 0});
             break;
           case leaving:
             steps.set_subscription(record.index, record.generation, abi::MemberState::leaving);
@@ -978,6 +1116,7 @@ class QueueScenario {
               steps.set_subscription(record.index, record.generation, abi::MemberState::dead);
             break;
           case unlinked:
+          case window_wanted:
             break;
           case publisher_leaving:
             steps.orphan_publisher(0, generation, words().head().load(std::memory_order_acquire));
@@ -1006,13 +1145,19 @@ class QueueScenario {
         switch (record.request) {
           case joining:
             state.joined[record.index] = state.linked_to[record.index] != 0 ? 1 : 3;
-            if (publisher_alive) state.announce[record.index] = record.generation;
+            if (publisher_alive && matches(static_cast<std::uint32_t>(record.index)))
+              state.announce[record.index] = record.generation;
             break;
           case leaving:
             state.joined[record.index] = 2;
             state.kick = publisher_alive;
             break;
           case unlinked:
+            break;
+          case window_wanted:
+            // The announcement is in the subscribers' sockets before the answer.
+            for (std::uint32_t s = 0; s < 2; ++s) state.window_announced[s] = state.linked_to[s];
+            state.second_window = 2;
             break;
           case publisher_unlinked:
             state.kick = publisher_alive;
