@@ -198,7 +198,8 @@ class Work {
     const std::string frame(unsealed(prototype.header.frame_id));
     const auto end = Clock::now() + std::chrono::duration<double>(seconds);
     // Ten messages go ahead untimed: pages are touched, buffers grown, threads awake.
-    for (std::uint64_t i = 0; i < count + warm_up && (i <= warm_up || Clock::now() < end); ++i) {
+    for (std::uint64_t i = 0;
+         i < count + warm_up && (i < warm_up + samples_min || Clock::now() < end); ++i) {
       if (i == warm_up) {
         agnocast.samples_ns.clear();
         dds.samples_ns.clear();
@@ -217,6 +218,8 @@ class Work {
   }
 
   static constexpr std::uint64_t warm_up = 10;
+  // Where time is short: fewer say nothing.
+  static constexpr std::uint64_t samples_min = 20;
   // So many lost ones, and the other road is given up for this round.
   static constexpr std::uint64_t lost_max = 3;
 

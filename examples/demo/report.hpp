@@ -44,7 +44,7 @@ class Report {
   bool utf8_;
   bool terminal_;
   bool progress_shown_ = false;
-  std::chrono::steady_clock::time_point last_progress_{};
+  std::chrono::steady_clock::time_point last_progress_ = std::chrono::steady_clock::now();
 };
 
 }  // namespace demo
