@@ -2,11 +2,11 @@
 //
 // Goal: nothing grows: after 1,000,000 messages, 100,000 endpoints and 10,000 processes everything
 // that daemon and clients use is what it was after a warm-up.
-// Method: one sample after the first tenth, one at the end; of the daemon and of two processes that
+// Method: a sample after each tenth; of the daemon and of two processes that
 // stay: open descriptors, mappings, resident memory; of the publisher's shared heap: what is
-// mapped and live; of the daemon: which place and which address the next process gets. All are
-// compared for equality, but resident memory and live bytes, which an allocator's caches move: their
-// tolerance stands beside them.
+// mapped and live; of the daemon: which place and which address the next process gets. First
+// and last are compared for equality, but resident memory and live bytes, which an allocator's caches
+// and high-water marks move: their tolerance stands beside them.
 //   AGNOCAST_ENDURANCE=short   a tenth of these numbers.
 
 #include <tests/support/daemon_process.hpp>
@@ -20,6 +20,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <chrono>
 #include <cstdint>
 #include <cstdio>
@@ -36,8 +37,10 @@ namespace {
 
 constexpr int patience_s = 1200;
 
-// Pages of allocators' caches and of the log's buffers. A leak of a byte per step would be 10⁴…10⁶.
-constexpr std::int64_t resident_tolerance = 1 << 20;
+// Tables and regions keep the pages of the busiest moment so far: how far the control thread of a
+// client lagged behind, which is the machine's affair. So resident memory may grow now and then; what
+// leaks grows in every tenth of a run. The middle one of the nine growths may be a few pages.
+constexpr std::int64_t resident_growth_tolerance = 16 << 10;
 // Blocks in the caches of the publisher's threads count as live.
 constexpr std::int64_t live_tolerance = 64 << 10;
 
@@ -126,9 +129,10 @@ class Endurance : public testing::Test {
     unsigned same = 0;
     EXPECT_TRUE(eventually([&] {
       const Sample now = sample();
-      same = counts_of(now) == counts_of(last) ? same + 1 : 0;
+      const bool is_same = counts_of(now) == counts_of(last) && now.heap.live == last.heap.live;
+      same = is_same ? same + 1 : 0;
       last = now;
-      return same >= 50;
+      return same >= 120;  // longer than the timer of a control thread
     }));
     return last;
   }
@@ -147,9 +151,6 @@ class Endurance : public testing::Test {
     EXPECT_EQ(counts_of(before), counts_of(after))
         << what << ": mapped bytes of the heap; descriptors and mappings of daemon, "
         << "publisher, subscriber";
-    EXPECT_LE(after.daemon.resident - before.daemon.resident, resident_tolerance) << what;
-    EXPECT_LE(after.publisher.resident - before.publisher.resident, resident_tolerance) << what;
-    EXPECT_LE(after.subscriber.resident - before.subscriber.resident, resident_tolerance) << what;
     EXPECT_LE(after.heap.live - before.heap.live, live_tolerance) << what;
   }
   static void print(const char* when, const Sample& sample) {
@@ -167,22 +168,34 @@ class Endurance : public testing::Test {
     std::fflush(stdout);
   }
 
-  /// Runs `steps(count)` for a tenth and for the rest; prints how long a step took in both.
+  /// In every tenth but the first: what the middle one of them added.
+  static void expect_no_leak(const std::vector<Sample>& samples, ProcessSample Sample::*who,
+                             const std::string& what) {
+    std::vector<std::int64_t> growth;
+    for (std::size_t i = 1; i < samples.size(); ++i)
+      growth.push_back((samples[i].*who).resident - (samples[i - 1].*who).resident);
+    std::nth_element(growth.begin(), growth.begin() + 4, growth.end());
+    EXPECT_LE(growth[4], resident_growth_tolerance) << what;
+  }
+
+  /// Calls `steps(part)` for each tenth of `count`; prints how long a step took in each.
   template <class Steps>
   void endure(const std::string& what, std::uint64_t count, Steps steps) {
-    const auto timed = [&](std::uint64_t part) {
+    std::vector<Sample> samples;
+    std::printf("%s, us each:", what.c_str());
+    for (int tenth = 0; tenth < 10; ++tenth) {
       const auto begin = std::chrono::steady_clock::now();
-      steps(part);
+      steps(count / 10);
       const std::chrono::duration<double> took = std::chrono::steady_clock::now() - begin;
-      std::printf("%s: %llu in %.1f s, %.1f us each\n", what.c_str(),
-                  static_cast<unsigned long long>(part), took.count(),
-                  took.count() * 1e6 / static_cast<double>(part));
+      std::printf(" %.1f", took.count() * 1e7 / static_cast<double>(count));
       std::fflush(stdout);
-    };
-    timed(count / 10);
-    const Sample before = sample_at_rest();
-    timed(count - count / 10);
-    expect_flat(before, sample_at_rest(), what);
+      samples.push_back(tenth == 0 || tenth == 9 ? sample_at_rest() : sample());
+    }
+    std::printf("\n");
+    expect_flat(samples.front(), samples.back(), what);
+    expect_no_leak(samples, &Sample::daemon, what + ": resident memory of the daemon");
+    expect_no_leak(samples, &Sample::publisher, what + ": resident memory of the publisher");
+    expect_no_leak(samples, &Sample::subscriber, what + ": resident memory of the subscriber");
   }
 
   DaemonProcess daemon_{{.arguments = {"--log-level", "debug"}}};
@@ -264,8 +277,7 @@ TEST_F(EnduranceOfProcesses, LeaveNothingBehind) {
   ASSERT_EQ(subscriber_->ask("also sub /busy"), "ok");
   Random random(7);
   std::uint64_t killed = 0;
-  std::string places[2];
-  std::size_t round = 0;
+  std::vector<std::string> places;
   endure("processes", count_of(10'000), [&](std::uint64_t count) {
     std::deque<pid_t> alive;
     for (std::uint64_t i = 0; i < count; ++i) {
@@ -279,12 +291,12 @@ TEST_F(EnduranceOfProcesses, LeaveNothingBehind) {
     for (const pid_t pid : alive) end(pid, false);
     ASSERT_EQ(subscriber_->ask("drain"), "ok");
     (void)sample_at_rest();
-    places[round++] = next_place();
+    places.push_back(next_place());
   });
   std::printf("  %llu were killed; the next process gets %s\n",
-              static_cast<unsigned long long>(killed), places[1].c_str());
-  EXPECT_FALSE(places[0].empty());
-  EXPECT_EQ(places[0], places[1]) << "place and address after a tenth, and in the end";
+              static_cast<unsigned long long>(killed), places.back().c_str());
+  EXPECT_FALSE(places.front().empty());
+  EXPECT_EQ(places.front(), places.back()) << "place and address after a tenth, and in the end";
 }
 
 }  // namespace
