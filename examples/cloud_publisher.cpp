@@ -5,7 +5,6 @@
 
 #include <agnocast/agnocast.hpp>
 #include <examples/cloud.hpp>
-#include <examples/node.hpp>
 #include <examples/options.hpp>
 
 #include <chrono>
@@ -14,15 +13,15 @@
 #include <vector>
 
 int main(int argc, char** argv) try {
-  const example::Options options = example::parse(argc, argv, "/points", " [--points N | --scan FILE]");
+  const example::Options options = example::parse(argc, argv, "points", " [--points N | --scan FILE]");
   std::vector<float> scan;
   if (!options.scan.empty() && !example::read_scan(options.scan, scan)) {
     std::fprintf(stderr, "cloud_publisher: %s: not a scan of 5 float32 per point\nhint: give a file whose size is a multiple of 20 bytes\n",
                  options.scan.c_str());
     return 1;
   }
-  example::Node node("cloud_publisher");
-  auto publisher = agnocast::create_publisher<example::Cloud>(node, options.topic, agnocast::QoS(options.depth));
+  agnocast::Node node("cloud_publisher");
+  auto publisher = node.create_publisher<example::Cloud>(options.topic, options.depth);
   auto next = std::chrono::steady_clock::now();
   for (std::uint64_t number = 1; options.count == 0 || number <= options.count; ++number) {
     auto message = publisher->borrow_loaned_message();

@@ -5,27 +5,26 @@
 
 #include <agnocast/agnocast.hpp>
 #include <examples/cloud.hpp>
-#include <examples/node.hpp>
 #include <examples/options.hpp>
 
-#include <atomic>
-#include <chrono>
+#include <cstdint>
 #include <cstdio>
-#include <thread>
 #include <vector>
 
 int main(int argc, char** argv) try {
-  const example::Options options = example::parse(argc, argv, "/points", " [--scan FILE]");
+  const example::Options options = example::parse(argc, argv, "points", " [--scan FILE]");
   std::vector<float> scan;
   if (!options.scan.empty() && !example::read_scan(options.scan, scan)) {
     std::fprintf(stderr, "cloud_subscriber: %s: not a scan of 5 float32 per point\nhint: give the file that cloud_publisher replays\n",
                  options.scan.c_str());
     return 1;
   }
-  example::Node node("cloud_subscriber");
-  std::atomic<std::uint64_t> received{0}, wrong{0};
-  auto subscription = agnocast::create_subscription<example::Cloud>(
-      node, options.topic, agnocast::QoS(options.depth), [&](const agnocast::ipc_shared_ptr<const example::Cloud>& cloud) {
+  agnocast::Node node("cloud_subscriber");
+  agnocast::SingleThreadedExecutor executor;
+  executor.add_node(node);
+  std::uint64_t received = 0, wrong = 0;
+  auto subscription = node.create_subscription<example::Cloud>(
+      options.topic, options.depth, [&](const agnocast::ipc_shared_ptr<const example::Cloud>& cloud) {
         const bool right = example::check(*cloud, cloud.info().sequence, scan);
         if (!right) ++wrong;
         if (options.verbose) {
@@ -33,9 +32,9 @@ int main(int argc, char** argv) try {
                       static_cast<const void*>(cloud->data.data()), right ? "intact" : "WRONG");
           std::fflush(stdout);
         }
-        ++received;
+        if (++received == options.count) executor.cancel();
       });
-  while (options.count == 0 || received < options.count) std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  executor.spin();
   std::printf("%llu received, %llu wrong, %llu lost\n", static_cast<unsigned long long>(received), static_cast<unsigned long long>(wrong),
               static_cast<unsigned long long>(subscription->get_lost_count()));
   return wrong == 0 ? 0 : 1;

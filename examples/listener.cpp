@@ -3,27 +3,27 @@
 // Receives what talker says and checks it. Ends with status 1 if a message was wrong or came out of order.
 
 #include <agnocast/agnocast.hpp>
-#include <examples/node.hpp>
 #include <examples/options.hpp>
 
 #include <std_msgs/msg/string.hpp>
 
-#include <atomic>
-#include <chrono>
+#include <cstdint>
 #include <cstdio>
-#include <thread>
+#include <string>
 
 int main(int argc, char** argv) try {
-  const example::Options options = example::parse(argc, argv, "/chatter");
-  example::Node node("listener");
-  std::atomic<std::uint64_t> received{0}, wrong{0};
-  auto subscription = agnocast::create_subscription<std_msgs::msg::String>(
-      node, options.topic, agnocast::QoS(options.depth), [&](const agnocast::ipc_shared_ptr<const std_msgs::msg::String>& message) {
+  const example::Options options = example::parse(argc, argv, "chatter");
+  agnocast::Node node("listener");
+  agnocast::SingleThreadedExecutor executor;
+  executor.add_node(node);
+  std::uint64_t received = 0, wrong = 0;
+  auto subscription = node.create_subscription<std_msgs::msg::String>(
+      options.topic, options.depth, [&](const agnocast::ipc_shared_ptr<const std_msgs::msg::String>& message) {
         if (options.verbose) std::printf("I heard: '%s'\n", message->data.c_str()), std::fflush(stdout);
         if (message->data != "Hello World: " + std::to_string(message.info().sequence)) ++wrong;
-        ++received;
+        if (++received == options.count) executor.cancel();
       });
-  while (options.count == 0 || received < options.count) std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  executor.spin();
   std::printf("%llu received, %llu wrong\n", static_cast<unsigned long long>(received), static_cast<unsigned long long>(wrong));
   return wrong == 0 ? 0 : 1;
 } catch (const agnocast::Error& error) {

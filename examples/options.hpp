@@ -3,11 +3,14 @@
 // Command line of the examples: --topic, --count, --rate, --verbose and what each adds. Wrong usage ends with status 2.
 #pragma once
 
+#include <agnocast/node.hpp>
+
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
 #include <string>
+#include <vector>
 
 namespace example {
 
@@ -25,7 +28,7 @@ struct Options {
   std::FILE* const out = status == 0 ? stdout : stderr;
   if (status != 0) std::fprintf(out, "%s: %s\n", program, what);
   std::fprintf(out,
-               "usage: %s [--topic NAME] [--count N] [--rate HZ] [--depth N] [--verbose]%s\n"
+               "usage: %s [--topic NAME] [--count N] [--rate HZ] [--depth N] [--verbose]%s [--ros-args -r FROM:=TO …]\n"
                "  --topic NAME   topic (default %s)\n"
                "  --count N      end after N messages (default: go on)\n"
                "  --rate HZ      messages per second, publishers only (default 1)\n"
@@ -37,22 +40,24 @@ struct Options {
   std::exit(status);
 }
 
-/// `extra`: options of this program beyond the common ones, for the usage line.
+/// ROS arguments are for the nodes that are created later. `extra`: options of this program beyond the common ones, for the usage line.
 inline Options parse(int argc, char** argv, const char* topic, const char* extra = "") {
   const char* const slash = std::strrchr(argv[0], '/');
   const char* const program = slash != nullptr ? slash + 1 : argv[0];
   const auto refuse = [&](const std::string& what) { usage(program, topic, extra, 2, what.c_str()); };
   Options options;
   options.topic = topic;
-  for (int i = 1; i < argc; ++i) {
-    const std::string name = argv[i];
+  agnocast::init(argc, argv);
+  const std::vector<std::string> own = agnocast::remove_ros_arguments(argc, argv);
+  for (std::size_t i = 1; i < own.size(); ++i) {
+    const std::string& name = own[i];
     if (name == "--help" || name == "-h") usage(program, topic, extra, 0);
     if (name == "--verbose") {
       options.verbose = true;
       continue;
     }
-    if (i + 1 == argc) refuse(name + " needs a value, or is unknown");
-    const char* const value = argv[++i];
+    if (i + 1 == own.size()) refuse(name + " needs a value, or is unknown");
+    const char* const value = own[++i].c_str();
     char* end = nullptr;
     if (name == "--topic") {
       options.topic = value;

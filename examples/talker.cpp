@@ -3,7 +3,6 @@
 // Publishes "Hello World: N". Needs the heap hook: agnocast-run talker.
 
 #include <agnocast/agnocast.hpp>
-#include <examples/node.hpp>
 #include <examples/options.hpp>
 
 #include <std_msgs/msg/string.hpp>
@@ -14,9 +13,9 @@
 #include <thread>
 
 int main(int argc, char** argv) try {
-  const example::Options options = example::parse(argc, argv, "/chatter");
-  example::Node node("talker");
-  auto publisher = agnocast::create_publisher<std_msgs::msg::String>(node, options.topic, agnocast::QoS(options.depth));
+  const example::Options options = example::parse(argc, argv, "chatter");
+  agnocast::Node node("talker");
+  auto publisher = node.create_publisher<std_msgs::msg::String>(options.topic, options.depth);
   auto next = std::chrono::steady_clock::now();
   for (std::uint64_t number = 1; options.count == 0 || number <= options.count; ++number) {
     auto message = publisher->borrow_loaned_message();

@@ -139,6 +139,26 @@ TEST(Examples, ATalkerIsHeard) {
   EXPECT_THAT(heard.text, HasSubstr("5 received, 0 wrong"));
 }
 
+TEST(Examples, AreRenamedAndRemappedByTheCommandLine) {
+  test::DaemonProcess daemon({.config = "", .uid = {}, .arguments = {"--log-level", "debug"}});
+  auto listener = std::async(std::launch::async, [&] {
+    return run(example("listener", daemon, false) +
+               " --count 5 --verbose --ros-args -r chatter:=gossip -r __ns:=/street");
+  });
+  ASSERT_TRUE(daemon.wait_for_log("endpoint created kind=subscription topic=/street/gossip"));
+  EXPECT_EQ(run(example("talker", daemon, true) +
+                " --ros-args -r __node:=neighbour -r neighbour:chatter:=/street/gossip"
+                " -r other:chatter:=/nowhere -- --count 5 --rate 100")
+                .status,
+            0);
+  const Outcome heard = listener.get();
+  EXPECT_EQ(heard.status, 0) << heard.text;
+  EXPECT_THAT(heard.text, HasSubstr("5 received, 0 wrong"));
+  const Outcome bad_rule = run(example("talker", daemon, true) + " --ros-args -r nonsense");
+  EXPECT_EQ(bad_rule.status, 1);
+  EXPECT_THAT(bad_rule.text, HasSubstr("'nonsense': a remap rule is from:=to"));
+}
+
 TEST(Examples, NameWhatIsWrong) {
   test::DaemonProcess daemon;
   const Outcome no_hook = run(example("talker", daemon, false) + " --count 1");
