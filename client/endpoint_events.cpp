@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <client/endpoint_events.hpp>
+#include <client/forked_child.hpp>
 
 #include <utility>
 
@@ -51,16 +52,19 @@ IncompatibleTypeInfo EndpointEvents::types_since(Counts& told) const noexcept {
 }
 
 MatchedInfo EndpointEvents::matched_status() noexcept {
+  if (is_forked_child()) return {};
   const std::lock_guard lock(mutex_);
   return matched_since(told_by_status_);
 }
 
 IncompatibleQosInfo EndpointEvents::incompatible_qos_status() noexcept {
+  if (is_forked_child()) return {};
   const std::lock_guard lock(mutex_);
   return qos_since(told_by_status_);
 }
 
 IncompatibleTypeInfo EndpointEvents::incompatible_type_status() noexcept {
+  if (is_forked_child()) return {};
   const std::lock_guard lock(mutex_);
   return types_since(told_by_status_);
 }

@@ -4,6 +4,7 @@
 
 #include <agnocast/executor.hpp>
 #include <client/executors/executor_core.hpp>
+#include <client/forked_child.hpp>
 #include <client/runner.hpp>
 
 #include <algorithm>
@@ -60,6 +61,7 @@ struct Executor::State {
 class Executor::Spinning {
  public:
   explicit Spinning(State& state) : state_(state) {
+    if (Result<void> refused = refuse_forked_child(); !refused) throw Error(refused.error());
     if (state_.is_spinning.exchange(true, std::memory_order_acq_rel))
       throw Error({Errc::invalid_argument, 0, "this executor is spinning already"});
   }
@@ -72,6 +74,7 @@ class Executor::Spinning {
 };
 
 Executor::Executor(std::chrono::nanoseconds spin_budget) {
+  if (Result<void> refused = refuse_forked_child(); !refused) throw Error(refused.error());
   auto core = ExecutorCore::make();
   if (!core) throw Error(core.error());
   state_.reset(new State{std::move(*core), spin_budget});
@@ -89,7 +92,9 @@ void Executor::remove_node_of_name(const std::string& node) {
     throw Error(released.error());
 }
 
-void Executor::cancel() noexcept { state_->core->cancel(); }
+void Executor::cancel() noexcept {
+  if (!is_forked_child()) state_->core->cancel();  // it would wake the parent's
+}
 bool Executor::is_spinning() const noexcept {
   return state_->is_spinning.load(std::memory_order_acquire);
 }
@@ -155,7 +160,7 @@ FutureReturnCode Executor::spin_until(bool (*is_ready)(const void*), const void*
 int Executor::fd() const noexcept { return state_->core->fd(); }
 
 Executor::Readiness Executor::prepare() noexcept {
-  return state_->core->prepare() ? Readiness::work_ready : Readiness::armed;
+  return !is_forked_child() && state_->core->prepare() ? Readiness::work_ready : Readiness::armed;
 }
 
 std::size_t Executor::dispatch() {

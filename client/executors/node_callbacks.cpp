@@ -17,7 +17,7 @@ void NodeCallbacks::add(std::shared_ptr<CallbackSource> source) {
 }
 
 void NodeCallbacks::remove(CallbackSource& source) noexcept {
-  if (is_forked_child()) return;  // the lock may be the parent's
+  if (is_forked_child()) return;         // the lock may be the parent's
   std::shared_ptr<CallbackSource> last;  // goes after the lock: it may be what keeps the callback
   std::unique_lock lock(mutex_);
   const auto found = std::find_if(sources_.begin(), sources_.end(), [&](const auto& candidate) {

@@ -36,8 +36,8 @@ void serve(NodeCallbacks& node, int epoll) noexcept {
       bool any = false;
       run_turn(node, self, any);
       if (any) continue;
-    } catch (
-        const std::bad_alloc&) {  // of the list; what is unread stays unread until there is memory
+    } catch (const std::bad_alloc&) {
+      // Of the list: what is unread stays unread until there is memory.
     }
     node.arm(self);
     epoll_event events[2];

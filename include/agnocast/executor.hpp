@@ -26,6 +26,8 @@ enum class FutureReturnCode { SUCCESS, INTERRUPTED, TIMEOUT };
 ///
 /// An exception that leaves a callback leaves the spin function as well; the executor can be spun
 /// again, and the message of that callback counts as delivered.
+///
+/// In a forked child that has not called exec nothing can be spun or added (shut_down).
 class AGNOCAST_PUBLIC Executor {
  public:
   /// Nodes that are still there are run by the library again. Not while it spins.

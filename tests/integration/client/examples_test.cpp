@@ -156,7 +156,7 @@ TEST(Examples, AreRenamedAndRemappedByTheCommandLine) {
   EXPECT_THAT(heard.text, HasSubstr("5 received, 0 wrong"));
   const Outcome bad_rule = run(example("talker", daemon, true) + " --ros-args -r nonsense");
   EXPECT_EQ(bad_rule.status, 1);
-  EXPECT_THAT(bad_rule.text, HasSubstr("'nonsense': a remap rule is from:=to"));
+  EXPECT_THAT(bad_rule.text, HasSubstr("\"nonsense\": a remap rule is from:=to"));
 }
 
 TEST(Examples, NameWhatIsWrong) {

@@ -81,15 +81,15 @@ TEST_F(Nodes, HaveNamesAndResolveThoseOfTopics) {
 
 TEST_F(Nodes, TellWhereANameIsWrong) {
   EXPECT_THAT(error_of([] { Node node("a b"); }),
-              testing::HasSubstr("node name 'a b': a space is not allowed, at character 2"));
+              testing::HasSubstr("node name \"a b\": a space is not allowed, at character 2"));
   EXPECT_THAT(error_of([] { Node node("a/b"); }), testing::HasSubstr("at character 2"));
   EXPECT_THAT(error_of([] { Node node("node", "/a//b"); }),
-              testing::HasSubstr("namespace '/a//b': two slashes in a row, at character 4"));
+              testing::HasSubstr("namespace \"/a//b\": two slashes in a row, at character 4"));
   EXPECT_THAT(error_of([] { Node node(std::string(200, 'a'), "/" + std::string(100, 'b')); }),
               testing::HasSubstr("longer than 255"));
   Node node("node");
   EXPECT_THAT(error_of([&] { node.resolve_topic_name("2nd"); }),
-              testing::HasSubstr("topic '2nd': a digit cannot be the first character"));
+              testing::HasSubstr("topic \"2nd\": a digit cannot be the first character"));
   EXPECT_THAT(error_of([&] { node.create_publisher<Number>("a-b", 1); }),
               testing::HasSubstr("at character 2"));
   const auto refused = try_create_publisher<Number>(node, "a-b", 1);
@@ -119,8 +119,8 @@ TEST_F(Nodes, RefuseWrongArguments) {
   const auto with = [](std::vector<std::string> arguments) {
     return error_of([&] { Node node("node", NodeOptions().arguments(arguments)); });
   };
-  EXPECT_THAT(with({"--ros-args", "-r", "nonsense"}), testing::HasSubstr("'nonsense'"));
-  EXPECT_THAT(with({"--ros-args", "--bogus"}), testing::HasSubstr("'--bogus'"));
+  EXPECT_THAT(with({"--ros-args", "-r", "nonsense"}), testing::HasSubstr("\"nonsense\""));
+  EXPECT_THAT(with({"--ros-args", "--bogus"}), testing::HasSubstr("\"--bogus\""));
   EXPECT_EQ(with({"--bogus"}), "(no error)") << "not for ROS";
 }
 

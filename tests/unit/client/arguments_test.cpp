@@ -24,19 +24,19 @@ std::vector<RemapRule> rules_of(Line rules) {
     line.push_back(std::move(rule));
   }
   Result<Arguments> parsed = parse_arguments(line);
-  EXPECT_TRUE(parsed) << parsed.error().what;
+  EXPECT_TRUE(parsed) << text_of(parsed.error());
   return parsed ? parsed->rules : std::vector<RemapRule>();
 }
 
 std::string error_of(const Line& line) {
   const auto parsed = parse_arguments(line);
-  return parsed ? "(no error)" : parsed.error().what;
+  return parsed ? "(no error)" : text_of(parsed.error());
 }
 
 /// What the node /space/node makes of `topic`.
 std::string remapped(const Line& rules, const std::string& topic) {
   const auto result = remap_topic(rules_of(rules), topic, "node", "/space");
-  return result ? *result : std::string("error: ") + result.error().what;
+  return result ? *result : std::string("error: ") + text_of(result.error());
 }
 
 TEST(Arguments, OnlyWhatFollowsRosArgsIsForRos) {
@@ -56,7 +56,7 @@ TEST(Arguments, OfLaunchFilesDoNoHarm) {
   const auto parsed = parse_arguments({"--ros-args", "--params-file", "/some/file.yaml", "-p",
                                        "rate:=10", "--log-level", "info", "-e", "/enclave",
                                        "--disable-rosout-logs", "-r", "a:=b"});
-  ASSERT_TRUE(parsed) << parsed.error().what;
+  ASSERT_TRUE(parsed) << text_of(parsed.error());
   EXPECT_EQ(parsed->rules.size(), 1u);
 }
 
@@ -65,7 +65,7 @@ TEST(Arguments, AreNamedWhenTheyAreWrong) {
     const char* rule;
     const char* sentence;
   } table[] = {
-      {"nonsense", "'nonsense': a remap rule is from:=to"},
+      {"nonsense", "\"nonsense\": a remap rule is from:=to"},
       {":=to", "a remap rule is from:=to"},
       {"from:=", "a remap rule is from:=to"},
       {"from:=a b", "right side: a space is not allowed, at character 2"},
@@ -78,8 +78,8 @@ TEST(Arguments, AreNamedWhenTheyAreWrong) {
   };
   for (const auto& row : table)
     EXPECT_THAT(error_of({"--ros-args", "-r", row.rule}), HasSubstr(row.sentence)) << row.rule;
-  EXPECT_THAT(error_of({"--ros-args", "-r"}), HasSubstr("'-r': its value is missing"));
-  EXPECT_THAT(error_of({"--ros-args", "--bogus"}), HasSubstr("'--bogus': not an option"));
+  EXPECT_THAT(error_of({"--ros-args", "-r"}), HasSubstr("\"-r\": its value is missing"));
+  EXPECT_THAT(error_of({"--ros-args", "--bogus"}), HasSubstr("\"--bogus\": not an option"));
 }
 
 TEST(Arguments, RemapTopicsByTheirFullNamesAndTheFirstRuleWins) {
