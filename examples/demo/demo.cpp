@@ -95,6 +95,7 @@ class Demo {
  public:
   explicit Demo(Options options) : options_(std::move(options)) {
     programs_ = std::filesystem::read_symlink("/proc/self/exe").parent_path().string();
+    environment_["AGNOCAST"] = "on";
     environment_["AGNOCAST_SOCKET"] = directory_.file("agnocastd.sock");
     const std::string dds = directory_.file("cyclonedds.xml");
     std::string text = dds_configuration;
