@@ -10,9 +10,10 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cstdio>
 #include <fstream>
 #include <map>
-#include <regex>
+#include <sstream>
 #include <string>
 #include <vector>
 
@@ -81,20 +82,20 @@ std::string document() {
 }
 
 std::map<std::string, Struct> in_document() {
-  static const std::regex heading("### `(\\w+)`, (\\d+) bytes");
-  static const std::regex row("\\| (\\d+) \\| `(\\w+)` \\| (\\d+) \\|.*");
   std::map<std::string, Struct> found;
   Struct* current = nullptr;
   std::istringstream lines(document());
   for (std::string line; std::getline(lines, line);) {
-    std::smatch match;
-    if (std::regex_match(line, match, heading)) {
-      current = &found[match[1]];
-      current->bytes = std::stoul(match[2]);
+    char name[64] = {};
+    std::size_t offset = 0, bytes = 0;
+    if (std::sscanf(line.c_str(), "### `%63[A-Za-z0-9_]`, %zu bytes", name, &bytes) == 2) {
+      current = &found[name];
+      current->bytes = bytes;
     } else if (line.rfind("#", 0) == 0) {
       current = nullptr;
-    } else if (current != nullptr && std::regex_match(line, match, row)) {
-      current->fields.push_back(match[1].str() + " " + match[2].str() + " " + match[3].str());
+    } else if (current != nullptr && std::sscanf(line.c_str(), "| %zu | `%63[A-Za-z0-9_]` | %zu |",
+                                                 &offset, name, &bytes) == 3) {
+      current->fields.push_back(std::to_string(offset) + " " + name + " " + std::to_string(bytes));
     }
   }
   return found;
