@@ -57,6 +57,10 @@ TEST(Requests, PassesEveryHonestPacket) {
       decoded(body<wire::WindowRequest>(wire::Opcode::open_window))));
   EXPECT_TRUE(std::holds_alternative<wire::ExecutorRequest>(
       decoded(body<wire::ExecutorRequest>(wire::Opcode::open_executor))));
+  EXPECT_TRUE(std::holds_alternative<wire::Observe>(
+      decoded(body<wire::Observe>(wire::Opcode::observe), {}, Role::unknown)));
+  EXPECT_TRUE(std::holds_alternative<wire::Dump>(
+      decoded(body<wire::Dump>(wire::Opcode::dump), {}, Role::observer)));
   const Request created = decoded(honest_create(wire::Opcode::create_subscription));
   const auto* const create = std::get_if<CreateRequest>(&created);
   ASSERT_NE(create, nullptr);
@@ -108,6 +112,20 @@ TEST(Requests, RefusesWhatCanBeParsedAndIsWrong) {
   auto executor = body<wire::ExecutorRequest>(wire::Opcode::open_executor);
   executor.executor = abi::executor_count_max;
   EXPECT_EQ(rejected(decoded(executor)).code, Errc::limit_reached);
+}
+
+TEST(Requests, LetsEachRoleSayOnlyWhatIsItsOwn) {
+  const auto observe = body<wire::Observe>(wire::Opcode::observe);
+  const auto dump = body<wire::Dump>(wire::Opcode::dump);
+  const auto window = body<wire::WindowRequest>(wire::Opcode::open_window);
+  for (const Role role : {Role::client, Role::observer})
+    EXPECT_EQ(rejected(decoded(observe, {}, role)).code, Errc::protocol_violation);
+  for (const Role role : {Role::client, Role::unknown})
+    EXPECT_EQ(rejected(decoded(dump, {}, role)).code, Errc::protocol_violation);
+  for (const Role role : {Role::observer, Role::unknown})
+    EXPECT_EQ(rejected(decoded(window, {}, role)).code, Errc::protocol_violation);
+  EXPECT_EQ(rejected(decoded(window, {}, Role::observer)).text,
+            "an observer asks for dumps and nothing else");
 }
 
 TEST(Requests, RefusesNamesWithoutEnd) {
