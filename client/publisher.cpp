@@ -98,7 +98,7 @@ Errc UntypedPublisher::publish(void* message, std::size_t bytes) noexcept {
 void UntypedPublisher::count_adoption(const Result<std::uint64_t>& adopted) noexcept {
   if (adopted) {
     endpoint_->count_adopted(*adopted);
-  } else if (adopted.error().code == Errc::heap_exhausted) {
+  } else if (adopted.error().code != Errc::user_code_threw) {
     endpoint_->count_heap_exhausted();
   }
 }

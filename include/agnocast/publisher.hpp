@@ -34,8 +34,9 @@ class PublisherOptions : public detail::EventOptions<PublisherOptions> {};
 /// What publish did. Converts to true when the message was committed; then it is the queue's.
 /// Otherwise the caller still has it.
 struct PublishResult {
-  Errc code = Errc::ok;  ///< ok, no_slot, would_block, heap_exhausted, loan_invalid,
-                         ///< user_code_threw, shut_down (in a forked child), switched_off
+  /// ok, no_slot, would_block, heap_exhausted, window_exhausted, loan_invalid, user_code_threw,
+  /// shut_down (in a forked child), switched_off
+  Errc code = Errc::ok;
   std::uint64_t adopted_bytes =
       0;  ///< bytes outside the shared heap that had to be copied in; 0 = true zero-copy
   explicit operator bool() const noexcept { return code == Errc::ok; }

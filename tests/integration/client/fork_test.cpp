@@ -221,6 +221,34 @@ TEST_F(Fork, ProgramsStartedMeanwhileInheritNothing) {
   }));
 }
 
+struct OtherNode : PlainNode {
+  const char* get_fully_qualified_name() const { return "/ns/other"; }
+};
+
+TEST_F(Fork, AnExecutorThatSpinsStaysWithTheParent) {
+  EXPECT_TRUE(in_own_process([] {
+    auto executor = std::make_unique<SingleThreadedExecutor>();
+    executor->add_node(OtherNode());
+    std::atomic<std::uint32_t> called{0};
+    auto subscription = create_subscription<Cloud>(
+        OtherNode(), "points", QoS(10),
+        [&](const ipc_shared_ptr<const Cloud>& cloud) { called = cloud->width; });
+    std::thread spinner([&] { executor->spin(); });
+    Busy busy;
+    EXPECT_TRUE(test::eventually([&] { return called == 1; }));
+    Child child = child_of([&] {
+      subscription.reset();
+      executor->cancel();
+      executor.reset();
+    });
+    EXPECT_EQ(child.wait(), 0);
+    busy.expect_unharmed();
+    EXPECT_TRUE(test::eventually([&] { return called == 2; }));
+    executor->cancel();
+    spinner.join();
+  }));
+}
+
 TEST_F(Fork, ForkingWhileThreadsPublishAndTakeDisturbsNobody) {
   EXPECT_TRUE(in_own_process([] {
     Busy busy;

@@ -60,6 +60,9 @@ struct MessageTraits<Moody> {
 
 namespace {
 
+/// Before and after the daemon has refused another window.
+bool is_full(Errc code) { return code == Errc::heap_exhausted || code == Errc::window_exhausted; }
+
 bool allocates_shared() {
   const auto block = std::make_unique<std::vector<int>>(1000);
   return agnocast_heaphook()->owns(block->data()) != 0;
@@ -118,7 +121,7 @@ TEST_F(Publishing, ACopyConstructorThatThrowsInAdoptionLeavesTheMessageWithTheCa
   ASSERT_EQ(message.get(), address);
   EXPECT_TRUE(all_are(message->data, 1));
   copying = Mood::bad_alloc;
-  EXPECT_EQ(publisher->publish(std::move(message)).code, Errc::heap_exhausted);
+  EXPECT_TRUE(is_full(publisher->publish(std::move(message)).code));
   ASSERT_EQ(message.get(), address);
 
   copying = Mood::other;
@@ -222,12 +225,14 @@ TEST_F(Publishing, AFullHeapIsToldAndForgottenWhenReadersRelease) {
     held.push_back(take_soon(subscription));
     ASSERT_TRUE(held.back());
   }
-  EXPECT_EQ(result.code, Errc::heap_exhausted);
+  EXPECT_TRUE(is_full(result.code)) << sentence_of(result.code);
   EXPECT_GE(number, 8) << "64 MiB hold more than that";
   ASSERT_TRUE(loan) << "the caller still has it";
   EXPECT_EQ(agnocast_heaphook()->owns(loan->data.data()), 0) << "its memory came from libc";
   EXPECT_TRUE(all_are(loan->data, number));
-  EXPECT_EQ(publisher->publish(std::move(loan)).code, Errc::heap_exhausted) << "nothing changed";
+  EXPECT_TRUE(test::eventually([&] {
+    return publisher->publish(std::move(loan)).code == Errc::window_exhausted;
+  })) << "the daemon has refused another window";
 
   // A smaller one still fits.
   auto small = publisher->borrow_loaned_message();

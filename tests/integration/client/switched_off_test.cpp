@@ -81,6 +81,15 @@ TEST_F(SwitchedOff, EndpointsAreMadeAndDoNothing) {
   EXPECT_EQ(thread_count(), threads_before) << "no thread was started";
 }
 
+TEST_F(SwitchedOff, ExecutorsSpinOverNothing) {
+  SingleThreadedExecutor executor;
+  executor.add_node(PlainNode());
+  auto called = create_subscription<Numbers>(PlainNode(), "numbers", QoS(1),
+                                             [](const ipc_shared_ptr<const Numbers>&) { FAIL(); });
+  executor.spin_some();
+  EXPECT_EQ(called->get_matched_status().current_count, 0u);
+}
+
 TEST_F(SwitchedOff, MistakesAreStillFound) {
   EXPECT_EQ(try_create_publisher<Numbers>(PlainNode(), "a//b", QoS(1)).error().code,
             Errc::invalid_name);
