@@ -76,7 +76,7 @@ std::string help_text(std::span<const Command> commands, std::string_view noun) 
       "place\n"
       "  -j, --json[=FORM]      one JSON object; FORM is short or pretty\n"
       "  --version              print version and layout of shared memory\n"
-      "  --help                 print this; after a command, its options\n"
+      "  -h, --help             print this; after a command, its options\n"
       "\nExamples:\n" +
       examples +
       "\nExit status: 0 done, 1 failed, 2 wrong usage, 3 daemon not reachable, 4 no such topic, "
@@ -180,7 +180,7 @@ class Parser {
   explicit Parser(const Command& command)
       : command_(command), app_(std::string(command.summary), full_name(command)) {
     app_.allow_extras();  // so that we can say what is unknown, and what was meant
-    app_.set_help_flag("--help", "print this and end");
+    app_.set_help_flag("-h,--help", "print this and end");
     if (command.takes & a_name)
       app_.add_option("NAME", arguments_.name, "a topic; without a slash it is meant to have one");
     flag("-t,--show-types", types, arguments_.types, "with the type of each");

@@ -8,9 +8,7 @@
 #include <ctl/commands.hpp>
 
 #include <sys/resource.h>
-#include <unistd.h>
 
-#include <csignal>
 #include <cstdio>
 #include <cstdlib>
 #include <string>

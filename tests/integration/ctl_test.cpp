@@ -16,6 +16,7 @@
 #include <signal.h>
 #include <sys/stat.h>
 
+#include <cstdlib>
 #include <functional>
 #include <map>
 #include <memory>
@@ -277,6 +278,36 @@ TEST(Ctl, SaysHowTheDaemonIs) {
   EXPECT_THAT(text.out, HasSubstr("processes      1 of 2048\n"));
   EXPECT_THAT(text.out, HasSubstr("topics         1 of 9\n"));
   EXPECT_EQ(text.out.find('\x1b'), std::string::npos) << "no colour where no terminal is";
+}
+
+// What it writes to a terminal.
+std::string on_a_terminal(const std::string& socket, const char* no_colour) {
+  const UniqueFd master(::posix_openpt(O_RDWR | O_NOCTTY | O_CLOEXEC));
+  char name[64];
+  if (!master || ::grantpt(master.get()) != 0 || ::unlockpt(master.get()) != 0 ||
+      ::ptsname_r(master.get(), name, sizeof name) != 0)
+    return "(no terminal)";
+  const UniqueFd terminal(::open(name, O_RDWR | O_NOCTTY | O_CLOEXEC));
+  const pid_t pid = ::fork();
+  if (pid == 0) {
+    ::dup2(terminal.get(), STDOUT_FILENO);
+    ::setenv("AGNOCAST_SOCKET", socket.c_str(), 1);
+    ::setenv("NO_COLOR", no_colour, 1);
+    ::execl(AGNOCAST_TEST_CTL, AGNOCAST_TEST_CTL, "status", nullptr);
+    ::_exit(98);
+  }
+  ::waitpid(pid, nullptr, 0);
+  char text[8192];
+  const ssize_t count = ::read(master.get(), text, sizeof text);
+  return count > 0 ? std::string(text, static_cast<std::size_t>(count)) : "(nothing)";
+}
+
+TEST(Ctl, IsColouredOnATerminalUnlessNobodyWantsIt) {
+  DaemonProcess daemon;
+  EXPECT_THAT(on_a_terminal(daemon.socket_path(), ""), HasSubstr("\x1b[1magnocastd"));
+  const std::string plain = on_a_terminal(daemon.socket_path(), "1");
+  EXPECT_THAT(plain, StartsWith("agnocastd "));
+  EXPECT_EQ(plain.find('\x1b'), std::string::npos);
 }
 
 void expect_keys(const nlohmann::json& value) {
