@@ -43,7 +43,6 @@ extern "C" {
 __attribute__((visibility("default"))) void* plugin_start(std::atomic<int>* destroyed) {
   destroyed_count = destroyed;
   auto publisher = agnocast::create_publisher<Counted>(agnocast::test::PlainNode(), "counted", 1);
-  while (publisher->get_subscription_count() == 0) ::usleep(1000);
   auto loan = publisher->borrow_loaned_message();
   loan->numbers.assign(1000, 42);
   if (!publisher->publish(std::move(loan))) return nullptr;
@@ -57,9 +56,10 @@ __attribute__((visibility("default"))) void plugin_stop(void* publisher) {
 __attribute__((visibility("default"))) int plugin_hold(int say_fd, int wait_fd) {
   auto subscription = agnocast::create_subscription<Counted>(agnocast::test::PlainNode(), "counted",
                                                              agnocast::QoS(1));
+  char byte = 0;
+  if (::write(say_fd, &byte, 1) != 1) return 3;
   auto message = agnocast::test::take_soon(subscription);
   if (!message) return 2;
-  char byte = 0;
   if (::write(say_fd, &byte, 1) != 1) return 3;
   if (::read(wait_fd, &byte, 1) != 1) return 4;
   if (message->numbers != std::vector<int>(1000, 42)) return 5;

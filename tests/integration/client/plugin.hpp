@@ -9,6 +9,7 @@ extern "C" {
 using PluginStart =
     void* (*)(std::atomic<int>* destroyed);  // publishes one message to one subscriber
 using PluginStop = void (*)(void* publisher);
-// Takes one message, says so by a byte, keeps it until it gets one. 0: all went well.
+// Subscribes, says so by a byte, takes one message, says so, keeps it until it gets a byte. 0: all
+// went well.
 using PluginHold = int (*)(int say_fd, int wait_fd);
 }

@@ -38,13 +38,15 @@ TEST(Plugin, MayBeClosedWhileItsMessagesAreHeldElsewhere) {
     void* const plugin = ::dlopen(AGNOCAST_TEST_PLUGIN, RTLD_NOW);
     return plugin != nullptr ? symbol<PluginHold>(plugin, "plugin_hold")(said[1], wait[0]) : 1;
   });
+  ::close(said[1]);  // reading it ends when the subscriber does
   EXPECT_TRUE(test::in_own_process([&] {
     void* const plugin = ::dlopen(AGNOCAST_TEST_PLUGIN, RTLD_NOW);
     ASSERT_NE(plugin, nullptr) << ::dlerror();
     static std::atomic<int> destroyed{0};
+    char byte = 0;
+    ASSERT_EQ(::read(said[0], &byte, 1), 1) << "a publisher that comes later misses nobody";
     void* const publisher = symbol<PluginStart>(plugin, "plugin_start")(&destroyed);
     ASSERT_NE(publisher, nullptr);
-    char byte = 0;
     ASSERT_EQ(::read(said[0], &byte, 1), 1) << "the subscriber holds it";
     symbol<PluginStop>(plugin, "plugin_stop")(publisher);
     ASSERT_EQ(::dlclose(plugin), 0);
