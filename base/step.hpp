@@ -31,7 +31,6 @@ namespace agnocast {
   X(P7_match, "does the publisher offer what a member requests?")  \
   X(P7_window, "how much a new member can ask for")                \
   X(P7_slots, "how many slots there are now")                      \
-  X(P8_lazy, "may this pass leave the links alone?")               \
   X(P8_armed, "load an executor's sleep word")                     \
   X(P8_asleep, "is it asleep and not rung yet?")                   \
   X(P8_rung, "remember the generation rung")                       \

@@ -311,7 +311,7 @@ class PublisherCore {
     refresh_members();
     if (after_commit) {
       ring_sleepers(environment);
-      if (M::holds(Step::P8_lazy, lazy_passes_ < self_.lazy_limit)) {
+      if (lazy_passes_ < self_.lazy_limit) {
         ++lazy_passes_;
         return;
       }

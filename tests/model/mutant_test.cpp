@@ -38,8 +38,6 @@ const Equivalent equivalent[] = {
      "no direct free: marked now, freed by a later pass"},
     {{Step::T2_order, Mutation::Kind::force_true}, "T3 and T5 compare the slot's own sequence"},
     {{Step::T3_live, Mutation::Kind::force_true}, "saves a pin only; T5 decides"},
-    {{Step::T6_inside, Mutation::Kind::force_true},
-     "every publisher here is honest; hostile ones: unit_dataplane"},
     {{Step::J6_check, Mutation::Kind::force_true}, "rule RU guarantees it already"},
     {{Step::S5_disarm, Mutation::Kind::leave_out},
      "somebody awake is rung once per generation: costs a system call"},
@@ -95,7 +93,8 @@ TEST(ModelMutants, EveryStatementFenceAndDecisionOfTheProtocolIsNeeded) {
   ReuseScenario reuse({.name = "rule RU"});  // its mutants are in reuse_model_test.cpp
   Explorer<ReuseScenario>(reuse, 1'000'000).explore(reuse.start());
   for (std::size_t i = 0; i < machine.statements.size(); ++i) {
-    if (name_of(static_cast<Step>(i))[0] == 'W') continue;  // the redo log: sweep_redo_log kills at each
+    if (name_of(static_cast<Step>(i))[0] == 'W')
+      continue;  // the redo log: sweep_redo_log kills at each
     EXPECT_TRUE(machine.statements[i] || machine.decisions[i])
         << name_of(static_cast<Step>(i)) << " is never reached";
   }
