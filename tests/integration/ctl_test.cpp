@@ -20,7 +20,6 @@
 #include <functional>
 #include <map>
 #include <memory>
-#include <regex>
 #include <string>
 #include <vector>
 
@@ -102,6 +101,15 @@ struct Node {
 
 // --- what it says
 
+// A GID is sixteen bytes and never the same.
+std::string without_gids(std::string text) {
+  constexpr std::size_t length = 16 * 3 - 1;
+  for (std::size_t at = 0; (at = text.find("GID: ", at)) != std::string::npos; at += 5) {
+    if (text.find('\n', at) == at + 5 + length) text.replace(at + 5, length, "X");
+  }
+  return text;
+}
+
 TEST(Ctl, ListsTopicsInTheShapesOfRos2) {
   DaemonProcess daemon;
   Node a(daemon.socket_path()), elsewhere(daemon.socket_path(), 7);
@@ -156,8 +164,7 @@ TEST(Ctl, TellsOfATopicWhatRos2TellsAndWhatItCost) {
   counters.counter(offsetof(abi::SubscriptionCounters, lost)).store(9);
   counters.counter(offsetof(abi::SubscriptionCounters, malformed)).store(1);
   info = run_ctl(daemon.socket_path(), {"topic", "info", "points", "--verbose"});
-  const std::string gid = std::regex_replace(
-      info.out, std::regex("GID: ([0-9a-f]{2}\\.){15}[0-9a-f]{2}\n"), "GID: X\n");
+  const std::string gid = without_gids(info.out);
   EXPECT_EQ(gid,
             "Type: test/msg/Type\n\nPublisher count: 1\n\n"
             "Node name: talker\nNode namespace: /ns\nTopic type: test/msg/Type\n"
