@@ -22,6 +22,9 @@ constexpr std::uint64_t layout_of_tables = sizeof(ClientRecord) << 48 | sizeof(T
 constexpr std::uint64_t lazy_pass_count = 32;
 // One for the message being published and one for the one being borrowed.
 constexpr std::uint64_t slots_in_hand = 2;
+// What every publisher gets: until its control thread has mapped a new subscription, it keeps all
+// messages for it, so a busy process needs a reserve. Up to here hold bits cost nothing more.
+constexpr std::uint64_t slots_at_least = abi::near_slot_count;
 
 constexpr std::uint64_t round_up(std::uint64_t value, std::uint64_t unit) noexcept {
   return (value + unit - 1) / unit * unit;
@@ -446,8 +449,8 @@ std::uint64_t Registry::slots_needed(TopicIndex topic, const abi::Qos& offered,
     if (counts_as_member(record.state)) count(record);
   });
   if (joining != nullptr) count(*joining);
-  return std::min<std::uint64_t>(round_up(window + quotas + lazy_pass_count + slots_in_hand, 64),
-                                 capacity_.slots_per_publisher);
+  const std::uint64_t slots = round_up(window + quotas + lazy_pass_count + slots_in_hand, 64);
+  return std::min<std::uint64_t>(std::max(slots, slots_at_least), capacity_.slots_per_publisher);
 }
 
 Result<PublisherPlan> Registry::plan_publisher(ClientIndex client, TopicIndex topic,

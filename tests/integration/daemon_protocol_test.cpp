@@ -573,7 +573,7 @@ TEST(DaemonProtocol, RaisesThePublishersSlotsForADeepSubscription) {
   DaemonProcess daemon;
   Node publisher(daemon), subscriber(daemon);
   const auto p = publisher.publisher("/topic");
-  EXPECT_EQ(p.slot_count, 64u);
+  EXPECT_EQ(p.slot_count, abi::near_slot_count);
   const auto s = subscriber.subscription("/topic", {900, false, true, false, false});
   const std::uint64_t slots =
       word(publisher.board, abi::topic_offset(p.topic) + abi::publisher_entry_offset(p.index) +

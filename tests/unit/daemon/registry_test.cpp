@@ -133,7 +133,7 @@ TEST_F(RegistryTest, RaisesSlotsBeforeADeepSubscriptionIsAMember) {
   const ClientIndex a = client();
   const TopicIndex t = topic();
   const auto p = publisher(a, t, 1);
-  EXPECT_EQ(p.slot_count, 64u);
+  EXPECT_EQ(p.slot_count, abi::near_slot_count);
   const abi::Qos qos{500, false, true, false, false};
   const auto plan = registry.plan_subscription(a, t, qos, 100).value();
   ASSERT_EQ(plan.raises.size(), 1u);
