@@ -25,11 +25,14 @@ namespace {
 // (docs/protocol.md, who runs a pass).
 constexpr int timer_first_ms = 100;
 constexpr int timer_last_ms = 1000;
+// Looks at a subscription that has not linked yet: usually it does within a millisecond.
+constexpr int link_look_first_ms = 1;
 
 }  // namespace
 
 void Context::serve() noexcept {
   int timeout = timer_last_ms;
+  int link_look = link_look_first_ms;
   bool was_reclaimable = false;
   for (;;) {
     try {
@@ -44,6 +47,13 @@ void Context::serve() noexcept {
         timeout = was_reclaimable ? std::min(timeout * 2, timer_last_ms) : timer_first_ms;
       }
       was_reclaimable = reclaimable;
+      if (std::any_of(all.begin(), all.end(),
+                      [](const auto& publisher) { return publisher->awaits_link(); })) {
+        timeout = std::min(timeout, link_look);
+        link_look = std::min(link_look * 2, timer_first_ms);
+      } else {
+        link_look = link_look_first_ms;
+      }
     } catch (const std::bad_alloc&) {
       // Out of memory in the control thread: nothing is half done that the next round would not do
       // again.

@@ -130,14 +130,38 @@ void PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr
     const std::size_t executor = executor_of(*peer, subscription.executor, std::move(bell));
     core_->attach(subscription.index, subscription.generation, peer->region(), subscription.extent,
                   armed_offset(subscription.executor), executor, work);
-    attached_.push_back({subscription.index, subscription.generation, executor, std::move(peer)});
+    attached_.push_back({subscription.index, subscription.generation, subscription.extent, executor,
+                         std::move(peer)});
     core_->pass(work);
   });
-  events_.gained();
+  note_links();
+}
+
+bool PublisherEndpoint::is_linked(const Attached& attached) const noexcept {
+  // [sync:link] acquire; pairs with the seq_cst store at J6.
+  return dataplane::LinkWords<SharedMemory>{attached.peer->region(), attached.extent,
+                                            identity_.core.index}
+             .publisher_generation()
+             .load(std::memory_order_acquire) == identity_.core.generation;
+}
+
+// A match is reported when the subscription has linked: before, it may still miss what is published.
+void PublisherEndpoint::note_links() noexcept {
+  std::size_t linked = 0;
+  {
+    const std::lock_guard lock(mutex_);
+    for (Attached& attached : attached_) {
+      if (attached.matched || !is_linked(attached)) continue;
+      attached.matched = true;
+      ++linked;
+    }
+  }
+  for (; linked > 0; --linked) events_.gained();
 }
 
 void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) noexcept {
   std::shared_ptr<Peer> let_go;
+  bool was_matched = false;
   with_queue([&](Work& work) {
     const auto found =
         std::find_if(attached_.begin(), attached_.end(), [&](const Attached& attached) {
@@ -148,9 +172,10 @@ void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) no
     core_->detach(index, generation);
     if (--executors_[found->executor].users == 0) executors_[found->executor] = {};
     let_go = std::move(found->peer);
+    was_matched = found->matched;
     attached_.erase(found);
   });
-  if (let_go != nullptr) events_.ceased();
+  if (was_matched) events_.ceased();
 }
 
 void PublisherEndpoint::detach_all() noexcept {
@@ -162,6 +187,7 @@ void PublisherEndpoint::detach_all() noexcept {
 }
 
 void PublisherEndpoint::run_errands() noexcept {
+  note_links();
   with_queue([&](Work& work) {
     for (Executor& sleeper : executors_) {
       const std::uint64_t owed = std::exchange(sleeper.owed, 0);
@@ -192,7 +218,14 @@ std::uint64_t PublisherEndpoint::allocated_count() const noexcept {
 std::size_t PublisherEndpoint::subscription_count() const noexcept {
   if (is_forked_child()) return 0;
   const std::lock_guard lock(mutex_);
-  return attached_.size();
+  return static_cast<std::size_t>(
+      std::count_if(attached_.begin(), attached_.end(),
+                    [this](const Attached& attached) { return is_linked(attached); }));
+}
+bool PublisherEndpoint::awaits_link() const noexcept {
+  const std::lock_guard lock(mutex_);
+  return std::any_of(attached_.begin(), attached_.end(),
+                     [](const Attached& attached) { return !attached.matched; });
 }
 
 }  // namespace agnocast

@@ -78,7 +78,11 @@ class PublisherEndpoint {
   /// The daemon has freed it and nothing is left to destroy.
   bool is_over() const noexcept;
   std::uint64_t allocated_count() const noexcept;
+  /// Subscriptions that get what is published from now on: mapped here, and linked there.
   std::size_t subscription_count() const noexcept;
+  /// A subscription is mapped that has not linked yet: run_errands() shall look again soon, because
+  /// nobody rings when it has.
+  bool awaits_link() const noexcept;
   EndpointEvents& events() noexcept { return events_; }
 
  private:
@@ -101,8 +105,10 @@ class PublisherEndpoint {
   struct Attached {
     std::uint64_t index;
     std::uint64_t generation;
+    std::uint64_t extent;
     std::size_t executor;
     std::shared_ptr<Peer> peer;
+    bool matched = false;  // it was seen linked, and counted
   };
   struct Work;
 
@@ -110,14 +116,15 @@ class PublisherEndpoint {
   void with_queue(Do work) noexcept;
   void count(std::size_t counter, std::uint64_t more) noexcept;
   std::size_t executor_of(const Peer& peer, std::uint64_t executor, Doorbell bell);
+  bool is_linked(const Attached& attached) const noexcept;
+  void note_links() noexcept;
 
   Identity identity_;
   mutable std::mutex mutex_;
   std::unique_ptr<Core> core_;
   std::vector<Executor> executors_;
   std::vector<Attached> attached_;
-  std::vector<void*>
-      doomed_;  // to be destroyed later; capacity for every slot from the start
+  std::vector<void*> doomed_;  // to be destroyed later; capacity for every slot from the start
   EndpointEvents events_;
 };
 

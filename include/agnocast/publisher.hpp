@@ -224,7 +224,7 @@ class Publisher {
   /// publish says switched_off.
   bool is_active() const noexcept { return untyped_->is_active(); }
   const char* get_topic_name() const noexcept { return untyped_->topic().c_str(); }
-  /// Matched subscriptions that this process has mapped; a moment ago.
+  /// Matched subscriptions: each gets what is published from now on.
   std::size_t get_subscription_count() const noexcept { return untyped_->subscription_count(); }
   /// Of event callbacks, in the library's thread (see Subscription).
   std::uint64_t get_callback_exception_count() const noexcept {
