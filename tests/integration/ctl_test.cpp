@@ -175,7 +175,7 @@ TEST(Ctl, TellsOfATopicWhatRos2TellsAndWhatItCost) {
             "Process: wire_client (pid " +
                 pid + ", uid " + std::to_string(::geteuid()) +
                 ")\nZero-copy: no, 12345 bytes adopted (2 messages)\nPublished: 6 messages\n"
-                "Allocated: 6 messages of 64, 2 held by subscriptions\n"
+                "Allocated: 6 messages of 384, 2 held by subscriptions\n"
                 "Refused: 3 no_slot, 0 would_block, 0 heap_exhausted\n\n"
                 "Subscription count: 1\n\n"
                 "Node name: listener\nNode namespace: /\nTopic type: test/msg/Type\n"
