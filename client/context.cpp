@@ -425,10 +425,10 @@ Result<std::shared_ptr<Sleeper>> Context::create_sleeper() {
       sleeper = std::move(unused_sleepers_.back());
       unused_sleepers_.pop_back();
     } else if (next_sleeper_ == abi::executor_count_max) {
-      static_assert(abi::executor_count_max == 32);
+      static_assert(abi::executor_count_max == 56);
       return fail(
           Errc::limit_reached,
-          "more than 32 nodes with callbacks in one process (polling subscriptions together "
+          "more than 56 nodes with callbacks in one process (polling subscriptions together "
           "count as one)");
     } else {
       request.executor = next_sleeper_++;

@@ -145,7 +145,7 @@ static_assert(sizeof(WindowEntry) == 32 && offsetof(WindowEntry, frontier) == 16
 //     8  fingerprint   u64
 //    16  generation    u64  of the client
 //   128  window[8]     WindowEntry
-//   512  executor[32]  ExecutorLine
+//   512  executor[56]  ExecutorLine
 struct ClientRegionHeader {
   SharedWord magic;
   SharedWord fingerprint;
@@ -158,7 +158,7 @@ inline constexpr std::uint64_t client_region_magic =
     0x67657263742e6761;  // "ag.tcreg" in memory order
 static_assert(offsetof(ClientRegionHeader, window) == 128 &&
               offsetof(ClientRegionHeader, executor) == 512);
-static_assert(sizeof(ClientRegionHeader) <= page_bytes);
+static_assert(sizeof(ClientRegionHeader) == page_bytes);
 static_assert(std::is_standard_layout_v<ClientRegionHeader>);
 
 // What an endpoint gets of its process's region: whole pages, enough for the largest geometry.

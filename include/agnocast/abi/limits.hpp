@@ -48,8 +48,9 @@ inline constexpr std::uint64_t window_granule_bytes = 2 << 20;
 // Connections of one user that only look. Each may let the daemon keep one dump for it.
 inline constexpr std::uint32_t observer_count_max = 8;
 
-// Executors of one process: one line each in the first page of the client region beside the
-// windows.
-inline constexpr std::uint32_t executor_count_max = 32;
+// Executors of one process, one for each of its nodes with callbacks: one line each in what the
+// first page of the client region has left beside the windows. Containers of more nodes exist, but
+// are rare.
+inline constexpr std::uint32_t executor_count_max = 56;
 
 }  // namespace agnocast::abi
