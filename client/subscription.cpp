@@ -131,7 +131,7 @@ Result<std::shared_ptr<UntypedSubscription>> UntypedSubscription::create(
 
 UntypedSubscription::~UntypedSubscription() {
   if (endpoint_ == nullptr) return;
-  if (source_ != nullptr) runner_->callbacks().remove(*source_);
+  if (source_ != nullptr) runner_->callbacks().remove(*source_, runner_);
   Context::instance().destroy(endpoint_);
 }
 
