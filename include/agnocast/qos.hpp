@@ -34,8 +34,9 @@ class QoS {
         transient_local_(static_cast<int>(like.durability()) == rmw_transient_local) {}
 
   QoS& keep_last(std::size_t depth) noexcept { return depth_ = depth, keep_all_ = false, *this; }
-  /// Nothing is lost: a publisher that would overrun a reliable keep-all subscription gets
-  /// would_block. `bound`: unread messages at most.
+  /// On both sides, both reliable: nothing is lost, and the publisher gets would_block where it would
+  /// overrun the subscription. A keep-last publisher is not held up, also by a keep-all subscription,
+  /// which then loses what is beyond `bound`: the unread messages at most (of both, the smaller).
   QoS& keep_all(std::size_t bound = keep_all_bound) noexcept {
     return depth_ = bound, keep_all_ = true, *this;
   }
