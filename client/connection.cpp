@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <iterator>
+#include <new>
 #include <utility>
 
 namespace agnocast {
@@ -135,7 +136,11 @@ void Connection::answer(std::uint64_t id, Incoming& packet) {
   if (packet.header().opcode == Opcode::refused) {
     result = tl::unexpected<Failure>(refusal_of(packet));
   } else {
-    result = waiting.on_answer(packet);
+    try {
+      result = waiting.on_answer(packet);
+    } catch (const std::bad_alloc&) {  // somebody waits for this answer
+      result = fail(Errc::os_failure, "an answer of agnocastd", ENOMEM);
+    }
   }
   lock.lock();
   if (!result) waiting.detail = detail_of(result.error());

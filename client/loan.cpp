@@ -48,29 +48,26 @@ struct BorrowScope::Home {
   }
 };
 
-namespace {
-
-template <class Home>
-struct ThreadHome {
-  Home* home = nullptr;
-  ~ThreadHome() {
-    if (home != nullptr) home->let_go();
-  }
-};
-
-}  // namespace
-
 void BorrowScope::open() noexcept {
+  // Destructors of other thread data, and static objects after those of the main thread, may still
+  // borrow: they get a new home, which stays.
+  struct LeavesHome {
+    ~LeavesHome() {
+      if (Home* const home = std::exchange(current(), nullptr); home != nullptr) home->let_go();
+    }
+  };
   const Heap* const heap = Context::instance().heap();
   if (heap == nullptr) return;  // switched off
-  static thread_local ThreadHome<Home> mine;
-  if (mine.home == nullptr) mine.home = new (std::nothrow) Home;
-  if (mine.home == nullptr)
+  Home*& mine = current();
+  if (mine == nullptr) {
+    mine = new (std::nothrow) Home;
+    static thread_local const LeavesHome at_thread_end;
+  }
+  if (mine == nullptr)
     return;  // no memory: the loan is built on the ordinary heap and adopted at publish
-  current() = mine.home;
-  mine.home->pay(*heap);
-  mine.home->users.fetch_add(1, std::memory_order_relaxed);
-  home_ = mine.home;
+  mine->pay(*heap);
+  mine->users.fetch_add(1, std::memory_order_relaxed);
+  home_ = mine;
   heap->enter();
 }
 

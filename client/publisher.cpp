@@ -74,7 +74,7 @@ Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(const Endpoin
 }
 
 UntypedPublisher::~UntypedPublisher() {
-  if (source_ != nullptr) runner_->callbacks().remove(*source_);
+  if (source_ != nullptr) runner_->callbacks().remove(*source_, runner_);
   if (endpoint_ != nullptr) Context::instance().destroy(endpoint_);
 }
 

@@ -91,6 +91,8 @@ Result<std::shared_ptr<UntypedSubscription>> UntypedSubscription::create(
     const EndpointName& name, const MessageType& type, const QoS& qos,
     const SubscriptionOptions& options, Callback callback) {
   if (Result<void> depth = check_depth(qos); !depth) return tl::unexpected<Failure>(depth.error());
+  if (options.hold_quota() == 0)
+    return fail(Errc::invalid_argument, "with a hold quota of 0 nothing can be taken");
   std::shared_ptr<UntypedSubscription> subscription(new UntypedSubscription);
   subscription->topic_ = name.topic;
   const Result<bool> off = is_switched_off();
@@ -131,7 +133,7 @@ Result<std::shared_ptr<UntypedSubscription>> UntypedSubscription::create(
 
 UntypedSubscription::~UntypedSubscription() {
   if (endpoint_ == nullptr) return;
-  if (source_ != nullptr) runner_->callbacks().remove(*source_);
+  if (source_ != nullptr) runner_->callbacks().remove(*source_, runner_);
   Context::instance().destroy(endpoint_);
 }
 

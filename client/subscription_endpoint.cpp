@@ -176,6 +176,13 @@ std::uint64_t SubscriptionEndpoint::malformed() const noexcept {
 std::size_t SubscriptionEndpoint::publisher_count() const noexcept {
   if (is_forked_child()) return 0;
   const std::lock_guard lock(mutex_);
+  return static_cast<std::size_t>(
+      std::count_if(links_.begin(), links_.end(), [](const auto& link) { return !link->ceased_; }));
+}
+
+std::size_t SubscriptionEndpoint::link_count() const noexcept {
+  if (is_forked_child()) return 0;
+  const std::lock_guard lock(mutex_);
   return links_.size();
 }
 

@@ -142,7 +142,10 @@ class SubscriptionEndpoint {
   bool has_news() const noexcept;
   std::uint64_t lost() const noexcept;
   std::uint64_t malformed() const noexcept;
+  /// Publishers that are mapped and not gone.
   std::size_t publisher_count() const noexcept;
+  /// Those that are gone and still have something here count as well.
+  std::size_t link_count() const noexcept;
   EndpointEvents& events() noexcept { return events_; }
 
  private:

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <client/executors/executor_core.hpp>
+#include <client/forked_child.hpp>
 
 #include <sys/epoll.h>
 #include <sys/eventfd.h>
@@ -75,7 +76,10 @@ bool ExecutorCore::run_one_of_turn() {
     const Turn& entry = turn_[next_++];
     const auto node = entry.node.lock();
     const auto source = entry.source.lock();
-    if (node != nullptr && source != nullptr && node->run(this, *source)) return true;
+    if (node == nullptr || source == nullptr || !node->run(this, *source)) continue;
+    // The callback may have forked, and return in the child.
+    if (Result<void> refused = refuse_forked_child(); !refused) throw Error(refused.error());
+    return true;
   }
   return false;
 }

@@ -16,7 +16,7 @@ void NodeCallbacks::add(std::shared_ptr<CallbackSource> source) {
   sleeper_->wake();
 }
 
-void NodeCallbacks::remove(CallbackSource& source) noexcept {
+void NodeCallbacks::remove(CallbackSource& source, std::shared_ptr<const void> runner) noexcept {
   if (is_forked_child()) return;         // the lock may be the parent's
   std::shared_ptr<CallbackSource> last;  // goes after the lock: it may be what keeps the callback
   std::unique_lock lock(mutex_);
@@ -27,8 +27,11 @@ void NodeCallbacks::remove(CallbackSource& source) noexcept {
   last = std::move(*found);
   sources_.erase(found);
   source.removed_ = true;
-  if (running_thread_ != std::this_thread::get_id())
+  if (running_thread_ == std::this_thread::get_id()) {
+    until_end_.swap(runner);
+  } else {
     changed_.wait(lock, [&] { return running_ != &source; });
+  }
   lock.unlock();
 }
 
@@ -76,7 +79,10 @@ struct NodeCallbacks::Ending {
   NodeCallbacks& node;
   Host host;
   ~Ending() {
+    if (is_forked_child()) return;       // the lock may be the parent's
+    std::shared_ptr<const void> let_go;  // after the lock: its end takes locks
     const std::lock_guard lock(node.mutex_);
+    let_go.swap(node.until_end_);
     node.running_ = nullptr;
     node.running_thread_ = {};
     node.changed_.notify_all();

@@ -62,8 +62,9 @@ class NodeCallbacks {
   const std::shared_ptr<Sleeper>& sleeper() const noexcept { return sleeper_; }
   void add(std::shared_ptr<CallbackSource> source);
   /// Afterwards its callback is not running and will not run, unless this is called from inside a
-  /// callback of the node.
-  void remove(CallbackSource& source) noexcept;
+  /// callback of the node: then `runner` stays until that one has ended, so that what it creates
+  /// next for the node has the same host.
+  void remove(CallbackSource& source, std::shared_ptr<const void> runner) noexcept;
 
   void hand_to(Host host) noexcept;
   /// Blocks until `host` is the host (true) or stop() was called (false).
@@ -95,6 +96,7 @@ class NodeCallbacks {
   Host host_ = nullptr;
   const CallbackSource* running_ = nullptr;
   std::thread::id running_thread_;
+  std::shared_ptr<const void> until_end_;  // of what runs
   bool armed_ = false;
   bool stopped_ = false;
 };

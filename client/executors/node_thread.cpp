@@ -2,6 +2,7 @@
 
 #include <client/executors/executor_core.hpp>
 #include <client/executors/node_thread.hpp>
+#include <client/forked_child.hpp>
 
 #include <sys/epoll.h>
 
@@ -17,6 +18,7 @@ void run_turn(NodeCallbacks& node, NodeCallbacks::Host self, bool& any) {
   for (const auto& listed : turn) {
     const auto source = listed.lock();
     if (source == nullptr) continue;
+    if (is_forked_child()) return;
     try {
       any = node.run(self, *source) || any;
     } catch (...) {
@@ -35,6 +37,7 @@ void serve(NodeCallbacks& node, int epoll) noexcept {
     try {
       bool any = false;
       run_turn(node, self, any);
+      if (is_forked_child()) return;  // a callback has forked, and has returned in the child
       if (any) continue;
     } catch (const std::bad_alloc&) {
       // Of the list: what is unread stays unread until there is memory.

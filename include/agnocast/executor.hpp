@@ -75,7 +75,9 @@ class AGNOCAST_PUBLIC Executor {
   }
 
   /// Ends the spin function that runs, or else the next one (so a cancel that comes before its
-  /// thread has begun to spin is not lost). Any thread, any signal handler.
+  /// thread has begun to spin is not lost). One that does its last callback at that moment and ends
+  /// by itself (spin_once(), spin_some(), dispatch(), an exception) leaves it to the next one, for
+  /// the same reason. Any thread, any signal handler.
   void cancel() noexcept;
   bool is_spinning() const noexcept;
 

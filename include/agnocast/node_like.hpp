@@ -8,6 +8,8 @@
 #include <agnocast/export.hpp>
 #include <agnocast/result.hpp>
 
+#include <exception>
+#include <new>
 #include <string>
 #include <type_traits>
 #include <utility>
@@ -65,14 +67,25 @@ template <class Node>
 [[nodiscard]] Result<EndpointName> resolve(Node& node, const std::string& topic) {
   EndpointName name;
   name.node = node.get_fully_qualified_name();
+  const auto ask = [&](auto& names) -> Result<void> {
+    try {
+      name.topic = names.resolve_topic_name(topic);
+      return {};
+    } catch (const std::bad_alloc&) {
+      throw;
+    } catch (const std::exception& refused) {  // rclcpp's, of a wrong name
+      return fail_with(Errc::invalid_name, refused.what());
+    }
+  };
   if constexpr (has_try_resolve<Node>) {
     Result<std::string> resolved = node.try_resolve_topic_name(topic);
     if (!resolved) return tl::unexpected<Failure>(resolved.error());
     name.topic = std::move(*resolved);
   } else if constexpr (has_topics_interface<Node>) {
-    name.topic = node.get_node_topics_interface()->resolve_topic_name(topic);
+    const auto names = node.get_node_topics_interface();
+    if (Result<void> done = ask(*names); !done) return tl::unexpected<Failure>(done.error());
   } else if constexpr (has_resolve<Node>) {
-    name.topic = node.resolve_topic_name(topic);
+    if (Result<void> done = ask(node); !done) return tl::unexpected<Failure>(done.error());
   } else {
     Result<std::string> expanded = expand_topic(topic, node.get_name(), node.get_namespace());
     if (!expanded) return tl::unexpected<Failure>(expanded.error());

@@ -21,20 +21,22 @@ class QoS {
   /// above the daemon's limit are refused at creation. A number where a QoS is wanted is a depth.
   QoS(std::size_t depth) noexcept : depth_(depth) {}
   /// From an rclcpp::QoS or whatever else has depth(), history(), reliability() and durability() in
-  /// rmw's numbers.
+  /// rmw's numbers. Keep-all has no depth in ROS 2, so its bound is the one of keep_all(); the
+  /// system's default history without a depth is the last message, as in DDS.
   template <class Like, class = decltype(std::declval<const Like&>().depth(),
                                          std::declval<const Like&>().history(),
                                          std::declval<const Like&>().reliability(),
                                          std::declval<const Like&>().durability())>
   QoS(const Like& like) noexcept
-      : depth_(static_cast<std::size_t>(like.depth())),
+      : depth_(depth_of(static_cast<std::size_t>(like.depth()), static_cast<int>(like.history()))),
         keep_all_(static_cast<int>(like.history()) == rmw_keep_all),
         reliable_(static_cast<int>(like.reliability()) != rmw_best_effort),
         transient_local_(static_cast<int>(like.durability()) == rmw_transient_local) {}
 
   QoS& keep_last(std::size_t depth) noexcept { return depth_ = depth, keep_all_ = false, *this; }
-  /// Nothing is lost: a publisher that would overrun a reliable keep-all subscription gets
-  /// would_block. `bound`: unread messages at most.
+  /// On both sides, both reliable: nothing is lost, and the publisher gets would_block where it would
+  /// overrun the subscription. A keep-last publisher is not held up, also by a keep-all subscription,
+  /// which then loses what is beyond `bound`: the unread messages at most (of both, the smaller).
   QoS& keep_all(std::size_t bound = keep_all_bound) noexcept {
     return depth_ = bound, keep_all_ = true, *this;
   }
@@ -49,12 +51,18 @@ class QoS {
   bool is_transient_local() const noexcept { return transient_local_; }
 
  private:
-  // rmw/types.h: history keep_all, reliability best_effort, durability transient_local.
+  // rmw/types.h: history system_default and keep_all, reliability best_effort, durability
+  // transient_local.
+  static constexpr int rmw_default_history = 0;
   static constexpr int rmw_keep_all = 2;
   static constexpr int rmw_best_effort = 2;
   static constexpr int rmw_transient_local = 1;
   // The default of the daemon's depth_max.
   static constexpr std::size_t keep_all_bound = 1000;
+  static constexpr std::size_t depth_of(std::size_t depth, int history) noexcept {
+    if (history == rmw_keep_all) return keep_all_bound;
+    return history == rmw_default_history && depth == 0 ? 1 : depth;
+  }
 
   std::size_t depth_;
   bool keep_all_ = false;

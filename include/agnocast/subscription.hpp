@@ -30,7 +30,8 @@ class CallbackSource;
 /// Options of a subscription, with setters; those of the event callbacks are in events.hpp.
 class SubscriptionOptions : public detail::EventOptions<SubscriptionOptions> {
  public:
-  /// Messages held at once per publisher, at most; what is beyond stays unread (default 64).
+  /// Messages held at once per publisher, at most; what is beyond stays unread (default 64). 0 is
+  /// refused at creation.
   SubscriptionOptions& hold_quota(std::size_t messages) noexcept {
     return hold_quota_ = messages, *this;
   }
@@ -123,6 +124,8 @@ class Subscription {
   ipc_shared_ptr<const T> take() noexcept { return ipc_shared_ptr<const T>(untyped_->take()); }
   /// Messages that were dropped because this subscription's depth was exceeded.
   std::uint64_t get_lost_count() const noexcept { return untyped_->lost(); }
+  /// Matched publishers that this process has mapped; a moment ago. Not those that are gone, though
+  /// what they have published is still delivered.
   std::size_t get_publisher_count() const noexcept { return untyped_->publisher_count(); }
   /// Exceptions that left a callback of this subscription in the library's thread. There is nobody
   /// to give them to; in an executor they leave spin() instead and are not counted.

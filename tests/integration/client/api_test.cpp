@@ -17,6 +17,7 @@
 #include <ctime>
 #include <memory>
 #include <mutex>
+#include <stdexcept>
 #include <string>
 #include <thread>
 #include <vector>
@@ -43,11 +44,13 @@ struct LookAlikeNode : PlainNode {
 };
 /// A look-alike of rclcpp::QoS with rmw's numbers.
 struct LookAlikeQos {
-  enum class History { KeepLast = 1, KeepAll = 2 };
+  enum class History { SystemDefault = 0, KeepLast = 1, KeepAll = 2 };
   enum class Reliability { Reliable = 1, BestEffort = 2 };
   enum class Durability { TransientLocal = 1, Volatile = 2 };
-  std::size_t depth() const { return 7; }
-  History history() const { return History::KeepLast; }
+  std::size_t kept = 7;
+  History how = History::KeepLast;
+  std::size_t depth() const { return kept; }
+  History history() const { return how; }
   Reliability reliability() const { return Reliability::BestEffort; }
   Durability durability() const { return Durability::TransientLocal; }
 };
@@ -239,8 +242,59 @@ TEST_F(Api, LookAlikesOfRclcppFit) {
   EXPECT_EQ(qos.depth(), 7u);
   EXPECT_FALSE(qos.is_reliable());
   EXPECT_TRUE(qos.is_transient_local());
+  EXPECT_FALSE(qos.is_keep_all());
   auto shared = std::make_shared<LookAlikeNode>();
   EXPECT_STREQ(create_publisher<Cloud>(shared, "other", 3)->get_topic_name(), "/ns/other");
+}
+
+// rclcpp::KeepAll has depth 0, and so has rclcpp::SystemDefaultsQoS.
+TEST_F(Api, AnHistoryOfRclcppWithoutADepthIsOne) {
+  const LookAlikeQos all{0, LookAlikeQos::History::KeepAll};
+  EXPECT_TRUE(QoS(all).is_keep_all());
+  EXPECT_EQ(QoS(all).depth(), QoS(1).keep_all().depth());
+  EXPECT_EQ(QoS(LookAlikeQos{10, LookAlikeQos::History::KeepAll}).depth(), QoS(all).depth())
+      << "which is not asked for then";
+  EXPECT_TRUE(try_create_subscription<Cloud>(node, "keep_all", all));
+  const LookAlikeQos defaults{0, LookAlikeQos::History::SystemDefault};
+  EXPECT_FALSE(QoS(defaults).is_keep_all());
+  EXPECT_EQ(QoS(defaults).depth(), 1u);
+  const LookAlikeQos wrong{0, LookAlikeQos::History::KeepLast};
+  const auto refused = try_create_subscription<Cloud>(node, "keep_last", wrong);
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().code, Errc::depth_refused);
+}
+
+/// As rclcpp does with a wrong name, in both shapes.
+struct RefusingTopics {
+  std::string resolve_topic_name(const std::string& name) const {
+    throw std::runtime_error("Invalid topic name: " + name);
+  }
+};
+struct RefusingInterface : PlainNode {
+  std::shared_ptr<RefusingTopics> get_node_topics_interface() const {
+    return std::make_shared<RefusingTopics>();
+  }
+};
+struct RefusingNode : PlainNode, RefusingTopics {};
+
+TEST_F(Api, WhatANodeThrowsAboutANameIsAFailureLikeOthers) {
+  const auto by_interface = try_create_publisher<Cloud>(RefusingInterface(), "a b", QoS(1));
+  ASSERT_FALSE(by_interface);
+  EXPECT_EQ(by_interface.error().code, Errc::invalid_name);
+  EXPECT_THAT(text_of(by_interface.error()), testing::HasSubstr("Invalid topic name: a b"));
+  const auto by_node = try_create_subscription<Cloud>(RefusingNode(), "a b", QoS(1));
+  ASSERT_FALSE(by_node);
+  EXPECT_THAT(text_of(by_node.error()), testing::HasSubstr("Invalid topic name: a b"));
+}
+
+TEST_F(Api, APublisherThatIsGoneIsNotCountedThoughItsMessagesAreThere) {
+  auto subscription = create_subscription<Cloud>(node, "gone", QoS(5));
+  auto publisher = create_publisher<Cloud>(node, "gone", 1);
+  ASSERT_TRUE(publisher->publish(publisher->borrow_loaned_message()));
+  ASSERT_TRUE(test::eventually([&] { return subscription->get_publisher_count() == 1; }));
+  publisher.reset();
+  EXPECT_TRUE(test::eventually([&] { return subscription->get_publisher_count() == 0; }));
+  EXPECT_TRUE(take_soon(*subscription));
 }
 
 template <class Function>
@@ -254,6 +308,11 @@ std::string error_of(Function function) {
 }
 
 TEST_F(Api, MistakesAreNamed) {
+  EXPECT_THAT(error_of([&] {
+                create_subscription<Cloud>(node, "none", QoS(1),
+                                           SubscriptionOptions().hold_quota(0));
+              }),
+              testing::HasSubstr("hold quota of 0"));
   EXPECT_THAT(error_of([&] { create_publisher<Cloud>(node, "/a//b", 1); }),
               testing::HasSubstr(sentence_of(Errc::invalid_name)));
   auto publisher = create_publisher<Cloud>(node, "/typed", 1);

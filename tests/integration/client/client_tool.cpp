@@ -74,7 +74,7 @@ class Tool {
     if (what == "release") return release();
     if (what == "wait") return wait(line);
     if (what == "lost") return std::to_string(subscription_->lost());
-    if (what == "links") return std::to_string(subscription_->publisher_count());
+    if (what == "links") return std::to_string(subscription_->link_count());
     if (what == "allocated") return std::to_string(publisher_->allocated_count());
     if (what == "matched") return std::to_string(publisher_->subscription_count());
     if (what == "unsub") {

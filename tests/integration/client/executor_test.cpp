@@ -119,6 +119,31 @@ TEST_F(Executors, ACancelBeforeSpinEndsIt) {
   spinning.spin();
 }
 
+// Who cancels wants an end: a function that ends at that moment anyway must not swallow it.
+TEST_F(Executors, ACancelDuringTheLastCallbackIsLeftToTheNextSpin) {
+  Node node(own("node"));
+  Seen seen;
+  SingleThreadedExecutor executor;
+  executor.add_node(node);
+  auto subscription =
+      node.create_subscription<Number>(own("topic"), 10, [&](const Message& number) {
+        seen.add(number->value);
+        executor.cancel();
+      });
+  auto publisher = node.create_publisher<Number>(own("topic"), 10);
+  ASSERT_TRUE(eventually([&] { return subscription->get_publisher_count() == 1; }));
+  for (std::uint64_t value = 1; value <= 4; ++value) publish(*publisher, value);
+  executor.spin_once();
+  executor.spin();
+  EXPECT_EQ(seen.values, up_to(1));
+  EXPECT_EQ(executor.dispatch(), 1u);
+  EXPECT_EQ(executor.dispatch(), 0u);
+  EXPECT_EQ(seen.values, up_to(2));
+  executor.spin_all(0s);
+  executor.spin();
+  EXPECT_EQ(seen.values, up_to(4)) << "these were ended, and the cancel is used up";
+}
+
 SingleThreadedExecutor* signalled = nullptr;
 
 TEST_F(Executors, ASignalHandlerMayCancel) {
@@ -379,6 +404,7 @@ TEST_F(Executors, NodesOfOtherTypesAreKnownByTheirName) {
   executor.add_node(node);  // before its first subscription
   auto subscription = create_subscription<Number>(
       node.get(), own("topic"), 10, [&](const Message& number) { seen.add(number->value); });
+  ASSERT_TRUE(eventually([&] { return subscription->get_publisher_count() == 1; }));
   publish(*publisher, 1);
   executor.spin_once();
   EXPECT_EQ(seen.values, up_to(1));
@@ -409,6 +435,38 @@ TEST_F(Executors, ACallbackMayMoveItsNodeAndEndItsSubscription) {
   EXPECT_EQ(seen.values, up_to(1));
   other.spin_all(0s);
   EXPECT_EQ(seen.values, up_to(2));
+}
+
+// The last subscription of the node goes, and the next one comes, while the callback still runs.
+TEST_F(Executors, ACallbackThatReplacesItsSubscriptionIsStillAlone) {
+  Node node(own("node"));
+  std::atomic<int> inside{0}, overlaps{0}, first{0}, second{0};
+  const auto enter = [&] {
+    if (inside.fetch_add(1) != 0) ++overlaps;
+  };
+  auto publisher = node.create_publisher<Number>(own("topic"), QoS(1).transient_local());
+  publish(*publisher, 1);
+  Subscription<Number>::SharedPtr subscription;
+  std::promise<void> ready;
+  subscription =
+      node.create_subscription<Number>(own("topic"), QoS(1).transient_local(), [&](const Message&) {
+        ready.get_future().wait();
+        enter();
+        subscription.reset();
+        subscription = node.create_subscription<Number>(own("topic"), QoS(1).transient_local(),
+                                                        [&](const Message&) {
+                                                          enter();
+                                                          ++second;
+                                                          --inside;
+                                                        });
+        // What would run meanwhile has its time.
+        for (int i = 0; i < 300 && overlaps == 0; ++i) std::this_thread::sleep_for(1ms);
+        --inside;
+        ++first;
+      });
+  ready.set_value();
+  EXPECT_TRUE(eventually([&] { return first == 1 && second == 1; })) << first << second;
+  EXPECT_EQ(overlaps, 0);
 }
 
 TEST_F(Executors, MistakesAreNamed) {
@@ -462,6 +520,43 @@ TEST_F(Executors, AForkedChildCanDoNoHarm) {
   EXPECT_TRUE(eventually([&] { return seen.count() == 1; }));
   executor->cancel();
   spinner.join();
+}
+
+TEST_F(Executors, AChildForkedInACallbackThatReturnsIsToldSo) {
+  Node node(own("node"));
+  Seen seen;
+  SingleThreadedExecutor executor;
+  executor.add_node(node);
+  bool is_child = false;
+  int status = -1;
+  auto subscription =
+      node.create_subscription<Number>(own("topic"), 10, [&](const Message& number) {
+        const pid_t pid = ::fork();
+        if (pid == 0) {
+          is_child = true;
+          return;
+        }
+        ::waitpid(pid, &status, 0);
+        seen.add(number->value);
+      });
+  auto publisher = node.create_publisher<Number>(own("topic"), 10);
+  publish(*publisher, 1);
+  std::string refused;
+  std::thread spinner([&] {
+    refused = error_of([&] { executor.spin(); });
+    if (is_child) ::_exit(refused.find("was forked") != std::string::npos ? 0 : 1);
+  });
+  EXPECT_TRUE(eventually([&] { return seen.count() == 1; }));
+  executor.cancel();
+  spinner.join();
+  EXPECT_EQ(status, 0);
+  EXPECT_EQ(refused, "(no error)");
+
+  executor.remove_node(node);
+  status = -1;
+  publish(*publisher, 2);
+  EXPECT_TRUE(eventually([&] { return seen.count() == 2; }));
+  EXPECT_EQ(status, 0) << "in the library's thread: it ends, and with it the child";
 }
 
 TEST_F(Executors, ANodeTooManyIsRefusedAndALaterOneIsNot) {

@@ -188,6 +188,46 @@ TEST_F(ExplicitAllocator, APauseHoldsForItToo) {
   }));
 }
 
+/// Says goodbye among the static objects: the data of the main thread is gone by then.
+struct Farewell {
+  Publisher<Track>::SharedPtr publisher;
+  ~Farewell() {
+    if (publisher == nullptr) return;
+    for (std::uint32_t id = 1; id <= 3; ++id) {
+      auto loan = publisher->borrow_loaned_message();
+      fill(*loan, id);
+      const PublishResult result = publisher->publish(std::move(loan));
+      if (!result || result.adopted_bytes != 0) ::_exit(3);
+    }
+  }
+};
+
+TEST_F(ExplicitAllocator, AnExitingProcessMayStillPublish) {
+  auto subscription_ready = [](int fd) { return ::write(fd, "", 1) == 1; };
+  int ready[2];
+  ASSERT_EQ(::pipe(ready), 0);
+  Child subscriber([&]() noexcept {
+    auto subscription = create_subscription<Track>(PlainNode(), "tracks", QoS(10));
+    if (!subscription_ready(ready[1])) return 1;
+    for (std::uint32_t id = 1; id <= 3; ++id) {
+      const auto track = take_soon(subscription);
+      if (!track || !(*track == track_of(id))) return 2;
+    }
+    return 0;
+  });
+  char byte = 0;
+  ASSERT_EQ(::read(ready[0], &byte, 1), 1);
+  Child publisher([]() noexcept -> int {
+    ::alarm(60);
+    static Farewell farewell;
+    farewell.publisher = create_publisher<Track>(PlainNode(), "tracks", 10);
+    farewell.publisher->borrow_loaned_message().reset();
+    std::exit(0);
+  });
+  EXPECT_EQ(publisher.wait(), 0);
+  EXPECT_EQ(subscriber.wait(), 0);
+}
+
 #if defined(AGNOCAST_TEST_SANITIZED)
 constexpr bool malloc_is_the_sanitizers = true;
 #else
