@@ -7,6 +7,7 @@
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <agnocast/version.hpp>
+#include <base/unix_address.hpp>
 #include <client/dataplane/views.hpp>
 #include <tests/support/ctl.hpp>
 #include <tests/support/daemon_process.hpp>
@@ -517,6 +518,18 @@ TEST(Ctl, SaysWhenTheDaemonIsAwayStoppedOrRefuses) {
   const CtlResult refused = run_ctl(daemon.socket_path(), {"status"});
   EXPECT_EQ(refused.status, 1);
   EXPECT_THAT(refused.err, HasSubstr("this user may have 8 observers\nhint: close what"));
+}
+
+TEST(Ctl, SaysWhenTheSocketIsAnotherPrograms) {
+  const std::string directory = make_directory(), path = directory + "/socket";
+  const UniqueFd other(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
+  ASSERT_EQ(::bind(other.get(), unix_address(path)->get(), UnixAddress::size()), 0);
+  ASSERT_EQ(::listen(other.get(), 1), 0);
+  const CtlResult result = run_ctl(path, {"status"});
+  EXPECT_EQ(result.status, 3);
+  EXPECT_THAT(result.err, StartsWith("agnocast-ctl: " + path +
+                                     ": this is another program's socket\nhint: start it: "));
+  remove_directory(directory);
 }
 
 TEST(Ctl, SaysWhoMayNotLook) {
