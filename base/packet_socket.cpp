@@ -4,9 +4,12 @@
 #include <base/unix_address.hpp>
 
 #include <sys/stat.h>
+#include <sys/time.h>
 #include <sys/uio.h>
 
+#include <algorithm>
 #include <cerrno>
+#include <cstdint>
 #include <cstring>
 
 #ifndef SO_PASSRIGHTS
@@ -55,20 +58,39 @@ Result<void> pass_credentials(int fd, bool wanted) noexcept {
   return {};
 }
 
+// How long connect() waits for room in the listener's queue. Zero would be for ever.
+bool limit_sending(int fd, std::chrono::steady_clock::duration left) noexcept {
+  const auto us = std::max<std::int64_t>(
+      1, std::chrono::duration_cast<std::chrono::microseconds>(left).count());
+  const timeval limit{us / 1'000'000, us % 1'000'000};
+  return ::setsockopt(fd, SOL_SOCKET, SO_SNDTIMEO, &limit, sizeof limit) == 0;
+}
+
 }  // namespace
 
-Result<PacketSocket> PacketSocket::connect(std::string_view path) noexcept {
+Result<PacketSocket> PacketSocket::connect(std::string_view path,
+                                           std::chrono::milliseconds patience) noexcept {
   const auto address = unix_address(path);
   if (!address) return tl::unexpected(address.error());
   UniqueFd fd(::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0));
   if (!fd) return fail(Errc::os_failure, "making a socket", errno);
   // A signal while we wait for room in the listener's queue: nothing has happened yet, ask again.
+  const auto deadline = std::chrono::steady_clock::now() + patience;
   int status = 0;
   do {
+    if (!limit_sending(fd.get(), deadline - std::chrono::steady_clock::now()))
+      return fail(Errc::os_failure, "limiting how long a socket waits", errno);
     status = ::connect(fd.get(), address->get(), UnixAddress::size());
   } while (status != 0 && errno == EINTR);
-  if (status == 0) return PacketSocket(std::move(fd));
+  if (status == 0) {
+    const timeval without_limit{};
+    if (::setsockopt(fd.get(), SOL_SOCKET, SO_SNDTIMEO, &without_limit, sizeof without_limit) != 0)
+      return fail(Errc::os_failure, "limiting how long a socket waits", errno);
+    return PacketSocket(std::move(fd));
+  }
   switch (errno) {
+    case EAGAIN:
+      return fail(Errc::daemon_not_running, "connecting to a socket", ETIMEDOUT);
     case ENOENT:
     case ECONNREFUSED:
       return fail(Errc::daemon_not_running, "connecting to a socket", errno);

@@ -18,6 +18,7 @@
 #include <sys/socket.h>
 
 #include <array>
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <optional>
@@ -59,14 +60,17 @@ struct Packet {
 
 class PacketSocket {
  public:
+  static constexpr std::chrono::milliseconds connect_patience{5000};
+
   PacketSocket() = default;
   /// Takes over a connected socket (of accept, socketpair, or a descriptor store).
   explicit PacketSocket(UniqueFd fd) noexcept : fd_(std::move(fd)) {}
 
-  /// Connects to the listener at `path`; may sleep while its queue is full. Errors:
-  /// daemon_not_running (nobody listens there), permission_denied, invalid_argument (path empty or
-  /// over 107 bytes), os_failure with errno.
-  [[nodiscard]] static Result<PacketSocket> connect(std::string_view path) noexcept;
+  /// Connects to the listener at `path`; sleeps for `patience` at most while its queue is full.
+  /// Errors: daemon_not_running (nobody listens there; ETIMEDOUT: who listens does not accept),
+  /// permission_denied, invalid_argument (path empty or over 107 bytes), os_failure with errno.
+  [[nodiscard]] static Result<PacketSocket> connect(
+      std::string_view path, std::chrono::milliseconds patience = connect_patience) noexcept;
   /// Two connected ends.
   [[nodiscard]] static Result<std::pair<PacketSocket, PacketSocket>> pair() noexcept;
 

@@ -135,19 +135,25 @@ Outcome<Found> find_command(std::span<const std::string> words, std::span<const 
       found.rest.push_back(word);
     }
   }
+  // What may have been meant, each as it can be run.
   std::vector<std::string> nouns, verbs;
   for (const Command& command : commands) {
-    nouns.emplace_back(command.noun);
     if (command.verb == "list") nouns.push_back(plural_of(command.noun));
+    nouns.emplace_back(command.noun);
     if (command.noun == noun) {
       verbs.emplace_back(command.verb);
       if (command.verb == verb) found.command = &command;
     }
   }
   if (found.command != nullptr || noun.empty()) return found;
-  if (verbs.empty())
-    return wrong_usage(escaped(noun), "unknown command",
-                       meant(noun, nouns, "agnocast-ctl ", help_command));
+  if (verbs.empty()) {
+    const std::string hint =
+        noun == "help" ? help_command : meant(noun, nouns, "agnocast-ctl ", help_command);
+    const bool wants_verb = std::any_of(commands.begin(), commands.end(), [&](const Command& c) {
+      return !c.verb.empty() && hint == "agnocast-ctl " + std::string(c.noun);
+    });
+    return wrong_usage(escaped(noun), "unknown command", wants_verb ? hint + " --help" : hint);
+  }
   found.noun = noun;
   if (verb.empty()) return found;
   return wrong_usage(
@@ -296,11 +302,12 @@ Outcome<std::variant<Arguments, Answer>> parse_arguments(std::span<const std::st
                                                          const Surroundings& around) {
   auto found = find_command(words, commands);
   if (!found) return tl::unexpected(found.error());
+  if (std::count(found->rest.begin(), found->rest.end(), "--version") != 0)
+    return Answer{version_text()};
   if (found->command != nullptr)
     return Parser(*found->command).parse(std::move(found->rest), around);
   for (const std::string& word : found->rest) {
     if (word == "--help" || word == "-h") return Answer{help_text(commands, found->noun)};
-    if (word == "--version") return Answer{version_text()};
     if (!takes_value(word) && !word.starts_with("-j") && !word.starts_with("--json"))
       return wrong_usage(escaped(word), "unknown option");
   }

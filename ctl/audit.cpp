@@ -100,8 +100,9 @@ class Auditor {
   }
 
  private:
-  void found(Invariant invariant, std::string where, std::array<std::uint64_t, 3> words) {
-    audit_.findings.insert({invariant, std::move(where), words});
+  void found(Invariant invariant, std::string where, std::array<std::uint64_t, 3> words,
+             bool seen_at_rest = false) {
+    audit_.findings.insert({invariant, std::move(where), words, seen_at_rest});
   }
 
   static std::string name_of(const Process& process) {
@@ -294,7 +295,7 @@ class Auditor {
     const Invariant broken = journal::verify_queue(copy.words(), publisher.facts.first_sequence,
                                                    slot_count, at_rest, &witness);
     if (broken != Invariant::none) {
-      found(broken, where, {witness.place, witness.word, 0});
+      found(broken, where, {witness.place, witness.word, 0}, at_rest);
     } else if (at_rest) {
       check_addresses(publisher, copy.words(), where);
     }
@@ -325,7 +326,7 @@ class Auditor {
         inside = inside || (address >= window.base && size <= frontier &&
                             address - window.base <= frontier - size);
       }
-      if (!inside) return found(Invariant::queue_address, where, {slot, id, address});
+      if (!inside) return found(Invariant::queue_address, where, {slot, id, address}, true);
     }
   }
 
@@ -394,6 +395,14 @@ class Auditor {
 
 Audit audit(const System& system, std::uint64_t client_region_bytes) {
   return Auditor(system, client_region_bytes).run();
+}
+
+void keep_what_lasts(std::set<Finding>& findings, const Audit& later) {
+  std::erase_if(findings, [&](const Finding& finding) {
+    const bool could_not_be_seen =
+        finding.seen_at_rest && later.in_motion.count(finding.where) != 0;
+    return later.findings.count(finding) == 0 && !could_not_be_seen;
+  });
 }
 
 }  // namespace agnocast::ctl

@@ -48,22 +48,29 @@ void raise_descriptor_limit() noexcept {
   ::setrlimit(RLIMIT_NOFILE, &limit);
 }
 
+// A full disk may have refused an earlier part of a long answer; the last part says nothing of it.
+bool is_written(std::FILE* out) noexcept {
+  const bool flushed = std::fflush(out) == 0;
+  return std::ferror(out) == 0 && flushed;
+}
+
 int run(int argc, const char* const* argv) {
   const std::vector<std::string> words(argv + (argc > 0 ? 1 : 0), argv + argc);
   const Surroundings around = Surroundings::of_process();
+  const Problem unwritten{Status::failed, "output", "it cannot be written",
+                          "df; agnocast-ctl status"};
   const auto parsed = parse_arguments(words, commands, around);
   if (!parsed) return complain(parsed.error());
   if (const auto* const answer = std::get_if<Answer>(&*parsed)) {
     std::fputs(answer->text.c_str(), stdout);
-    return 0;
+    return is_written(stdout) ? 0 : complain(unwritten);
   }
   const Arguments& arguments = std::get<Arguments>(*parsed);
   raise_descriptor_limit();
   const char* const no_colour = std::getenv("NO_COLOR");
   Console console(stdout, around.out_is_terminal && (no_colour == nullptr || *no_colour == '\0'));
   const Outcome<void> done = arguments.command->run(arguments, console);
-  if (std::fflush(stdout) != 0 && done)
-    return complain({Status::failed, "output", "it cannot be written", "df; agnocast-ctl status"});
+  if (!is_written(stdout) && done) return complain(unwritten);
   return done ? 0 : complain(done.error());
 }
 

@@ -105,6 +105,8 @@ Outcome<Observer> Observer::connect(const std::string& path) {
   auto socket = PacketSocket::connect(path);
   if (!socket) {
     const Failure& failure = socket.error();
+    if (failure.os_errno == EPROTOTYPE)
+      return unreachable(escaped(path), "this is another program's socket");
     std::string why = sentence_of(failure.code);
     if (failure.code == Errc::invalid_argument || failure.code == Errc::os_failure)
       why = failure.what;

@@ -49,10 +49,7 @@ Outcome<Verdict> look_until_sure(Observer& observer) {
     if (verdict.looks == 0) {
       verdict.broken = verdict.last.findings;
     } else {
-      std::erase_if(verdict.broken, [&](const Finding& finding) {
-        return verdict.last.findings.count(finding) == 0 &&
-               verdict.last.in_motion.count(finding.where) == 0;
-      });
+      keep_what_lasts(verdict.broken, verdict.last);
     }
     if (++verdict.looks > std::size(pauses) || verdict.broken.empty()) return verdict;
     std::this_thread::sleep_for(pauses[verdict.looks - 1]);

@@ -81,7 +81,7 @@ tl::expected<void, Complaint> clear_socket(const std::string& path) {
     return complain(Errc::os_failure, "cannot use " + path + ": it exists and is not a socket");
   const auto other = PacketSocket::connect(path);
   if (other) return complain(Errc::already_running, "another agnocastd is running at " + path);
-  if (other.error().code != Errc::daemon_not_running)
+  if (other.error().code != Errc::daemon_not_running || other.error().os_errno == ETIMEDOUT)
     return complain(Errc::os_failure, "cannot use " + path + ": something else has this socket (" +
                                           reason(other.error().os_errno) + ")");
   if (::unlink(path.c_str()) != 0 && errno != ENOENT)

@@ -48,6 +48,13 @@ int complain(const Failure& failure) {
   return complain(what, remedy_of(failure.code));
 }
 
+// What was asked for, on stdout; a disk that is full is no success.
+int print(const std::string& text, int status) {
+  std::fputs(text.c_str(), stdout);
+  if (std::fflush(stdout) == 0 && std::ferror(stdout) == 0) return status;
+  return complain("output: it cannot be written", "df");
+}
+
 // systemd's notification protocol (sd_notify(3)): one datagram. Without NOTIFY_SOCKET nobody asks.
 void notify(const char* state) noexcept {
   const char* const path = std::getenv("NOTIFY_SOCKET");
@@ -171,9 +178,8 @@ int serve(const Config& config, const std::string& socket, Log& log) {
 int run(int argc, const char* const* argv) {
   const auto parsed = parse_options(argc, argv);
   if (const auto* const exit = std::get_if<Exit>(&parsed)) {
-    std::fputs(exit->out.c_str(), stdout);
     std::fputs(exit->err.c_str(), stderr);
-    return exit->status;
+    return print(exit->out, exit->status);
   }
   const Options& options = std::get<Options>(parsed);
   Config config;
@@ -190,10 +196,7 @@ int run(int argc, const char* const* argv) {
   }
   if (options.log_level) config.daemon.log_level = *options.log_level;
   if (options.check_config) return 0;
-  if (options.print_config) {
-    std::fputs(to_toml(config).c_str(), stdout);
-    return 0;
-  }
+  if (options.print_config) return print(to_toml(config), 0);
   const auto socket = choose_socket(options, config, Surroundings::of_process());
   if (!socket) {
     std::fputs(socket.error().text().c_str(), stderr);

@@ -22,6 +22,7 @@ int main(int argc, char** argv) try {
   agnocast::Node node("cloud_subscriber");
   agnocast::SingleThreadedExecutor executor;
   executor.add_node(node);
+  example::end_by_signal(executor);
   std::uint64_t received = 0, wrong = 0;
   auto subscription = node.create_subscription<example::Cloud>(
       options.topic, options.depth, [&](const agnocast::ipc_shared_ptr<const example::Cloud>& cloud) {

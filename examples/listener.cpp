@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Receives what talker says and checks it. Ends with status 1 if a message was wrong or came out of order.
+// Receives what talker says and checks it. Ends with status 1 if a message was wrong.
 
 #include <agnocast/agnocast.hpp>
 #include <examples/options.hpp>
@@ -16,6 +16,7 @@ int main(int argc, char** argv) try {
   agnocast::Node node("listener");
   agnocast::SingleThreadedExecutor executor;
   executor.add_node(node);
+  example::end_by_signal(executor);
   std::uint64_t received = 0, wrong = 0;
   auto subscription = node.create_subscription<std_msgs::msg::String>(
       options.topic, options.depth, [&](const agnocast::ipc_shared_ptr<const std_msgs::msg::String>& message) {

@@ -1,10 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Command line of the examples: --topic, --count, --rate, --verbose and what each adds. Wrong usage ends with status 2.
+// And how a subscriber ends: by --count, or by a signal, with its verdict in either case.
 #pragma once
 
+#include <agnocast/executor.hpp>
 #include <agnocast/node.hpp>
 
+#include <csignal>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
@@ -24,41 +27,48 @@ struct Options {
   bool verbose = false;
 };
 
-[[noreturn]] inline void usage(const char* program, const char* topic, const char* extra, int status, const char* what = "") {
-  std::FILE* const out = status == 0 ? stdout : stderr;
-  if (status != 0) std::fprintf(out, "%s: %s\n", program, what);
-  std::fprintf(out,
-               "usage: %s [--topic NAME] [--count N] [--rate HZ] [--depth N] [--verbose]%s [--ros-args -r FROM:=TO …]\n"
+// The most points whose bytes a PointCloud2 can count.
+inline constexpr std::uint64_t points_max = UINT32_MAX / (5 * sizeof(float));
+
+[[noreturn]] inline void help(const char* program, const char* topic, const char* extra) {
+  std::printf("usage: %s [--topic NAME] [--count N] [--rate HZ] [--depth N] [--verbose]%s [--ros-args -r FROM:=TO …]\n"
                "  --topic NAME   topic (default %s)\n"
                "  --count N      end after N messages (default: go on)\n"
                "  --rate HZ      messages per second, publishers only (default 1)\n"
                "  --depth N      history depth (default 10)\n"
                "  --verbose      a line for each message\n",
                program, extra, topic);
-  if (std::strstr(extra, "--points") != nullptr) std::fputs("  --points N     points of each cloud (default 10000)\n", out);
-  if (std::strstr(extra, "--scan") != nullptr) std::fputs("  --scan FILE    the points are this file's: float32 x y z intensity ring, again and again\n", out);
-  std::exit(status);
+  if (std::strstr(extra, "--points") != nullptr) std::fputs("  --points N     points of each cloud (default 10000)\n", stdout);
+  if (std::strstr(extra, "--scan") != nullptr) std::fputs("  --scan FILE    the points are this file's: float32 x y z intensity ring, again and again\n", stdout);
+  std::exit(0);
 }
 
 /// ROS arguments are for the nodes that are created later. `extra`: options of this program beyond the common ones, for the usage line.
 inline Options parse(int argc, char** argv, const char* topic, const char* extra = "") {
   const char* const slash = std::strrchr(argv[0], '/');
   const char* const program = slash != nullptr ? slash + 1 : argv[0];
-  const auto refuse = [&](const std::string& what) { usage(program, topic, extra, 2, what.c_str()); };
+  const auto refuse = [&](const std::string& what, const std::string& why) {
+    std::fprintf(stderr, "%s: %s: %s\nhint: %s --help\n", program, what.c_str(), why.c_str(), program);
+    std::exit(2);
+  };
   Options options;
   options.topic = topic;
   agnocast::init(argc, argv);
   const std::vector<std::string> own = agnocast::remove_ros_arguments(argc, argv);
   for (std::size_t i = 1; i < own.size(); ++i) {
     const std::string& name = own[i];
-    if (name == "--help" || name == "-h") usage(program, topic, extra, 0);
+    if (name == "--help" || name == "-h") help(program, topic, extra);
     if (name == "--verbose") {
       options.verbose = true;
       continue;
     }
-    if (i + 1 == own.size()) refuse(name + " needs a value, or is unknown");
-    const char* const value = own[++i].c_str();
+    const char* const value = i + 1 < own.size() ? own[++i].c_str() : nullptr;
     char* end = nullptr;
+    const bool has_points = std::strstr(extra, "--points") != nullptr, has_scan = std::strstr(extra, "--scan") != nullptr;
+    const bool known = name == "--topic" || name == "--count" || name == "--rate" || name == "--depth" || (name == "--points" && has_points) ||
+                       (name == "--scan" && has_scan);
+    if (!known) refuse(name, "unknown option");
+    if (value == nullptr) refuse(name, "needs a value");
     if (name == "--topic") {
       options.topic = value;
     } else if (name == "--count") {
@@ -67,17 +77,24 @@ inline Options parse(int argc, char** argv, const char* topic, const char* extra
       options.rate = std::strtod(value, &end);
     } else if (name == "--depth") {
       options.depth = std::strtoull(value, &end, 10);
-    } else if (name == "--points" && std::strstr(extra, "--points") != nullptr) {
+    } else if (name == "--points") {
       options.points = std::strtoull(value, &end, 10);
-    } else if (name == "--scan" && std::strstr(extra, "--scan") != nullptr) {
-      options.scan = value;
     } else {
-      refuse(name + " is unknown");
+      options.scan = value;
     }
-    if (end != nullptr && (*value == '-' || *end != '\0' || end == value)) refuse(name + " wants a number, not " + value);
+    if (end != nullptr && (*value == '-' || *end != '\0' || end == value)) refuse(name, std::string("a number is wanted, not ") + value);
   }
-  if (!(options.rate >= 1e-6 && options.rate <= 1e9)) refuse("--rate wants a number above 0");
+  if (!(options.rate >= 1e-6 && options.rate <= 1e9)) refuse("--rate", "a number from 0.000001 to 1000000000 is wanted");
+  if (options.points > points_max) refuse("--points", "a cloud has at most " + std::to_string(points_max) + " points");
   return options;
+}
+
+inline agnocast::SingleThreadedExecutor* spinning = nullptr;
+
+/// Ctrl-C and SIGTERM end the executor's spin() and not the process, so that what was received is still told.
+inline void end_by_signal(agnocast::SingleThreadedExecutor& executor) {
+  spinning = &executor;
+  for (const int signal : {SIGINT, SIGTERM}) std::signal(signal, [](int) { spinning->cancel(); });
 }
 
 }  // namespace example

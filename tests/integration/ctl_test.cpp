@@ -7,6 +7,7 @@
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <agnocast/version.hpp>
+#include <base/unix_address.hpp>
 #include <client/dataplane/views.hpp>
 #include <tests/support/ctl.hpp>
 #include <tests/support/daemon_process.hpp>
@@ -407,6 +408,9 @@ TEST(Ctl, NamesWhatIsWrongInTwoLines) {
        "agnocast-ctl: x: agnocast-ctl topic list takes no such word\n"
        "hint: agnocast-ctl topic list --help\n"},
       {{"statsu"}, 2, "agnocast-ctl: statsu: unknown command\nhint: agnocast-ctl status\n"},
+      {{"help"}, 2, "agnocast-ctl: help: unknown command\nhint: agnocast-ctl --help\n"},
+      {{"processs"}, 2, "agnocast-ctl: processs: unknown command\nhint: agnocast-ctl processes\n"},
+      {{"tpic"}, 2, "agnocast-ctl: tpic: unknown command\nhint: agnocast-ctl topic --help\n"},
       {{"frobnicate"}, 2, "agnocast-ctl: frobnicate: unknown command\nhint: agnocast-ctl --help\n"},
       {{"topic"}, 2, "agnocast-ctl: topic: a verb is missing\nhint: agnocast-ctl topic --help\n"},
       {{}, 2, "agnocast-ctl: command line: a command is missing\nhint: agnocast-ctl --help\n"},
@@ -445,6 +449,25 @@ TEST(Ctl, NamesWhatIsWrongInTwoLines) {
   }
 }
 
+TEST(Ctl, SaysWhenItsAnswerCannotBeWritten) {
+  DaemonProcess daemon;
+  Node a(daemon.socket_path());
+  // Longer than what stdio keeps, so that what fails is not the last write.
+  for (int i = 0; i < 100; ++i) a.publisher("/points/n" + std::to_string(i) + std::string(60, 'x'));
+  const std::string unwritten =
+      "agnocast-ctl: output: it cannot be written\nhint: df; agnocast-ctl status\n";
+  for (const std::vector<std::string>& words : {std::vector<std::string>{"status"},
+                                                {"topics"},
+                                                {"topics", "--json"},
+                                                {"--help"},
+                                                {"verify", "--help"},
+                                                {"--version"}}) {
+    const CtlResult result = run_ctl(daemon.socket_path(), words, {}, {}, "/dev/full");
+    EXPECT_EQ(result.status, 1) << words[0];
+    EXPECT_EQ(result.err, unwritten) << words[0];
+  }
+}
+
 TEST(Ctl, HelpsWithEverything) {
   const CtlResult all = run_ctl("/x", {"--help"});
   EXPECT_EQ(all.status, 0);
@@ -467,6 +490,7 @@ TEST(Ctl, HelpsWithEverything) {
   }
   EXPECT_THAT(run_ctl("/x", {"topic", "--help"}).out, HasSubstr("topic info NAME"));
   EXPECT_THAT(run_ctl("/x", {"--version"}).out, StartsWith("agnocast-ctl "));
+  EXPECT_THAT(run_ctl("/x", {"status", "--version"}).out, StartsWith("agnocast-ctl "));
 }
 
 TEST(Ctl, SaysWhenTheDaemonIsAwayStoppedOrRefuses) {
@@ -494,6 +518,18 @@ TEST(Ctl, SaysWhenTheDaemonIsAwayStoppedOrRefuses) {
   const CtlResult refused = run_ctl(daemon.socket_path(), {"status"});
   EXPECT_EQ(refused.status, 1);
   EXPECT_THAT(refused.err, HasSubstr("this user may have 8 observers\nhint: close what"));
+}
+
+TEST(Ctl, SaysWhenTheSocketIsAnotherPrograms) {
+  const std::string directory = make_directory(), path = directory + "/socket";
+  const UniqueFd other(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
+  ASSERT_EQ(::bind(other.get(), unix_address(path)->get(), UnixAddress::size()), 0);
+  ASSERT_EQ(::listen(other.get(), 1), 0);
+  const CtlResult result = run_ctl(path, {"status"});
+  EXPECT_EQ(result.status, 3);
+  EXPECT_THAT(result.err, StartsWith("agnocast-ctl: " + path +
+                                     ": this is another program's socket\nhint: start it: "));
+  remove_directory(directory);
 }
 
 TEST(Ctl, SaysWhoMayNotLook) {

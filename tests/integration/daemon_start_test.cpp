@@ -12,6 +12,7 @@
 #include <unistd.h>
 
 #include <csignal>
+#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 
@@ -192,6 +193,11 @@ TEST(DaemonStart, PrintsWhatItIsAskedForAndRefusesTheRest) {
     EXPECT_NE(help.out.find(option), std::string::npos) << option;
   EXPECT_EQ(help.err, "");
   EXPECT_EQ(run_daemon({"--version"}).status, 0);
+  for (const char* option : {"--help", "--version", "--print-config"}) {
+    const std::string command = std::string(AGNOCAST_TEST_DAEMON) + " " + option + " >/dev/full 2>&1";
+    const int status = std::system(command.c_str());
+    EXPECT_EQ(WEXITSTATUS(status), 1) << option;
+  }
   const Ended unknown = run_daemon({"--sokcet", "/x"});
   EXPECT_EQ(unknown.status, 2);
   EXPECT_EQ(unknown.err, "agnocastd: --sokcet: unknown option\nhint: agnocastd --socket\n");

@@ -130,7 +130,7 @@ TEST(RegionsDocument, SaysTheBoundsOfTheHeaders) {
   const std::string text = document();
   const auto says = [&](const std::string& words) { EXPECT_THAT(text, testing::HasSubstr(words)); };
   const auto number = [](std::uint64_t value) { return std::to_string(value); };
-  says("| board | 1 | the daemon | every client | " + number(page_bytes) + " + " +
+  says("| board | 1 | the daemon | every client, observers | " + number(page_bytes) + " + " +
        number(topic_count_max) + " topics × " + number(topic_bytes) + " bytes |");
   says("heap window | 1 to " + number(window_count_max) + " for each");
   says(number(topic_offset(0)) + "  topic 0:  TopicHeader · PublisherEntry[" +

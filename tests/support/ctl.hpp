@@ -31,10 +31,11 @@ struct CtlResult {
   }
 };
 
-/// `environment` are "NAME=value"; `uid`: as this user (the test must be root).
+/// `environment` are "NAME=value"; `uid`: as this user (the test must be root); `out_path`: where its
+/// stdout goes instead.
 inline CtlResult run_ctl(const std::string& socket, std::vector<std::string> words,
                          const std::vector<std::string>& environment = {},
-                         std::optional<uid_t> uid = {}) {
+                         std::optional<uid_t> uid = {}, const char* out_path = nullptr) {
   const auto temporary = [] {
     std::FILE* const file = std::tmpfile();
     const UniqueFd fd(::dup(::fileno(file)));
@@ -51,7 +52,7 @@ inline CtlResult run_ctl(const std::string& socket, std::vector<std::string> wor
     ::unsetenv("ROS_DOMAIN_ID");
     ::setenv("AGNOCAST_SOCKET", socket.c_str(), 1);
     for (const std::string& variable : environment) ::putenv(const_cast<char*>(variable.c_str()));
-    ::dup2(out.get(), STDOUT_FILENO);
+    ::dup2(out_path == nullptr ? out.get() : ::open(out_path, O_WRONLY | O_CLOEXEC), STDOUT_FILENO);
     ::dup2(err.get(), STDERR_FILENO);
     if (uid && (::setgroups(0, nullptr) != 0 || ::setgid(*uid) != 0 || ::setuid(*uid) != 0))
       ::_exit(99);

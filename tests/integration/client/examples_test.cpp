@@ -19,6 +19,7 @@ namespace agnocast {
 namespace {
 
 using testing::HasSubstr;
+using testing::MatchesRegex;
 
 struct Outcome {
   int status;
@@ -90,7 +91,8 @@ std::string scan_file(const std::string& directory, const char* name, float firs
 
 TEST(Examples, AReplayedScanIsComparedWithTheFile) {
   const std::string directory = test::make_directory();
-  const std::string scan = scan_file(directory, "scan", 0), other = scan_file(directory, "other", 1);
+  const std::string scan = scan_file(directory, "scan", 0),
+                    other = scan_file(directory, "other", 1);
   const Outcome same = replay(scan, scan);
   EXPECT_EQ(same.status, 0) << same.text;
   EXPECT_THAT(same.text, HasSubstr("3 received, 0 wrong"));
@@ -122,7 +124,28 @@ TEST(Examples, WrongOptionsAreWrongUsage) {
                               "--rate nan", "--rate -3", "--depth x", "--points 5"}) {
     const Outcome outcome = run(std::string(AGNOCAST_EXAMPLES "/listener ") + options);
     EXPECT_EQ(outcome.status, 2) << options;
-    EXPECT_THAT(outcome.text, HasSubstr("usage: listener")) << options;
+    EXPECT_THAT(outcome.text, MatchesRegex("listener: --[a-z]+: [^\n]+\nhint: listener --help\n"))
+        << options;
+  }
+  const Outcome too_many = run(AGNOCAST_EXAMPLES "/cloud_publisher --points 214748365");
+  EXPECT_EQ(too_many.status, 2);
+  EXPECT_THAT(too_many.text, HasSubstr("--points: a cloud has at most 214748364 points"));
+}
+
+TEST(Examples, ASubscriberThatIsInterruptedTellsWhatItReceived) {
+  for (const std::string signal : {"INT", "TERM"}) {
+    test::DaemonProcess daemon({.config = "", .uid = {}, .arguments = {"--log-level", "debug"}});
+    const std::string out = daemon.directory() + "/out";
+    auto subscriber = std::async(std::launch::async, [&] {
+      return run("sh -c '" + example("cloud_subscriber", daemon, false) + " --verbose >" + out +
+                 " & child=$!; until grep -q intact " + out + "; do sleep 0.01; done; kill -" +
+                 signal + " $child; wait $child; status=$?; tail -n1 " + out + "; exit $status'");
+    });
+    ASSERT_TRUE(daemon.wait_for_log("endpoint created kind=subscription topic=/points"));
+    EXPECT_EQ(run(example("cloud_publisher", daemon, true) + " --count 1 --points 10").status, 0);
+    const Outcome received = subscriber.get();
+    EXPECT_EQ(received.status, 0) << signal << received.text;
+    EXPECT_EQ(received.text, "1 received, 0 wrong, 0 lost\n") << signal;
   }
 }
 
@@ -171,7 +194,7 @@ TEST(Examples, NameWhatIsWrong) {
   EXPECT_THAT(no_daemon.text, HasSubstr("agnocastd does not answer"));
   const Outcome unknown = run(example("listener", daemon, false) + " --bogus 1");
   EXPECT_EQ(unknown.status, 2);
-  EXPECT_THAT(unknown.text, HasSubstr("--bogus is unknown"));
+  EXPECT_THAT(unknown.text, HasSubstr("--bogus: unknown option"));
   const Outcome bad_topic = run(example("listener", daemon, false) + " --topic /a//b");
   EXPECT_EQ(bad_topic.status, 1);
   EXPECT_THAT(bad_topic.text, HasSubstr("a name is not a ROS 2 name"));

@@ -5,6 +5,7 @@
 // raw sendmsg. Leaks are found by counting /proc/self/fd.
 
 #include <base/packet_socket.hpp>
+#include <base/unix_address.hpp>
 
 #include "tests/support/child.hpp"
 #include "tests/support/descriptors.hpp"
@@ -370,6 +371,31 @@ TEST(PacketSocket, ConnectSaysWhyNot) {
     ASSERT_FALSE(refused);
     EXPECT_EQ(refused.error().code, Errc::invalid_argument);
   }
+}
+
+TEST(PacketSocket, ConnectDoesNotWaitForeverForWhoDoesNotAccept) {
+  test::TemporaryDirectory directory;
+  const std::string path = directory.path("busy");
+  const UniqueFd listener(::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0));
+  ASSERT_EQ(::bind(listener.get(), unix_address(path)->get(), UnixAddress::size()), 0);
+  ASSERT_EQ(::listen(listener.get(), 0), 0);
+  std::vector<PacketSocket> waiting;
+  for (int i = 0; i < 16; ++i) {
+    auto connected = PacketSocket::connect(path, std::chrono::milliseconds(20));
+    if (connected) {
+      waiting.push_back(std::move(*connected));
+      continue;
+    }
+    EXPECT_EQ(connected.error().code, Errc::daemon_not_running);
+    EXPECT_EQ(connected.error().os_errno, ETIMEDOUT);
+    break;
+  }
+  ASSERT_FALSE(waiting.empty());
+  EXPECT_LT(waiting.size(), 16u) << "the queue of the listener is full at some time";
+  timeval limit{1, 1};
+  socklen_t size = sizeof limit;
+  ASSERT_EQ(::getsockopt(waiting[0].fd(), SOL_SOCKET, SO_SNDTIMEO, &limit, &size), 0);
+  EXPECT_EQ(limit.tv_sec + limit.tv_usec, 0) << "the limit is connect's alone";
 }
 
 TEST(PacketSocket, ConnectWithoutPermissionSaysSo) {

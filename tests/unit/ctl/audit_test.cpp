@@ -199,5 +199,27 @@ TEST(Audit, LooksOnlyInPartAtAQueueThatNeverRests) {
   EXPECT_EQ(audit(made.system, region_bytes).findings.size(), 1u);
 }
 
+TEST(Audit, AQueueInMotionKeepsOnlyWhatIsSeenAtRest) {
+  // Two faults of one publisher. That of the board is over at the second look, which cannot see the
+  // other one.
+  Made made;
+  const std::uint64_t entry = made.queue_words.order(7).load();
+  made.queue_words.order(7).store(~std::uint64_t{0});
+  made.publisher().facts.slot_count = 32;
+  std::set<Finding> findings = audit(made.system, region_bytes).findings;
+  EXPECT_EQ(findings.size(), 2u);
+  made.queue_words.intent_op().store(abi::intent_publish);
+  made.publisher().facts.slot_count = 64;
+  keep_what_lasts(findings, audit(made.system, region_bytes));
+  ASSERT_EQ(findings.size(), 1u);
+  EXPECT_EQ(findings.begin()->invariant, Invariant::queue_order);
+  made.queue_words.intent_op().store(abi::intent_idle);
+  keep_what_lasts(findings, audit(made.system, region_bytes));
+  EXPECT_EQ(findings.size(), 1u);
+  made.queue_words.order(7).store(entry);
+  keep_what_lasts(findings, audit(made.system, region_bytes));
+  EXPECT_TRUE(findings.empty());
+}
+
 }  // namespace
 }  // namespace agnocast::ctl
