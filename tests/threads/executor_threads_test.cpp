@@ -150,8 +150,8 @@ TEST(ExecutorThreads, EverythingIsRunOnceAndInOrderWhileHostsChange) {
     return first->taken() == count && second->taken() == count;
   }));
   for (std::thread& publisher : publishers) publisher.join();
-  node.callbacks->remove(*first);
-  node.callbacks->remove(*second);
+  node.callbacks->remove(*first, nullptr);
+  node.callbacks->remove(*second, nullptr);
   for (Queue* queue : {first.get(), second.get()}) {
     ASSERT_EQ(queue->received.size(), count);
     for (std::uint64_t i = 0; i < count; ++i) ASSERT_EQ(queue->received[i], i);
@@ -221,7 +221,7 @@ TEST(ExecutorThreads, ANewHostGoesOnWhenACallbackInTheOldOneHasEnded) {
       ASSERT_LT(std::chrono::steady_clock::now(), deadline) << "after " << round << " rounds";
       std::this_thread::yield();
     }
-    node.callbacks->remove(*slow);
+    node.callbacks->remove(*slow, nullptr);
     spinner.core->drop(*node.callbacks);
     node.callbacks->hand_to(node.callbacks.get());
   }
@@ -238,7 +238,7 @@ TEST(ExecutorThreads, RemoveWaitsForTheCallbackInAnyHost) {
     std::this_thread::sleep_for(std::chrono::milliseconds(20));
     slow->may_end = true;
   });
-  node.callbacks->remove(*slow);
+  node.callbacks->remove(*slow, nullptr);
   EXPECT_EQ(slow->ended, slow->begun);
   ender.join();
   auto queue = std::make_shared<Queue>(1);
