@@ -5,6 +5,7 @@
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/text.hpp>
 #include <client/forked_child.hpp>
+#include <client/user_code.hpp>
 
 #include <pthread.h>
 #include <signal.h>
@@ -114,6 +115,7 @@ bool Context::is_connected() const noexcept {
 
 Result<void> Context::connect() {
   if (Result<void> refused = refuse_forked_child(); !refused) return refused;
+  if (Result<void> refused = refuse_after_exit(); !refused) return refused;
   const std::lock_guard lock(connecting_);
   if (is_connected_.load(std::memory_order_relaxed)) {
     if (ended_.load(std::memory_order_acquire))
@@ -122,6 +124,7 @@ Result<void> Context::connect() {
     return {};
   }
   if (Result<void> known = recognise_forked_children(); !known) return known;
+  if (Result<void> ends = end_user_code_at_exit(); !ends) return ends;
   socket_path_ = socket_path();
   Result<void> done = say_hello();
   if (done) done = start_control_thread();

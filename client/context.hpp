@@ -61,7 +61,7 @@ class Context {
 
   /// Any of the following connects first if need be. Errors of all: daemon_not_running,
   /// layout_mismatch, arena_occupied, lock_limit, address_limit, permission_denied, quota_exceeded,
-  /// limit_reached, shut_down (forked child), invalid_argument (ROS_DOMAIN_ID), os_failure, and
+  /// limit_reached, shut_down (forked child, exit handlers), invalid_argument (ROS_DOMAIN_ID), os_failure, and
   /// what is named.
 
   /// Errors also: hook_missing, hook_ineffective, type_mismatch, invalid_name, depth_refused.
