@@ -115,7 +115,7 @@ Result<std::shared_ptr<UntypedSubscription>> UntypedSubscription::create(
   request.node = name.node;
   request.type = type.name();
   request.layout_hash = type.layout_hash();
-  request.qos = to_abi(qos);
+  request.qos = to_abi_of_subscription(qos);
   request.quota = options.hold_quota();
   request.message_bytes = type.message_bytes();
   request.message_alignment = type.message_alignment();
