@@ -4,6 +4,7 @@
 
 #include <agnocast/subscription.hpp>
 #include <client/context.hpp>
+#include <client/forked_child.hpp>
 #include <client/qos_words.hpp>
 #include <client/runner.hpp>
 
@@ -137,6 +138,7 @@ UntypedSubscription::~UntypedSubscription() {
   Context::instance().destroy(endpoint_);
 }
 
+bool UntypedSubscription::is_own() const noexcept { return !is_forked_child(); }
 Block* UntypedSubscription::take() noexcept {
   return endpoint_ != nullptr ? take_block(*endpoint_) : nullptr;
 }
