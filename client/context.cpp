@@ -5,6 +5,7 @@
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/text.hpp>
 #include <client/forked_child.hpp>
+#include <client/user_code.hpp>
 
 #include <pthread.h>
 #include <signal.h>
@@ -12,8 +13,10 @@
 #include <sys/eventfd.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <charconv>
+#include <chrono>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
@@ -86,6 +89,8 @@ std::string what_lies_in(std::uint64_t base, std::uint64_t bytes) {
 // Destructors of messages run on it. Under mlockall all of it is memory: not the default of 8 MiB.
 constexpr std::size_t control_stack_bytes = std::size_t{1} << 20;
 
+constexpr std::chrono::seconds window_pause_last{60};
+
 }  // namespace
 
 Result<bool> is_switched_off() noexcept {
@@ -110,6 +115,7 @@ bool Context::is_connected() const noexcept {
 
 Result<void> Context::connect() {
   if (Result<void> refused = refuse_forked_child(); !refused) return refused;
+  if (Result<void> refused = refuse_after_exit(); !refused) return refused;
   const std::lock_guard lock(connecting_);
   if (is_connected_.load(std::memory_order_relaxed)) {
     if (ended_.load(std::memory_order_acquire))
@@ -118,6 +124,7 @@ Result<void> Context::connect() {
     return {};
   }
   if (Result<void> known = recognise_forked_children(); !known) return known;
+  if (Result<void> ends = end_user_code_at_exit(); !ends) return ends;
   socket_path_ = socket_path();
   Result<void> done = say_hello();
   if (done) done = start_control_thread();
@@ -283,23 +290,35 @@ Result<void> Context::open_heap() {
 // Ahead of need: malloc never waits for the daemon. While the answer is on its way, or when it is a
 // refusal, the heap does with what it has.
 void Context::ask_for_window() {
-  if (!heap_is_open_.load(std::memory_order_acquire) || window_asked_) return;
-  if (!heap_->wants_window()) return;
+  if (!heap_is_open_.load(std::memory_order_acquire) || window_asked_ || !heap_->wants_window())
+    return;
+  if (std::chrono::steady_clock::now() < window_again_) return;
   window_asked_ = true;
   wire::WindowRequest request{};
   request.window = window_count_;
   connection_->request_later(Opcode::open_window, request, [this](Result<Incoming*> answer) {
-    wire::WindowOpened opened{};
-    // Refused (quota, arena): not asked again, or a full heap would ask for ever.
-    if (!answer && answer.error().code == Errc::window_exhausted) heap_->no_more_windows();
-    if (!answer || !(*answer)->read(opened) || (*answer)->packet.descriptor_count != 2) return;
-    const auto fds = (*answer)->packet.fds();
-    if (!heap_->add_window(region_.base(), opened.window, opened.base, opened.bytes, fds[0].get(),
-                           fds[1].get()))
-      return;
+    // All windows that this process may have: no other answer will come.
+    if (!answer && answer.error().code == Errc::window_exhausted) return heap_->no_more_windows();
     window_asked_ = false;
-    if (++window_count_ == abi::window_count_max) heap_->no_more_windows();
+    if (answer && add_window(**answer)) {
+      window_pause_ = window_pause_first;
+      if (++window_count_ == abi::window_count_max) heap_->no_more_windows();
+      return;
+    }
+    // What is missing (quota, arena, memory) may come back: asked again ever more rarely, because a
+    // full heap would ask at every errand.
+    window_again_ = std::chrono::steady_clock::now() + window_pause_;
+    window_pause_ = std::min(window_pause_ * 2, window_pause_last);
   });
+}
+
+bool Context::add_window(Incoming& answer) noexcept {
+  wire::WindowOpened opened{};
+  if (!answer.read(opened) || answer.packet.descriptor_count != 2) return false;
+  const auto fds = answer.packet.fds();
+  return opened.window == window_count_ &&
+         heap_->add_window(region_.base(), opened.window, opened.base, opened.bytes, fds[0].get(),
+                           fds[1].get());
 }
 
 namespace {

@@ -23,6 +23,7 @@
 #include <client/subscription_endpoint.hpp>
 
 #include <atomic>
+#include <chrono>
 #include <cstdint>
 #include <map>
 #include <memory>
@@ -60,7 +61,7 @@ class Context {
 
   /// Any of the following connects first if need be. Errors of all: daemon_not_running,
   /// layout_mismatch, arena_occupied, lock_limit, address_limit, permission_denied, quota_exceeded,
-  /// limit_reached, shut_down (forked child), invalid_argument (ROS_DOMAIN_ID), os_failure, and
+  /// limit_reached, shut_down (forked child, exit handlers), invalid_argument (ROS_DOMAIN_ID), os_failure, and
   /// what is named.
 
   /// Errors also: hook_missing, hook_ineffective, type_mismatch, invalid_name, depth_refused.
@@ -128,6 +129,7 @@ class Context {
   void collect_subscriptions();
   void collect_peers();
   void ask_for_window();
+  bool add_window(Incoming& answer) noexcept;
   std::shared_ptr<Peer> use(KnownPeer& known);
   std::shared_ptr<Peer> peer_of(const abi::wire::Announcement& announcement,
                                 std::span<UniqueFd> fds, std::size_t& used);
@@ -147,6 +149,9 @@ class Context {
   std::atomic<bool> heap_is_open_{false};
   std::uint64_t window_count_ = 1;  // control thread only, as the next
   bool window_asked_ = false;
+  static constexpr std::chrono::seconds window_pause_first{1};
+  std::chrono::seconds window_pause_ = window_pause_first;  // after the next refusal
+  std::chrono::steady_clock::time_point window_again_{};    // not before
 
   UniqueFd epoll_, wake_;
   std::atomic<bool> ended_{false};

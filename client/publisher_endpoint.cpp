@@ -2,6 +2,7 @@
 
 #include <client/forked_child.hpp>
 #include <client/publisher_endpoint.hpp>
+#include <client/user_code.hpp>
 
 #include <time.h>
 
@@ -27,7 +28,8 @@ constexpr std::uint64_t armed_offset(std::uint64_t executor) noexcept {
 /// What one turn with the queue leaves to do outside the mutex.
 struct PublisherEndpoint::Work {
   PublisherEndpoint& endpoint;
-  std::array<void*, destroy_at_once_max> destroy;
+  const bool may_destroy;  // otherwise messages die with the process
+  std::array<void*, destroy_at_once_max> destroy{};
   std::size_t destroy_count = 0;
   std::uint64_t rung = 0;
   bool wake_control = false;
@@ -42,6 +44,7 @@ struct PublisherEndpoint::Work {
     }
   }
   void freed(std::uint64_t, std::uint64_t address) noexcept {
+    if (!may_destroy) return;
     void* const message = reinterpret_cast<void*>(address);
     if (destroy_count < destroy.size()) {
       destroy[destroy_count++] = message;
@@ -54,6 +57,7 @@ struct PublisherEndpoint::Work {
   }
   /// What an earlier turn had no room for.
   void destroy_doomed() noexcept {
+    if (!may_destroy) return;
     auto& doomed = endpoint.doomed_;
     for (; !doomed.empty() && destroy_count < destroy.size(); doomed.pop_back())
       destroy[destroy_count++] = doomed.back();
@@ -66,14 +70,20 @@ PublisherEndpoint::PublisherEndpoint(const Identity& identity)
 }
 
 template <class Do>
-void PublisherEndpoint::with_queue(Do work) noexcept {
-  Work left{*this, {}, 0, 0, false};
+void PublisherEndpoint::with_queue(Do work, bool may_destroy) noexcept {
+  Work left{*this, may_destroy};
   {
     const std::lock_guard lock(mutex_);
     work(left);
   }
   for (std::size_t i = 0; i < left.destroy_count; ++i) identity_.destroy(left.destroy[i]);
   if (left.wake_control) identity_.wake_control();
+}
+
+template <class Do>
+void PublisherEndpoint::in_control_thread(Do work) noexcept {
+  const UserCode code;
+  with_queue(work, code.may_run());
 }
 
 dataplane::PublishOutcome PublisherEndpoint::publish(void* message, std::uint64_t bytes) noexcept {
@@ -125,7 +135,7 @@ std::size_t PublisherEndpoint::executor_of(const Peer& peer, std::uint64_t execu
 
 void PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr<Peer> peer,
                                Doorbell bell) {
-  with_queue([&](Work& work) {
+  in_control_thread([&](Work& work) {
     attached_.reserve(attached_.size() + 1);
     const std::size_t executor = executor_of(*peer, subscription.executor, std::move(bell));
     core_->attach(subscription.index, subscription.generation, peer->region(), subscription.extent,
@@ -162,7 +172,7 @@ void PublisherEndpoint::note_links() noexcept {
 void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) noexcept {
   std::shared_ptr<Peer> let_go;
   bool was_matched = false;
-  with_queue([&](Work& work) {
+  in_control_thread([&](Work& work) {
     const auto found =
         std::find_if(attached_.begin(), attached_.end(), [&](const Attached& attached) {
           return attached.index == index && attached.generation == generation;
@@ -188,7 +198,7 @@ void PublisherEndpoint::detach_all() noexcept {
 
 void PublisherEndpoint::run_errands() noexcept {
   note_links();
-  with_queue([&](Work& work) {
+  in_control_thread([&](Work& work) {
     for (Executor& sleeper : executors_) {
       const std::uint64_t owed = std::exchange(sleeper.owed, 0);
       if (owed == 0 || sleeper.users == 0) continue;
@@ -199,7 +209,8 @@ void PublisherEndpoint::run_errands() noexcept {
     }
     core_->pass(work);
     work.destroy_doomed();
-    work.wake_control = !doomed_.empty();  // more next time: destructors may be slow, others wait
+    // More next time: destructors may be slow, others wait.
+    work.wake_control = work.may_destroy && !doomed_.empty();
   });
 }
 

@@ -113,7 +113,9 @@ class PublisherEndpoint {
   struct Work;
 
   template <class Do>
-  void with_queue(Do work) noexcept;
+  void with_queue(Do work, bool may_destroy = true) noexcept;
+  template <class Do>
+  void in_control_thread(Do work) noexcept;
   void count(std::size_t counter, std::uint64_t more) noexcept;
   std::size_t executor_of(const Peer& peer, std::uint64_t executor, Doorbell bell);
   bool is_linked(const Attached& attached) const noexcept;

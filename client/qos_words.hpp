@@ -17,6 +17,13 @@ inline abi::Qos to_abi(const QoS& qos) noexcept {
           qos.is_keep_all(), false};
 }
 
+// Best available: what matches every publisher.
+inline abi::Qos to_abi_of_subscription(const QoS& qos) noexcept {
+  abi::Qos words = to_abi(qos);
+  if (qos.is_best_available()) words.reliable = false;
+  return words;
+}
+
 // The daemon's own limit may be lower; this one is what a queue can hold at all.
 inline Result<void> check_depth(const QoS& qos) {
   if (qos.depth() >= 1 && qos.depth() <= abi::depth_max) return {};

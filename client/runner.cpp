@@ -14,6 +14,7 @@
 #include <cerrno>
 #include <map>
 #include <mutex>
+#include <new>
 #include <system_error>
 #include <vector>
 
@@ -56,6 +57,8 @@ Result<void> Runner::host_by_thread() {
           [callbacks = callbacks_, epoll = std::move(epoll)] { serve(*callbacks, epoll.get()); });
     } catch (const std::system_error& refused) {
       error = refused.code().value();
+    } catch (const std::bad_alloc&) {
+      error = ENOMEM;
     }
     ::pthread_sigmask(SIG_SETMASK, &before, nullptr);
     if (error != 0) return fail(Errc::os_failure, "starting a callback thread", error);

@@ -4,6 +4,7 @@
 
 #include <agnocast/subscription.hpp>
 #include <client/context.hpp>
+#include <client/forked_child.hpp>
 #include <client/qos_words.hpp>
 #include <client/runner.hpp>
 
@@ -115,7 +116,7 @@ Result<std::shared_ptr<UntypedSubscription>> UntypedSubscription::create(
   request.node = name.node;
   request.type = type.name();
   request.layout_hash = type.layout_hash();
-  request.qos = to_abi(qos);
+  request.qos = to_abi_of_subscription(qos);
   request.quota = options.hold_quota();
   request.message_bytes = type.message_bytes();
   request.message_alignment = type.message_alignment();
@@ -137,6 +138,7 @@ UntypedSubscription::~UntypedSubscription() {
   Context::instance().destroy(endpoint_);
 }
 
+bool UntypedSubscription::is_own() const noexcept { return !is_forked_child(); }
 Block* UntypedSubscription::take() noexcept {
   return endpoint_ != nullptr ? take_block(*endpoint_) : nullptr;
 }

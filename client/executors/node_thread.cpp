@@ -3,6 +3,7 @@
 #include <client/executors/executor_core.hpp>
 #include <client/executors/node_thread.hpp>
 #include <client/forked_child.hpp>
+#include <client/user_code.hpp>
 
 #include <sys/epoll.h>
 
@@ -16,6 +17,8 @@ void run_turn(NodeCallbacks& node, NodeCallbacks::Host self, bool& any) {
   std::vector<std::weak_ptr<CallbackSource>> turn;
   node.list(self, turn);
   for (const auto& listed : turn) {
+    const UserCode code;  // goes after the source, which may be what keeps the callback
+    if (!code.may_run()) return;
     const auto source = listed.lock();
     if (source == nullptr) continue;
     if (is_forked_child()) return;
@@ -38,6 +41,7 @@ void serve(NodeCallbacks& node, int epoll) noexcept {
       bool any = false;
       run_turn(node, self, any);
       if (is_forked_child()) return;  // a callback has forked, and has returned in the child
+      if (exit_has_begun()) return;   // for good: what is unread stays unread
       if (any) continue;
     } catch (const std::bad_alloc&) {
       // Of the list: what is unread stays unread until there is memory.

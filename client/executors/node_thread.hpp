@@ -8,7 +8,8 @@
 
 namespace agnocast {
 
-/// Host: the address of `node`. Returns after node.stop(). `epoll` has the node's bells, the
+/// Host: the address of `node`. Returns after node.stop(), or when
+/// exit handlers have begun. `epoll` has the node's bells, the
 /// datagram socket with tag 1.
 void serve(NodeCallbacks& node, int epoll) noexcept;
 

@@ -31,7 +31,7 @@ enum class FutureReturnCode { SUCCESS, INTERRUPTED, TIMEOUT };
 class AGNOCAST_PUBLIC Executor {
  public:
   /// Nodes that are still there are run by the library again. Not while it spins.
-  ~Executor();
+  virtual ~Executor();
   Executor(const Executor&) = delete;
   Executor& operator=(const Executor&) = delete;
 

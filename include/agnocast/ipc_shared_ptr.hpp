@@ -77,6 +77,10 @@ class ipc_shared_ptr {
   T& operator*() const noexcept { return *get(); }
   T* operator->() const noexcept { return get(); }
   explicit operator bool() const noexcept { return get() != nullptr; }
+  friend bool operator==(const ipc_shared_ptr& a, std::nullptr_t) noexcept { return !a; }
+  friend bool operator==(std::nullptr_t, const ipc_shared_ptr& a) noexcept { return !a; }
+  friend bool operator!=(const ipc_shared_ptr& a, std::nullptr_t) noexcept { return bool(a); }
+  friend bool operator!=(std::nullptr_t, const ipc_shared_ptr& a) noexcept { return bool(a); }
   /// Of a received message; zeros for a loan.
   const MessageInfo& info() const noexcept {
     static const MessageInfo none;

@@ -55,6 +55,8 @@ class AGNOCAST_PUBLIC UntypedSubscription {
   UntypedSubscription(const UntypedSubscription&) = delete;
   UntypedSubscription& operator=(const UntypedSubscription&) = delete;
 
+  /// False in a forked child: then no lock may be taken, it may be held for ever.
+  bool is_own() const noexcept;
   /// The oldest unread message, or null.
   Block* take() noexcept;
   std::uint64_t lost() const noexcept;
@@ -144,6 +146,9 @@ class Subscription {
   bool is_active() const noexcept { return untyped_->is_active(); }
   const char* get_topic_name() const noexcept { return untyped_->topic().c_str(); }
 
+ protected:
+  bool is_own() const noexcept { return untyped_->is_own(); }
+
  private:
   std::shared_ptr<detail::UntypedSubscription> untyped_;
 };
@@ -158,7 +163,9 @@ class PollingSubscriber : public Subscription<T> {
 
   /// The newest message, the same again while there is no newer one, empty before the first. What
   /// came in between is skipped (it is not counted as lost). The subscription keeps holding it.
+  /// Empty in a forked child.
   ipc_shared_ptr<const T> take_data() noexcept {
+    if (!this->is_own()) return {};
     const std::lock_guard lock(mutex_);
     while (auto newer = this->take()) newest_ = std::move(newer);
     return newest_;

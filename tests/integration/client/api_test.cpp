@@ -45,14 +45,16 @@ struct LookAlikeNode : PlainNode {
 /// A look-alike of rclcpp::QoS with rmw's numbers.
 struct LookAlikeQos {
   enum class History { SystemDefault = 0, KeepLast = 1, KeepAll = 2 };
-  enum class Reliability { Reliable = 1, BestEffort = 2 };
-  enum class Durability { TransientLocal = 1, Volatile = 2 };
+  enum class Reliability { Reliable = 1, BestEffort = 2, BestAvailable = 4 };
+  enum class Durability { TransientLocal = 1, Volatile = 2, BestAvailable = 4 };
   std::size_t kept = 7;
   History how = History::KeepLast;
+  Reliability how_reliable = Reliability::BestEffort;
+  Durability how_durable = Durability::TransientLocal;
   std::size_t depth() const { return kept; }
   History history() const { return how; }
-  Reliability reliability() const { return Reliability::BestEffort; }
-  Durability durability() const { return Durability::TransientLocal; }
+  Reliability reliability() const { return how_reliable; }
+  Durability durability() const { return how_durable; }
 };
 
 class Api : public testing::Test {
@@ -248,6 +250,23 @@ TEST_F(Api, LookAlikesOfRclcppFit) {
 }
 
 // rclcpp::KeepAll has depth 0, and so has rclcpp::SystemDefaultsQoS.
+TEST_F(Api, TheBestAvailableMatchesEverybody) {
+  const LookAlikeQos best{7, LookAlikeQos::History::KeepLast,
+                          LookAlikeQos::Reliability::BestAvailable,
+                          LookAlikeQos::Durability::BestAvailable};
+  EXPECT_FALSE(QoS(best).is_transient_local());
+  auto undemanding = create_subscription<Cloud>(node, "best", QoS(best));
+  auto publisher = create_publisher<Cloud>(node, "best", QoS(1).best_effort());
+  EXPECT_TRUE(test::eventually([&] { return undemanding->get_publisher_count() == 1; }));
+  auto demanding = create_subscription<Cloud>(node, "best_too", QoS(1).reliable());
+  auto offering = create_publisher<Cloud>(node, "best_too", QoS(best));
+  EXPECT_TRUE(test::eventually([&] { return demanding->get_publisher_count() == 1; }));
+  auto strict = create_subscription<Cloud>(node, "best", QoS(best).reliable());
+  EXPECT_TRUE(test::eventually([&] {
+    return strict->get_incompatible_qos_status().total_count == 1;
+  })) << "said afterwards";
+}
+
 TEST_F(Api, AnHistoryOfRclcppWithoutADepthIsOne) {
   const LookAlikeQos all{0, LookAlikeQos::History::KeepAll};
   EXPECT_TRUE(QoS(all).is_keep_all());

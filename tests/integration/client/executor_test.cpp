@@ -25,6 +25,7 @@
 #include <stdexcept>
 #include <string>
 #include <thread>
+#include <type_traits>
 #include <vector>
 
 namespace agnocast {
@@ -35,6 +36,8 @@ using test::eventually;
 using test::Number;
 using test::SecondProcess;
 using Message = ipc_shared_ptr<const Number>;
+
+static_assert(std::has_virtual_destructor_v<Executor>, "may be held by pointers to the base");
 
 class Executors : public testing::Test {
  protected:

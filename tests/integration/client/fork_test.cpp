@@ -47,6 +47,8 @@ Cloud cloud_of(std::uint32_t number) {
 struct Busy {
   Subscription<Cloud>::SharedPtr subscription =
       create_subscription<Cloud>(PlainNode(), "points", QoS(10));
+  PollingSubscriber<Cloud>::SharedPtr newest =
+      create_subscription<Cloud>(PlainNode(), "points", QoS(10));
   std::atomic<std::uint32_t> called{0};
   Subscription<Cloud>::SharedPtr with_callback = create_subscription<Cloud>(
       PlainNode(), "points", QoS(10),
@@ -59,6 +61,7 @@ struct Busy {
     EXPECT_TRUE(publisher->publish(std::make_unique<Cloud>(cloud_of(1))));
     held = take_soon(subscription);
     EXPECT_TRUE(held);
+    EXPECT_TRUE(test::eventually([this] { return static_cast<bool>(newest->take_data()); }));
     loan = publisher->borrow_loaned_message();
     *loan = cloud_of(2);
   }
@@ -283,6 +286,25 @@ TEST_F(Fork, ForkingWhileThreadsPublishAndTakeDisturbsNobody) {
     stop = true;
     for (std::thread& thread : threads) thread.join();
     busy.expect_unharmed();
+  }));
+}
+
+TEST_F(Fork, AskingForTheNewestMessageInAChildWaitsForNoThreadOfTheParent) {
+  EXPECT_TRUE(in_own_process([] {
+    Busy busy;
+    std::atomic<bool> stop{false};
+    std::thread asking([&] {
+      while (!stop) EXPECT_TRUE(busy.newest->take_data());
+    });
+    for (int i = 0; i < 100 && !testing::Test::HasFailure(); ++i) {
+      Child child = child_of([&] {
+        ::alarm(20);
+        EXPECT_FALSE(busy.newest->take_data());
+      });
+      EXPECT_EQ(child.wait(), 0) << "child " << i;
+    }
+    stop = true;
+    asking.join();
   }));
 }
 

@@ -1,0 +1,234 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: a process may call exit() at any time: no thread of the library's runs code of the user's that
+// would touch destroyed objects, and exit() ends.
+// Method: real processes that exit, with the real daemon. A static object gives the library every
+// occasion while it is destroyed; what runs too late writes into a pipe that this process reads.
+
+#include <agnocast/agnocast.hpp>
+#include <tests/support/child.hpp>
+#include <tests/support/daemon_process.hpp>
+#include <tests/support/plain_node.hpp>
+
+#include <gmock/gmock.h>
+
+#include <unistd.h>
+
+#include <atomic>
+#include <chrono>
+#include <cstdint>
+#include <cstdlib>
+#include <functional>
+#include <memory>
+#include <string>
+#include <thread>
+#include <utility>
+
+namespace agnocast {
+namespace {
+
+using test::Child;
+using test::PlainNode;
+using test::take_soon;
+
+int too_late = -1;  // the pipe
+std::atomic<bool> is_destroyed{false};
+
+/// What the exiting thread does itself is its own business.
+void note(char what) {
+  if (is_destroyed && ::gettid() != ::getpid()) (void)!::write(too_late, &what, 1);
+}
+
+struct Ping : SharedMessage {
+  std::uint64_t number = 0;
+  Ping() = default;
+  Ping(const Ping&) = default;
+  Ping& operator=(const Ping&) = default;
+  ~Ping() { note('d'); }
+};
+
+/// Among the static objects; its destructor does what it is told.
+struct AtExit {
+  std::function<void()> act;
+  ~AtExit() {
+    is_destroyed = true;
+    act();
+  }
+};
+
+/// A thread that is woken needs less than the first; the timer of the control thread less than the
+/// second.
+constexpr std::chrono::milliseconds woken{500}, by_timer{2500};
+void give_others_time(std::chrono::milliseconds time) { std::this_thread::sleep_for(time); }
+
+class Exiting : public testing::Test {
+ protected:
+  void SetUp() override {
+    ::setenv("AGNOCAST_SOCKET", daemon_.socket_path().c_str(), 1);
+    ASSERT_EQ(::pipe(pipe_), 0);
+    too_late = pipe_[1];
+  }
+  /// `body` uses the library and exits. Its status and what came too late.
+  template <class Body>
+  std::pair<int, std::string> run(Body body) {
+    Child child([&]() noexcept -> int {
+      ::alarm(60);
+      static AtExit at_exit;  // before the first connection
+      body(at_exit);
+      return 9;
+    });
+    const int status = child.wait();
+    ::close(pipe_[1]);
+    std::string written(100, ' ');
+    const ssize_t count = ::read(pipe_[0], written.data(), written.size());
+    written.resize(count > 0 ? static_cast<std::size_t>(count) : 0);
+    return {status, written};
+  }
+  std::pair<int, std::string> silent(int status) { return {status, ""}; }
+
+  test::DaemonProcess daemon_;
+  int pipe_[2] = {-1, -1};
+};
+
+}  // namespace
+
+template <>
+struct MessageTraits<Ping> {
+  static constexpr const char* name = "tests/Ping";
+};
+
+namespace {
+
+TEST_F(Exiting, NoCallbackBeginsAnyMore) {
+  EXPECT_EQ(run([](AtExit& at_exit) {
+              std::atomic<int> called{0};
+              auto subscription = create_subscription<Ping>(PlainNode(), "ping", QoS(10),
+                                                            [&](const ipc_shared_ptr<const Ping>&) {
+                                                              ++called;
+                                                              note('c');
+                                                            });
+              auto publisher = create_publisher<Ping>(PlainNode(), "ping", 10);
+              while (called == 0) {
+                publisher->publish(publisher->borrow_loaned_message());
+                std::this_thread::sleep_for(std::chrono::milliseconds(1));
+              }
+              at_exit.act = [&] {
+                if (!publisher->publish(publisher->borrow_loaned_message())) ::_exit(3);
+                give_others_time(woken);
+              };
+              std::exit(0);
+            }),
+            silent(0));
+}
+
+TEST_F(Exiting, NoEventCallbackBeginsAnyMore) {
+  EXPECT_EQ(run([](AtExit& at_exit) {
+              std::atomic<bool> matched{false};
+              auto publisher = create_publisher<Ping>(
+                  PlainNode(), "ping", 10, PublisherOptions().matched_callback([&](MatchedInfo&) {
+                    matched = true;
+                    note('e');
+                  }));
+              auto subscription = create_subscription<Ping>(PlainNode(), "ping", QoS(10));
+              while (!matched) std::this_thread::sleep_for(std::chrono::milliseconds(1));
+              at_exit.act = [&] {
+                subscription.reset();
+                give_others_time(woken);
+              };
+              std::exit(0);
+            }),
+            silent(0));
+}
+
+TEST_F(Exiting, NoMessageIsDestroyedByTheControlThreadAnyMore) {
+  EXPECT_EQ(run([](AtExit& at_exit) {
+              auto subscription = create_subscription<Ping>(PlainNode(), "ping", QoS(10));
+              auto publisher = create_publisher<Ping>(PlainNode(), "ping", 1);
+              while (publisher->get_subscription_count() == 0)
+                std::this_thread::sleep_for(std::chrono::milliseconds(1));
+              if (!publisher->publish(publisher->borrow_loaned_message())) ::_exit(3);
+              auto held = take_soon(subscription);
+              if (!publisher->publish(publisher->borrow_loaned_message())) ::_exit(3);
+              at_exit.act = [&] {
+                held.reset();  // nobody needs the first one any more
+                give_others_time(by_timer);
+              };
+              std::exit(0);
+            }),
+            silent(0));
+}
+
+TEST_F(Exiting, ACallbackThatRunsIsWaitedFor) {
+  EXPECT_EQ(run([](AtExit& at_exit) {
+              std::atomic<bool> is_inside{false}, has_ended{false};
+              auto subscription = create_subscription<Ping>(
+                  PlainNode(), "ping", QoS(10), [&](const ipc_shared_ptr<const Ping>&) {
+                    is_inside = true;
+                    std::this_thread::sleep_for(std::chrono::milliseconds(200));
+                    has_ended = true;
+                  });
+              auto publisher = create_publisher<Ping>(PlainNode(), "ping", 10);
+              publisher->publish(publisher->borrow_loaned_message());
+              while (!is_inside) {
+                publisher->publish(publisher->borrow_loaned_message());
+                std::this_thread::sleep_for(std::chrono::milliseconds(1));
+              }
+              at_exit.act = [&] {
+                if (!has_ended) ::_exit(4);
+              };
+              std::exit(0);
+            }),
+            silent(0));
+}
+
+TEST_F(Exiting, ACallbackThatNeverEndsHangsNobody) {
+  EXPECT_EQ(run([](AtExit& at_exit) {
+              std::atomic<bool> is_inside{false};
+              auto subscription = create_subscription<Ping>(PlainNode(), "ping", QoS(10),
+                                                            [&](const ipc_shared_ptr<const Ping>&) {
+                                                              is_inside = true;
+                                                              for (;;) ::pause();
+                                                            });
+              auto publisher = create_publisher<Ping>(PlainNode(), "ping", 10);
+              while (!is_inside) {
+                publisher->publish(publisher->borrow_loaned_message());
+                std::this_thread::sleep_for(std::chrono::milliseconds(1));
+              }
+              at_exit.act = [] {};
+              std::exit(0);
+            }),
+            silent(0));
+}
+
+TEST_F(Exiting, ACallbackMayExit) {
+  EXPECT_EQ(run([](AtExit& at_exit) {
+              at_exit.act = [] {};
+              auto subscription = create_subscription<Ping>(
+                  PlainNode(), "ping", QoS(10),
+                  [](const ipc_shared_ptr<const Ping>&) { std::exit(7); });
+              auto publisher = create_publisher<Ping>(PlainNode(), "ping", 10);
+              for (;;) {
+                publisher->publish(publisher->borrow_loaned_message());
+                std::this_thread::sleep_for(std::chrono::milliseconds(1));
+              }
+            }),
+            silent(7));
+}
+
+TEST_F(Exiting, NothingIsCreatedAnyMore) {
+  EXPECT_EQ(run([](AtExit& at_exit) {
+              auto publisher = create_publisher<Ping>(PlainNode(), "ping", 1);
+              at_exit.act = [] {
+                const auto another = try_create_publisher<Ping>(PlainNode(), "ping", QoS(1));
+                if (another || another.error().code != Errc::shut_down) ::_exit(3);
+                const auto subscription = try_create_subscription<Ping>(
+                    PlainNode(), "ping", QoS(1), [](const ipc_shared_ptr<const Ping>&) {});
+                if (subscription || subscription.error().code != Errc::shut_down) ::_exit(4);
+              };
+              std::exit(0);
+            }),
+            silent(0));
+}
+
+}  // namespace
+}  // namespace agnocast
