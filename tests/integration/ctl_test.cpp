@@ -311,6 +311,8 @@ std::string on_a_terminal(const std::string& socket, const char* no_colour) {
 }
 
 TEST(Ctl, IsColouredOnATerminalUnlessNobodyWantsIt) {
+  if (::access("/dev/pts/ptmx", F_OK) != 0)
+    GTEST_SKIP() << "no terminals here: /dev/pts is missing";
   DaemonProcess daemon;
   EXPECT_THAT(on_a_terminal(daemon.socket_path(), ""), HasSubstr("\x1b[1magnocastd"));
   const std::string plain = on_a_terminal(daemon.socket_path(), "1");

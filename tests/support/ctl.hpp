@@ -47,6 +47,8 @@ inline CtlResult run_ctl(const std::string& socket, std::vector<std::string> wor
   std::vector<char*> arguments;
   for (std::string& word : words) arguments.push_back(word.data());
   arguments.push_back(nullptr);
+  // Another user may not be able to walk to the program.
+  const UniqueFd program(::open(AGNOCAST_TEST_CTL, O_PATH | O_CLOEXEC));
   const pid_t pid = ::fork();
   if (pid == 0) {
     ::unsetenv("ROS_DOMAIN_ID");
@@ -56,6 +58,7 @@ inline CtlResult run_ctl(const std::string& socket, std::vector<std::string> wor
     ::dup2(err.get(), STDERR_FILENO);
     if (uid && (::setgroups(0, nullptr) != 0 || ::setgid(*uid) != 0 || ::setuid(*uid) != 0))
       ::_exit(99);
+    if (uid) ::fexecve(program.get(), arguments.data(), environ);
     ::execv(arguments[0], arguments.data());
     ::_exit(98);
   }

@@ -104,12 +104,15 @@ pid_t start(const Start& what) {
   if (out < 0 || err < 0) ::_exit(126);
   ::dup2(out, STDOUT_FILENO);
   ::dup2(err, STDERR_FILENO);
+  // Another user may not be able to walk to the program.
+  const int program = ::open(argv[0], O_PATH | O_CLOEXEC);
   if (what.uid) {
     if (::setgroups(0, nullptr) != 0 || ::setgid(*what.uid) != 0 || ::setuid(*what.uid) != 0)
       ::_exit(125);
     ::prctl(PR_SET_PDEATHSIG, SIGKILL);  // setuid clears it
   }
   if (what.without_peer_pidfd && !deny_peer_pidfd()) ::_exit(124);
+  if (what.uid) ::fexecve(program, argv.data(), environ);
   ::execv(argv[0], argv.data());
   ::_exit(127);
 }
