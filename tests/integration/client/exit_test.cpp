@@ -24,6 +24,10 @@
 #include <thread>
 #include <utility>
 
+// exit() without destroying endpoints leaves their node's thread unjoined: that is what is tested.
+extern "C" [[gnu::visibility("default")]] const char* __tsan_default_options();
+extern "C" const char* __tsan_default_options() { return "report_thread_leaks=0"; }
+
 namespace agnocast {
 namespace {
 
