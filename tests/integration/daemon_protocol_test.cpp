@@ -112,7 +112,9 @@ TEST(DaemonProtocol, WelcomesWithBoardRegionAndArena) {
   DaemonProcess daemon;
   Node node(daemon);
   EXPECT_EQ(node.welcome.fingerprint, abi::fingerprint());
+#if !defined(__SANITIZE_THREAD__)  // there the test's daemon is told another base
   EXPECT_EQ(node.welcome.arena_base, 0x200000000000u);
+#endif
   EXPECT_EQ(node.welcome.arena_bytes, std::uint64_t{64} << 30);
   EXPECT_NE(node.welcome.incarnation, 0u);
   EXPECT_EQ(word(node.board, offsetof(abi::BoardHeader, magic)), abi::board_magic);
