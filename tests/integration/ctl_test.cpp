@@ -8,7 +8,6 @@
 #include <agnocast/abi/fingerprint.hpp>
 #include <agnocast/version.hpp>
 #include <base/unix_address.hpp>
-#include <cinttypes>
 #include <client/dataplane/views.hpp>
 #include <tests/support/ctl.hpp>
 #include <tests/support/daemon_process.hpp>
@@ -18,6 +17,8 @@
 #include <signal.h>
 #include <sys/stat.h>
 
+#include <cinttypes>
+#include <cstdio>
 #include <cstdlib>
 #include <functional>
 #include <map>
