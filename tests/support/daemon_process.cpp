@@ -41,12 +41,7 @@ constexpr unsigned pause_us = 2'000;
 
 const char* const default_config =
     "[daemon]\nsocket_mode = \"0666\"\n"
-    "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"64GiB\"\n"
-#if defined(__SANITIZE_THREAD__)
-    // Clients with ThreadSanitizer have shadows where the arena is by default, not in the first 512 GiB.
-    "arena_base = \"64GiB\"\n"
-#endif
-    ;
+    "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"64GiB\"\n" AGNOCAST_TEST_ARENA_BASE;
 
 std::string content_of(const std::string& path) {
   std::ifstream file(path, std::ios::binary);

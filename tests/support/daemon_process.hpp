@@ -22,6 +22,14 @@
 
 namespace agnocast::test {
 
+/// For [heap] of every configuration whose clients run under a sanitizer: with ThreadSanitizer they
+/// have shadows where the arena is by default, and not in the first 512 GiB.
+#if defined(__SANITIZE_THREAD__)
+#define AGNOCAST_TEST_ARENA_BASE "arena_base = \"64GiB\"\n"
+#else
+#define AGNOCAST_TEST_ARENA_BASE ""
+#endif
+
 struct DaemonOptions {
   /// Text of the configuration; empty: small windows, everything else by default.
   std::string config = {};

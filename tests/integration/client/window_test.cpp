@@ -39,8 +39,10 @@ struct MessageTraits<Bulk> {
 namespace {
 
 TEST(Window, ARefusedOneIsAskedForAgain) {
-  test::DaemonProcess daemon({.config = "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"1GiB\"\n"
-                                        "[quota]\nheap_bytes = \"128MiB\"\n"});
+  test::DaemonProcess daemon(
+      {.config =
+           "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"1GiB\"\n" AGNOCAST_TEST_ARENA_BASE
+           "[quota]\nheap_bytes = \"128MiB\"\n"});
   ::setenv("AGNOCAST_SOCKET", daemon.socket_path().c_str(), 1);
   std::optional<test::WireClient> other(std::in_place, daemon.socket_path());
   ASSERT_EQ(other->hello().opcode(), wire::Opcode::welcome);
