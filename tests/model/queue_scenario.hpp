@@ -115,9 +115,8 @@ class QueueScenario {
     unlink_line,
     left,
     hung,
-    take_other,  // the executor of both: from the second subscription
-    served,      // linked; that executor takes for it
-                 // subscription
+    take_other,
+    served,  // subscription; the last two where one executor takes for both
     redo_check,
     apply,
     reply,  // daemon
