@@ -12,6 +12,9 @@ namespace agnocast::model {
 inline constexpr SubscriptionPlan none_planned{};
 
 constexpr SubscriptionPlan early(std::uint32_t depth) { return {.present = true, .depth = depth}; }
+constexpr SubscriptionPlan linked(std::uint32_t depth) {
+  return {.present = true, .linked = true, .depth = depth};
+}
 constexpr SubscriptionPlan late(std::uint32_t depth, bool transient_local = false) {
   return {.present = true, .late = true, .depth = depth, .transient_local = transient_local};
 }
@@ -130,6 +133,23 @@ inline constexpr QueuePlan mutant_plans[] = {
      .publisher_leaves = true},
 };
 
+// Two subscriptions of one process: one sleep word, one number of the publisher's, one bell. Lazy
+// passes, so that the schedules are about rings.
+inline constexpr QueuePlan one_executor_for_linked = {
+    .name = "one executor for s0 and s1, both linked: M=3 D=2/1",
+    .messages = 3,
+    .transient_local = false,
+    .lazy_limit = 3,
+    .sub = {linked(2), linked(1)},
+    .one_executor = true};
+inline constexpr QueuePlan one_executor_for_late = {
+    .name = "one executor for s0 and late s1: M=1 D=1/1",
+    .messages = 1,
+    .lazy_limit = 1,
+    .sub = {linked(1), late(1, true)},
+    .store_buffers = false,
+    .one_executor = true};
+
 // The proof proper.
 inline constexpr QueuePlan proof_plans[] = {
     {.name = "s0 M=4 K=1 D=3 ring exactly D+1, P and S die",
@@ -240,10 +260,48 @@ inline constexpr QueuePlan proof_plans[] = {
      .depth = 2,
      .grow_before = 3,
      .sub = {none_planned, late(2, true)}},
+    one_executor_for_linked,
+    {.name = "one executor for s0 and early s1: M=1 D=1/1",
+     .messages = 1,
+     .transient_local = false,
+     .sub = {linked(1), early(1)},
+     .one_executor = true},
+    one_executor_for_late,
     {.name = "s0 and s1 together: M=1 D=2/1",
      .messages = 1,
      .sub = {early(2), late(1, true)},
      .store_buffers = false},
+};
+
+// Broken on purpose, and what must be noticed: sleepers are numbered, and two subscriptions may
+// share a number and a bell.
+struct FaultyPlan {
+  const char* name;
+  QueuePlan plan;
+  QueueFault fault = QueueFault::none;
+  Mutation mutation{};
+  const char* violation = "a subscription sleeps beside a message";
+};
+inline constexpr FaultyPlan faulty_plans[] = {
+    {.name = "two processes under one number",
+     .plan = {.messages = 1,
+              .transient_local = false,
+              .sub = {linked(1), linked(1)},
+              .store_buffers = false},
+     .fault = QueueFault::one_number_for_two_sleepers},
+    {.name = "one executor looks at its last link only",
+     .plan = one_executor_for_linked,
+     .fault = QueueFault::looks_at_last_link},
+    {.name = "one executor is not woken by a link",
+     .plan = one_executor_for_late,
+     .fault = QueueFault::links_without_waking},
+    {.name = "one executor is not rung",
+     .plan = one_executor_for_linked,
+     .mutation = {Step::P8_ring, Mutation::Kind::leave_out}},
+    {.name = "one executor is rung for each subscription",
+     .plan = one_executor_for_linked,
+     .mutation = {Step::P8_rung, Mutation::Kind::leave_out},
+     .violation = "one sleep was rung twice"},
 };
 
 }  // namespace agnocast::model

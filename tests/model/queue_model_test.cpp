@@ -40,6 +40,21 @@ TEST_P(QueueModel, HasNoBadInterleaving) {
   EXPECT_GT(report.endings, 0u) << "nothing ever came to an end";
 }
 
+TEST(QueueModelFaults, ARingLostOrRepeatedBySharingANumberIsNoticed) {
+  for (const FaultyPlan& faulty : faulty_plans) {
+    QueuePlan plan = faulty.plan;
+    plan.fault = faulty.fault;
+    machine.mutation = faulty.mutation;
+    QueueScenario scenario(plan);
+    Explorer<QueueScenario> explorer(scenario, state_limit);
+    const Report report = explorer.explore(scenario.start());
+    machine.mutation = {};
+    std::printf("noticed   %-52s %9llu states\n", faulty.name,
+                static_cast<unsigned long long>(report.states));
+    EXPECT_EQ(report.violation, faulty.violation) << faulty.name;
+  }
+}
+
 INSTANTIATE_TEST_SUITE_P(Proof, QueueModel, testing::ValuesIn(proof_plans));
 INSTANTIATE_TEST_SUITE_P(Small, QueueModel, testing::ValuesIn(mutant_plans));
 

@@ -27,7 +27,8 @@ namespace agnocast::model {
 
 struct SubscriptionPlan {
   bool present = false;
-  bool late = false;  // joins while the publisher runs; otherwise it was there before
+  bool late = false;    // joins while the publisher runs; otherwise it was there before
+  bool linked = false;  // and is linked and mapped when the publisher begins
   std::uint32_t depth = 1;
   bool transient_local = false;
   bool keep_all = false;
@@ -40,6 +41,14 @@ struct SubscriptionPlan {
   // something to take; 0 = none. What its executor's number was rung for must not stick to it.
   std::uint32_t rejoin_depth = 0;
   bool hangs = false;  // links and then never takes, as if stopped
+};
+
+/// What a plan breaks on purpose, where no named step stands for it.
+enum class QueueFault : std::uint8_t {
+  none,
+  one_number_for_two_sleepers,  // two processes; the number has the bell of the first
+  looks_at_last_link,           // before it sleeps, the executor looks at its second link only
+  links_without_waking,         // a link made while the executor sleeps does not wake it
 };
 
 struct QueuePlan {
@@ -62,6 +71,11 @@ struct QueuePlan {
   bool store_buffers = true;
   bool may_run_out_of_slots = false;
   bool publisher_leaves = false;  // after its last message; its process stays
+  // Both subscriptions belong to one process and one executor: one sleep word, one number, one
+  // bell. sub0 is the executor's thread and takes for both; sub1 is the thread that joins and links
+  // the second one. Nobody dies or leaves in such a plan.
+  bool one_executor = false;
+  QueueFault fault = QueueFault::none;
 };
 
 class QueueScenario {
@@ -100,7 +114,9 @@ class QueueScenario {
     drain_holds,
     unlink_line,
     left,
-    hung,  // subscription
+    hung,
+    take_other,
+    served,  // subscription; the last two where one executor takes for both
     redo_check,
     apply,
     reply,  // daemon
@@ -189,7 +205,7 @@ class QueueScenario {
 
   static constexpr std::uint64_t first = 16;      // first_sequence of the publisher
   static constexpr std::uint64_t generation = 7;  // of the publisher
-  static constexpr std::uint64_t pe = 4096, se = 4096;
+  static constexpr std::uint64_t pe = 4096, se = 4096, second_se = se + 1024;
   static constexpr std::uint64_t heap = 0x10000, second_heap = 0x20000, page = 0x100;
 
   W start() {
@@ -225,10 +241,14 @@ class QueueScenario {
         poke_sub(world, s, offsetof(abi::SubscriptionEntry, word),
                  abi::pack_member(1, abi::MemberState::active));
         poke_sub(world, s, offsetof(abi::SubscriptionEntry, qos), abi::pack_qos(requested(s, 1)));
-        world.state.announce[s] = 1;
         world.state.announced[s] = 1;
         world.state.linked_to[s] = 1;
-        world.threads[sub0 + s].pc = link_up;
+        if (sub.linked) {
+          start_linked(world, s);
+        } else {
+          world.state.announce[s] = 1;
+          world.threads[sub0 + s].pc = link_up;
+        }
       }
     }
     return world;
@@ -254,7 +274,7 @@ class QueueScenario {
       case sub1: {
         const std::uint32_t s = t - sub0;
         if (state.sub_dead[s] != 0) return false;
-        if (pc == left || pc == hung) return false;
+        if (pc == left || pc == hung || pc == served) return false;
         if (pc == await_join) return state.joined[s] == 1 || state.joined[s] == 3;
         if (pc == await_leave) return state.joined[s] == 2;
         if (pc == blocked) return state.bell[s] != 0;
@@ -393,7 +413,11 @@ class QueueScenario {
         break;
       case sub0:
       case sub1:
-        run_subscription(world, t - sub0);
+        if (plan_.one_executor && t == sub0 && is_executing(world.threads[t].pc)) {
+          run_executor(world);
+        } else {
+          run_subscription(world, t - sub0);
+        }
         break;
       case releaser0:
         run_releaser(world, 0);
@@ -415,12 +439,11 @@ class QueueScenario {
       const std::uint64_t pc = world.threads[sub0 + s].pc;
       if (pc == left && plan_.sub[s].present) {
         for (std::uint64_t field = 0; field < 3; ++field) {
-          if (peek(world, sub_region0 + s, se + field * 8) != 0)
-            return "a link that is gone left its line set";
+          if (peek_line(world, s, field) != 0) return "a link that is gone left its line set";
         }
       }
       if (pc == left || pc == hung) continue;
-      if (pc != blocked) return "a subscription is stuck";
+      if (pc != blocked && pc != served) return "a subscription is stuck";
       const SubscriptionPrivate& own = sub_private(world, s);
       if (!alive || plan_.publisher_leaves)
         return "a subscription of a publisher that is gone did not finish";
@@ -488,7 +511,8 @@ class QueueScenario {
         "idle",         "publish", "wait for room", "timer",       "finished",    "leave topic",
         "await window", "join",    "await join",    "link",        "take",        "release",
         "sleep",        "wake",    "leave",         "await leave", "drain holds", "unlink",
-        "left",         "hung",    "restart",       "apply",       "reply",       "down"};
+        "left",         "hung",    "take other",    "served",      "restart",     "apply",
+        "reply",        "down"};
     return t == publisher_control ? "control pass" : names[world.threads[t].pc];
   }
 
@@ -551,8 +575,9 @@ class QueueScenario {
       const char* line[] = {"publisher_generation", "cursor", "hold"};
       for (std::uint64_t f = 0; f < 3; ++f) {
         std::snprintf(name, sizeof name, "s%u.%s", s, line[f]);
-        address_map.add(sub_region0 + s, se + f * 8, name);
+        address_map.add(static_cast<std::uint32_t>(client_region(s).id), extent(s) + f * 8, name);
       }
+      if (plan_.one_executor && s == 1) continue;
       std::snprintf(name, sizeof name, "s%u.armed", s);
       address_map.add(sub_region0 + s, armed_offset(), name);
     }
@@ -572,6 +597,22 @@ class QueueScenario {
     poke(world, board, abi::subscription_entry_offset(1, s) + field, value);
   }
 
+  MM::Region client_region(std::uint32_t s) const {
+    return {plan_.one_executor ? sub_region0 : sub_region0 + s};
+  }
+  std::uint64_t extent(std::uint32_t s) const {
+    return plan_.one_executor && s == 1 ? second_se : se;
+  }
+  /// As the publisher numbers it.
+  std::uint64_t executor(std::uint32_t s) const {
+    const bool one = plan_.one_executor || plan_.fault == QueueFault::one_number_for_two_sleepers;
+    return one ? 0 : s;
+  }
+  /// Generation, cursor, hold.
+  std::uint64_t peek_line(const W& world, std::uint32_t s, std::uint64_t field) const {
+    return peek(world, static_cast<std::uint32_t>(client_region(s).id), extent(s) + field * 8);
+  }
+
   static dataplane::TopicWords<MM> topic() { return {{board}, 0}; }
   static dataplane::PublisherWords<MM> words() { return {{publisher_region}, pe}; }
   abi::Qos offered() const {
@@ -586,16 +627,8 @@ class QueueScenario {
   }
   dataplane::LinkCore<MM>::Identity link_identity(std::uint32_t s,
                                                   std::uint64_t subscription_generation) const {
-    return {topic(),
-            words(),
-            {{sub_region0 + s}, se, 0},
-            0,
-            generation,
-            first,
-            offered(),
-            requested(s, subscription_generation),
-            16,
-            16};
+    return {topic(), words(),   {client_region(s), extent(s), 0},      0,  generation,
+            first,   offered(), requested(s, subscription_generation), 16, 16};
   }
   bool matches(std::uint32_t s) const { return abi::qos_match(offered(), requested(s, 1)); }
 
@@ -633,10 +666,10 @@ class QueueScenario {
     return true;
   }
 
-  static std::uint64_t room_digest(const W& world) {
+  std::uint64_t room_digest(const W& world) const {
     Hasher hasher;
     for (std::uint32_t s = 0; s < 2; ++s) {
-      for (std::uint64_t f = 0; f < 3; ++f) hasher.add(peek(world, sub_region0 + s, se + f * 8));
+      for (std::uint64_t f = 0; f < 3; ++f) hasher.add(peek_line(world, s, f));
     }
     hasher.add(peek(world, board, offsetof(abi::TopicHeader, epoch)));
     hasher.add(world.state.publisher,
@@ -714,14 +747,15 @@ class QueueScenario {
     Thread& thread = world.threads[t];
     State& state = world.state;
     if (t == publisher_control) {
-      for (std::uint64_t s = 0; s < 2; ++s) {
+      for (std::uint32_t s = 0; s < 2; ++s) {
         const std::uint64_t mapped = machine.remember(state.announce[s]);
         const std::uint64_t unmapped = machine.remember(state.forget[s]);
         if (machine.live) state.announce[s] = 0;
         if (machine.live) state.forget[s] = 0;
         if (mapped != 0 && unmapped != mapped)
-          own.core.attach(s, mapped, {sub_region0 + s}, se, armed_offset(), s, environment);
-        if (mapped != 0 && machine.live) state.rung[s] = 0;
+          own.core.attach(s, mapped, client_region(s), extent(s), armed_offset(), executor(s),
+                          environment);
+        if (mapped != 0 && machine.live) state.rung[executor(s)] = 0;
         if (unmapped != 0) own.core.detach(s, unmapped);
         if (unmapped != 0 && machine.live && state.announced[s] == unmapped)
           state.announced[s] = 0;  // UNLINKED
@@ -785,8 +819,7 @@ class QueueScenario {
     for (std::uint32_t s = 0; s < 2; ++s) {
       const SubscriptionPlan& plan = plan_.sub[s];
       if (!plan_.keep_all || !plan.present || plan.late || !plan.keep_all) continue;
-      const std::uint64_t told =
-          world.state.announce[s] == 0 ? peek(world, sub_region0 + s, se + 8) : 0;
+      const std::uint64_t told = world.state.announce[s] == 0 ? peek_line(world, s, 1) : 0;
       lowest = std::min(lowest, std::max(told, first + 1));
     }
     return lowest;
@@ -856,6 +889,10 @@ class QueueScenario {
         check_start(world, s, own.link.cursor(), from_start);
         own.last = own.link.cursor() - 1;
         thread.pc = plan.hangs ? hung : take;
+        if (plan_.one_executor && s == 1) {
+          thread.pc = served;
+          if (plan_.fault != QueueFault::links_without_waking) state.bell[0] = 1;
+        }
         if (is_to_be_replaced(world, s)) thread.pc = sleep;
         break;
       }
@@ -935,6 +972,65 @@ class QueueScenario {
         break;
     }
     std::memcpy(state.sub[s], scratch, sizeof scratch);
+  }
+
+  static bool is_executing(std::uint64_t pc) {
+    return pc == take || pc == take_other || pc == sleep || pc == blocked;
+  }
+
+  /// The executor of both: takes from one, then from the other, sleeps when neither has anything.
+  void run_executor(W& world) {
+    alignas(8) unsigned char scratch[2][sizeof(SubscriptionPrivate)];
+    std::memcpy(scratch, world.state.sub, sizeof scratch);
+    const auto own = [&](std::uint32_t s) -> SubscriptionPrivate& {
+      return *std::launder(reinterpret_cast<SubscriptionPrivate*>(scratch[s]));
+    };
+    Thread& thread = world.threads[sub0];
+    const auto second = [&] { return machine.remember(world.threads[sub1].pc == served) != 0; };
+    const std::uint32_t s = thread.pc == take_other ? 1 : 0;
+    switch (thread.pc) {
+      case take:
+      case take_other:
+        if (machine.remember(world.state.held_count[s]) != 0) {
+          release_oldest(world, s, own(s));
+          break;
+        }
+        run_take(world, s, own(s), thread);
+        if (s == 0 && thread.pc == sleep && second()) thread.pc = take_other;
+        break;
+      case sleep: {
+        own(0).sleep.arm();
+        bool news = plan_.fault != QueueFault::looks_at_last_link && own(0).link.has_news();
+        if (!news && second()) news = own(1).link.has_news();
+        news = M_holds(Step::S3_news, news);
+        if (news) own(0).sleep.disarm();
+        thread.pc = news ? take : blocked;
+        break;
+      }
+      default:
+        if (machine.live) world.state.bell[0] = 0;
+        own(0).sleep.disarm();
+        thread.pc = take;
+        break;
+    }
+    // The second one is another thread's until it is linked.
+    std::memcpy(world.state.sub[0], scratch[0], sizeof scratch[0]);
+    if (s == 1) std::memcpy(world.state.sub[1], scratch[1], sizeof scratch[1]);
+  }
+
+  /// What J6 and J7 leave when nothing is published meanwhile.
+  void start_linked(W& world, std::uint32_t s) {
+    const std::uint32_t region = static_cast<std::uint32_t>(client_region(s).id);
+    const SubscriptionPrivate& own = sub_private(world, s);
+    poke(world, region, extent(s), generation);
+    poke(world, region, extent(s) + 8, own.link.cursor());
+    sub_private(world, s).last = own.link.cursor() - 1;
+    struct {
+      void ring(std::uint64_t, std::uint64_t) {}
+    } nobody_sleeps_yet;
+    publisher_private(world).core.attach(s, 1, client_region(s), extent(s), armed_offset(),
+                                         executor(s), nobody_sleeps_yet);
+    world.threads[sub0 + s].pc = plan_.one_executor && s == 1 ? served : take;
   }
 
   static std::uint64_t windows_of(const W& world, std::uint32_t s) {

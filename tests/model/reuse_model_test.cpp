@@ -43,6 +43,13 @@ TEST(ReuseModel, HasNoBadInterleaving) {
   }
 }
 
+TEST(ReuseModel, NoticesAPublisherThatBeginsOnTheLineOfAnOlderOne) {
+  machine.mutation = {};
+  ReusePlan plan = plans[0];
+  plan.says_unlinked_first = true;
+  EXPECT_EQ(explore(plan).violation, "a publisher begins on the line of an older one");
+}
+
 class ReuseMutants : public testing::TestWithParam<Mutation> {};
 
 TEST_P(ReuseMutants, AreNoticed) {
@@ -54,23 +61,22 @@ TEST_P(ReuseMutants, AreNoticed) {
 }
 
 using Kind = Mutation::Kind;
-INSTANTIATE_TEST_SUITE_P(Each, ReuseMutants,
-                         testing::Values(Mutation{Step::R1_tell, Kind::leave_out},
-                                         Mutation{Step::R2_let_go, Kind::leave_out},
-                                         Mutation{Step::R2_generation, Kind::force_true},
-                                         Mutation{Step::R2_generation, Kind::force_false},
-                                         Mutation{Step::R3_died, Kind::leave_out},
-                                         Mutation{Step::R4_reusable, Kind::force_true},
-                                         Mutation{Step::R4_reusable, Kind::force_false},
-                                         Mutation{Step::R5_again, Kind::force_true},
-                                         Mutation{Step::R5_again, Kind::force_false},
-                                         Mutation{Step::R6_link, Kind::leave_out},
-                                         Mutation{Step::R7_unlinked, Kind::leave_out},
-                                         Mutation{Step::R8_again, Kind::leave_out}),
-                         [](const auto& mutant) {
-                           return std::string(name_of(mutant.param.step)) + "_" +
-                                  std::to_string(static_cast<int>(mutant.param.kind));
-                         });
+INSTANTIATE_TEST_SUITE_P(
+    Each, ReuseMutants,
+    testing::Values(
+        Mutation{Step::R1_tell, Kind::leave_out}, Mutation{Step::R2_let_go, Kind::leave_out},
+        Mutation{Step::R2_generation, Kind::force_true},
+        Mutation{Step::R2_generation, Kind::force_false}, Mutation{Step::R3_died, Kind::leave_out},
+        Mutation{Step::R4_reusable, Kind::force_true},
+        Mutation{Step::R4_reusable, Kind::force_false}, Mutation{Step::R5_again, Kind::force_true},
+        Mutation{Step::R5_again, Kind::force_false}, Mutation{Step::R6_link, Kind::leave_out},
+        Mutation{Step::R7_unlinked, Kind::leave_out}, Mutation{Step::R8_again, Kind::leave_out},
+        Mutation{Step::J6_generation, Kind::leave_out}, Mutation{Step::L1_release, Kind::leave_out},
+        Mutation{Step::U1_generation, Kind::leave_out}, Mutation{Step::U2_cursor, Kind::leave_out}),
+    [](const auto& mutant) {
+      return std::string(name_of(mutant.param.step)) + "_" +
+             std::to_string(static_cast<int>(mutant.param.kind));
+    });
 
 }  // namespace
 }  // namespace agnocast::model

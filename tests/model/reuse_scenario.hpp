@@ -4,11 +4,14 @@
 // place; a subscriber links, drains, unlinks, dies and comes back; the daemon dies between any two
 // of its steps and starts again from its tables.
 //
-// What runs is the shipped AnnounceSet and AnnouncementBook. Checked: a linked subscriber never
-// sees the region of another generation; in the end every generation could be created (no index is
-// lost).
+// What runs is the shipped AnnounceSet and AnnouncementBook, and link(), release() and unlink() of
+// LinkCore on the one link line that all these publishers share. Checked: a linked subscriber never sees the
+// region of another generation; every publisher finds the line zero, and it stays its own until its
+// link is gone; in the end every generation could be created (no index is lost). The queue scenario
+// begins with such a line and one publisher; so it speaks of every publisher of the index.
 #pragma once
 
+#include <client/dataplane/subscription_core.hpp>
 #include <journal/announce_set.hpp>
 #include <tests/model/explorer.hpp>
 
@@ -21,13 +24,18 @@ struct ReusePlan {
   std::uint64_t generations = 3;
   std::uint64_t daemon_deaths = 2;
   std::uint64_t subscriber_lives = 2;
+  bool says_unlinked_first = false;  // wrong: while its line is still that of the old link
 };
 
 class ReuseScenario {
  public:
   enum ThreadId : std::uint8_t { daemon_main, subscriber };
   static constexpr std::uint8_t thread_count = 2;
-  static constexpr std::size_t word_count = 1;
+  static constexpr std::size_t word_count = 5;
+  enum RegionId : std::uint32_t { board, publisher_region, subscriber_region };
+  static constexpr std::uint64_t first = 16;  // first_sequence of every publisher
+  static constexpr std::uint64_t pub_word =
+      abi::publisher_entry_offset(0) + offsetof(abi::PublisherEntry, word);
   enum Pc : std::uint64_t {
     idle = 0,
     send_announcement,
@@ -35,7 +43,9 @@ class ReuseScenario {
     down,
     /* subscriber */ unconnected,
     serving,
-    say_unlinked
+    say_unlinked,
+    link_line,
+    unlink_line
   };
 
   static constexpr std::uint64_t queue_capacity = 6;
@@ -68,6 +78,7 @@ class ReuseScenario {
     std::uint64_t dead_unnoticed =
         0;  // client index of a dead subscriber that the daemon has not reaped
     journal::AnnouncementBook<ModelMemory> book;
+    std::uint64_t linking_generation = 0;   // announced, about to be linked
     std::uint64_t unlinked_generation = 0;  // about to be said
     std::uint64_t addressee = 0;  // of the announcement about to be sent; dies with the daemon
     std::uint64_t daemon_deaths = 0;
@@ -78,7 +89,11 @@ class ReuseScenario {
 
   W start() {
     address_map = {};
-    address_map.add(0, 0, "nothing");
+    address_map.add(board, pub_word, "pub.word");
+    address_map.add(publisher_region, 0, "head");
+    const char* line[] = {"publisher_generation", "cursor", "hold"};
+    for (std::uint64_t field = 0; field < 3; ++field)
+      address_map.add(subscriber_region, field * 8, line[field]);
     machine.store_buffers = true;
     W world;
     world.threads[daemon_main].pc = idle;
@@ -95,6 +110,8 @@ class ReuseScenario {
       case serving:
         return state.connected == 0 || state.to_subscriber.count != 0 || must_unlink(state);
       case say_unlinked:
+      case link_line:
+      case unlink_line:
         return true;
       default:
         return false;
@@ -127,12 +144,18 @@ class ReuseScenario {
         state.dead_unnoticed = state.life++;
         disconnect(state);
         state.book = {};
+        state.linking_generation = 0;
         state.unlinked_generation = 0;
+        // The next one has a region and a line of its own.
+        world.threads[subscriber] = {};
         world.threads[subscriber].pc = unconnected;
+        for (std::uint64_t field = 0; field < 3; ++field) line(world, field) = 0;
         return false;
     }
   }
-  void quiet(const W&, std::uint8_t, std::uint8_t* words) const { words[0] = 1; }
+  void quiet(const W&, std::uint8_t, std::uint8_t* words) const {
+    std::memset(words, 0, word_count);
+  }
 
   void run(W& world, std::uint8_t t) {
     if (t == daemon_main) {
@@ -144,6 +167,8 @@ class ReuseScenario {
     const std::uint64_t linked = world.state.book.current();
     if (linked != 0 && world.state.region_owner != linked)
       machine.fail("a linked subscriber reads a region that was used again");
+    if (linked != 0 && line(world, 0) != linked)
+      machine.fail("the line of a link shows another publisher");
   }
 
   const char* finished(const W& world) {
@@ -166,7 +191,7 @@ class ReuseScenario {
   }
   static const char* operation_name(const W& world, std::uint8_t t) {
     static const char* names[] = {"task",  "send announcement", "restart", "start again", "connect",
-                                  "serve", "say unlinked"};
+                                  "serve", "say unlinked",      "link",    "unlink"};
     return names[world.threads[t].pc];
   }
 
@@ -180,6 +205,32 @@ class ReuseScenario {
     announce,
     reap
   };
+
+  static std::uint64_t& line(W& world, std::uint64_t field) {
+    return world.memory[address_map.find(subscriber_region, field * 8)];
+  }
+  static dataplane::LinkCore<ModelMemory> link_to(std::uint64_t generation) {
+    const abi::Qos qos{1, false, true, false, false};
+    return dataplane::LinkCore<ModelMemory>({{{board}, 0},
+                                             {{publisher_region}, 0},
+                                             {{subscriber_region}, 0, 0},
+                                             0,
+                                             generation,
+                                             first,
+                                             qos,
+                                             qos,
+                                             16,
+                                             16});
+  }
+  static void let_go_of(std::uint64_t generation) {
+    dataplane::LinkCore<ModelMemory> link = link_to(generation);
+    link.release(0);
+    link.unlink();
+  }
+  static void show(W& world, abi::MemberState member) {
+    world.memory[address_map.find(board, pub_word)] =
+        abi::pack_member(world.state.set.generation(), member);
+  }
 
   static void disconnect(State& state) {
     state.connected = 0;
@@ -230,15 +281,23 @@ class ReuseScenario {
             break;
           case orphan_publisher:
             state.publisher_state = orphan;
+            show(world, abi::MemberState::orphan);
             break;
           case free_it:
             state.publisher_state = free_index;
+            show(world, abi::MemberState::free);
             break;
           case create:
             state.set.begin(state.set.generation() + 1);
             state.publisher_state = active;
             state.publisher_alive = 1;
             state.region_owner = state.set.generation();  // the same memory, in place
+            world.memory[address_map.find(publisher_region, 0)] = abi::pack_entry(first, 0);
+            show(world, abi::MemberState::active);
+            for (std::uint64_t field = 0; field < 3; ++field) {
+              if (line(world, field) != 0)
+                machine.fail("a publisher begins on the line of an older one");
+            }
             break;
           case announce:
             state.addressee = state.connected;
@@ -275,7 +334,8 @@ class ReuseScenario {
           const std::uint64_t generation = state.to_subscriber.pop();
           switch (state.book.on_announce(generation)) {
             case journal::AnnouncementBook<ModelMemory>::Action::link:
-              state.book.linked(generation);
+              state.linking_generation = generation;
+              thread.pc = link_line;
               break;
             case journal::AnnouncementBook<ModelMemory>::Action::say_unlinked:
               state.unlinked_generation = generation;
@@ -286,17 +346,31 @@ class ReuseScenario {
           }
         } else {
           state.unlinked_generation = state.book.current();
-          state.book.unlinked(
-              state.unlinked_generation);  // (b) the link is gone; said in a step of its own
-          thread.pc = say_unlinked;
+          thread.pc = unlink_line;
         }
         break;
+      case link_line:
+        if (!link_to(state.linking_generation).link(true))
+          machine.fail("the announced publisher is not on the board");
+        state.book.linked(state.linking_generation);
+        line(world, 2) = 1;  // holds a message for as long as it is linked
+        state.linking_generation = 0;
+        thread.pc = serving;
+        break;
+      case unlink_line:
+        if (!plan_.says_unlinked_first) let_go_of(state.unlinked_generation);
+        state.book.unlinked(
+            state.unlinked_generation);  // (b) the link is gone; said in a step of its own
+        thread.pc = say_unlinked;
+        break;
       case say_unlinked:
+        machine.fence();  // a system call
         if (state.connected == 0) {
           thread.pc = unconnected;
           break;
         }
         state.to_daemon.push(state.unlinked_generation);
+        if (plan_.says_unlinked_first) let_go_of(state.unlinked_generation);
         state.unlinked_generation = 0;
         thread.pc = serving;
         break;
