@@ -18,7 +18,7 @@ void PrintTo(const QueuePlan& plan, std::ostream* out) { *out << plan.name; }
 
 namespace {
 
-// Twice the largest plan (10 M states, 80 MB of fingerprints): more means that somebody made the
+// Twice the largest plan (13 M states, 80 MB of fingerprints): more means that somebody made the
 // scenario wider without noticing.
 constexpr std::uint64_t state_limit = 20'000'000;
 
