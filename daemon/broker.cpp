@@ -235,6 +235,9 @@ void Broker::flush(Peer& peer) {
     case Session::Flushed::later:
       flush_later_ = true;
       break;
+    case Session::Flushed::gone:
+      peer.session.drop_output();
+      break;
     case Session::Flushed::over:
       // Not here: the caller may be in the middle of an announcement. The connection is shut, and
       // its end is read like any other.

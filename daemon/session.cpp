@@ -30,7 +30,7 @@ Session::Flushed Session::flush() {
       if (sent.error().os_errno != ETOOMANYREFS) return Flushed::over;
       result = Flushed::later;
     } else if (*sent == Sent::peer_gone) {
-      return Flushed::over;
+      return Flushed::gone;
     } else if (*sent == Sent::would_block) {
       result = Flushed::blocked;
     } else {

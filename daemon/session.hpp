@@ -100,7 +100,8 @@ class Session {
     all,
     blocked,  ///< go on when the socket is writable
     later,    ///< too many descriptors are under way, whatever the socket says; go on in a while
-    over,     ///< the peer is gone, the queue is too long, or the kernel refuses
+    gone,     ///< the peer has closed; the end of the connection will be read like any other
+    over,     ///< the queue is too long, or the kernel refuses
   };
   /// Sends what the socket takes.
   [[nodiscard]] Flushed flush();
