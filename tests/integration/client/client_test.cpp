@@ -95,6 +95,24 @@ TEST(Client, ASubscriptionCountsOnceItGetsWhatIsPublishedNext) {
   EXPECT_EQ(subscriber.ask("take"), "1");
 }
 
+TEST(Client, MessagesFlowWhileTheDaemonIsDead) {
+  DaemonProcess daemon;
+  ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
+  ASSERT_EQ(subscriber.ask("sub /alone 5"), "ok");
+  ASSERT_EQ(publisher.ask("pub /alone 1"), "ok");
+  ASSERT_TRUE(publisher.eventually("matched", "1"));
+  daemon.kill();
+  // More messages than slots: the publisher's memory must come back without the daemon, too.
+  for (int number = 1; number <= 1000; ++number) {
+    subscriber.tell("wait 10000");
+    ASSERT_EQ(publisher.ask("publish 1 1000"), "ok") << number;
+    ASSERT_EQ(subscriber.answer(), "news") << number;
+    ASSERT_EQ(subscriber.ask("take"), std::to_string(number));
+    ASSERT_EQ(subscriber.ask("release"), "ok");
+  }
+  EXPECT_TRUE(publisher.eventually("allocated", "0"));
+}
+
 TEST(Client, HoldsOfADeadSubscriberVanish) {
   DaemonProcess daemon;
   ClientTool publisher(daemon.socket_path()), other(daemon.socket_path());
