@@ -11,9 +11,11 @@
 #include <chrono>
 #include <cstddef>
 #include <cstdio>
+#include <initializer_list>
 #include <map>
 #include <memory>
 #include <thread>
+#include <utility>
 #include <vector>
 
 namespace agnocast::ctl {
@@ -237,39 +239,40 @@ class Auditor {
 
   void check_publisher_entry(const Topic& topic, const Endpoint& endpoint) {
     using Entry = abi::PublisherEntry;
-    const auto words = system_.words_of(topic);
     const wire::DumpEndpoint& facts = endpoint.facts;
-    const auto word = [&](std::size_t field) {
-      return words.publisher(facts.index, field).load(acquire);
-    };
-    const std::string where = name_of(topic, endpoint);
-    check_member(where, word(offsetof(Entry, word)), facts.member);
-    if (endpoint.state() == abi::MemberState::free) return;
-    expect(where, word(offsetof(Entry, qos)), facts.qos, 1);
-    expect(where, word(offsetof(Entry, client)), facts.client, 2);
-    expect(where, word(offsetof(Entry, extent)), facts.extent, 3);
-    expect(where, word(offsetof(Entry, slot_count)), facts.slot_count, 4);
-    expect(where, word(offsetof(Entry, first_sequence)), facts.first_sequence, 5);
+    const auto words = system_.words_of(topic);
+    check_entry(
+        topic, endpoint, offsetof(Entry, word),
+        [&](std::size_t field) { return words.publisher(facts.index, field).load(acquire); },
+        {{offsetof(Entry, qos), facts.qos},
+         {offsetof(Entry, client), facts.client},
+         {offsetof(Entry, extent), facts.extent},
+         {offsetof(Entry, slot_count), facts.slot_count},
+         {offsetof(Entry, first_sequence), facts.first_sequence}});
   }
   void check_subscription_entry(const Topic& topic, const Endpoint& endpoint) {
     using Entry = abi::SubscriptionEntry;
-    const auto words = system_.words_of(topic);
     const wire::DumpEndpoint& facts = endpoint.facts;
-    const auto word = [&](std::size_t field) {
-      return words.subscription(facts.index, field).load(acquire);
-    };
-    const std::string where = name_of(topic, endpoint);
-    check_member(where, word(offsetof(Entry, word)), facts.member);
-    if (endpoint.state() == abi::MemberState::free) return;
-    expect(where, word(offsetof(Entry, qos)), facts.qos, 1);
-    expect(where, word(offsetof(Entry, client)), facts.client, 2);
-    expect(where, word(offsetof(Entry, extent)), facts.extent, 3);
-    expect(where, word(offsetof(Entry, quota)), facts.quota, 4);
-    expect(where, word(offsetof(Entry, executor)), facts.executor, 5);
+    const auto words = system_.words_of(topic);
+    check_entry(
+        topic, endpoint, offsetof(Entry, word),
+        [&](std::size_t field) { return words.subscription(facts.index, field).load(acquire); },
+        {{offsetof(Entry, qos), facts.qos},
+         {offsetof(Entry, client), facts.client},
+         {offsetof(Entry, extent), facts.extent},
+         {offsetof(Entry, quota), facts.quota},
+         {offsetof(Entry, executor), facts.executor}});
   }
-  void check_member(const std::string& where, std::uint64_t board, std::uint64_t dumped) {
+  /// `fields`: offsets on the board, and what the dump says of them.
+  template <class Word>
+  void check_entry(const Topic& topic, const Endpoint& endpoint, std::size_t member, Word word,
+                   std::initializer_list<std::pair<std::size_t, std::uint64_t>> fields) {
+    const std::string where = name_of(topic, endpoint);
     // A free place keeps the generation it had last.
-    expect(where, board, dumped, 0);
+    expect(where, word(member), endpoint.facts.member, 0);
+    if (endpoint.state() == abi::MemberState::free) return;
+    std::uint64_t number = 0;
+    for (const auto& [offset, dumped] : fields) expect(where, word(offset), dumped, ++number);
   }
   void expect(const std::string& where, std::uint64_t board, std::uint64_t dumped,
               std::uint64_t field) {
