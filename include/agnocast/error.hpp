@@ -16,62 +16,66 @@ namespace agnocast {
 
 // AGNOCAST_ERROR_TABLE(X): X(enumerator, sentence, remedy). Codes are appended, never renumbered:
 // they travel on the wire.
-#define AGNOCAST_ERROR_TABLE(X)                                                                  \
-  X(os_failure, "the operating system refused an operation", "see the errno beside it")          \
-  X(internal, "an invariant of agnocast itself is broken; the endpoint is out of service",       \
-    "report it")                                                                                 \
-  X(protocol_violation, "a peer wrote something that the protocol does not allow",               \
-    "check the peer's version")                                                                  \
-  X(no_slot, "every message slot of this publisher is in use",                                   \
-    "let subscriptions release messages, or raise their hold quota")                             \
-  X(would_block, "a keep-all subscription has not read enough yet",                              \
-    "publish later, or use a deeper history")                                                    \
-  X(heap_exhausted, "the shared heap of this process has no room for the message",               \
-    "release messages, or raise [heap] window_bytes or [quota] heap_bytes in agnocastd.toml")    \
-  X(invalid_argument, "an argument is outside its domain", "see what is named beside it")        \
-  X(type_refused, "this type cannot be shared between processes",                                \
-    "see docs/messages.md for what can")                                                         \
-  X(user_code_threw, "a constructor of the message threw an exception",                          \
-    "let it throw nothing but bad_alloc")                                                        \
-  X(daemon_not_running, "agnocastd does not answer",                                             \
-    "start it: systemctl start agnocastd; or name its socket in AGNOCAST_SOCKET")                \
-  X(permission_denied, "this user may not do that",                                              \
-    "ask the administrator for a rule in agnocastd.toml, or to join the socket's group")         \
-  X(layout_mismatch, "library and daemon disagree about the layout of shared memory",            \
-    "use both from the same version, and restart agnocastd and the process")                     \
-  X(type_mismatch, "the topic has another message type, or the same type with another layout",   \
-    "use the type that agnocast-ctl topic info names, built with the same compiler and library") \
-  X(invalid_name, "a name is not a ROS 2 name", "see the position named beside it")              \
-  X(depth_refused, "the history depth is outside what the daemon allows",                        \
-    "use a smaller depth, or raise [limits] depth_max in agnocastd.toml")                        \
-  X(quota_exceeded, "a limit of this user or of the daemon is reached",                          \
-    "close what is not needed, or raise the limit that is named beside it in agnocastd.toml")    \
-  X(arena_occupied, "something in this process lies where the shared heaps have to lie",         \
-    "move it, or set [heap] arena_base in agnocastd.toml")                                       \
-  X(lock_limit, "the limit of locked memory is too small",                                       \
-    "set LimitMEMLOCK=infinity in a drop-in of the unit (systemctl edit) or raise ulimit -l")    \
-  X(hook_missing, "the heap hook is not loaded in this process",                                 \
-    "start the process with agnocast-run, or link libagnocast_heaphook")                         \
-  X(hook_ineffective, "memory is not allocated by the heap hook although it is loaded",          \
-    "remove the other allocator that is named beside it, or load the hook before it")            \
-  X(window_exhausted, "this process has all heap windows it may have and they are full",         \
-    "release messages, or raise [heap] window_bytes or windows_per_process in agnocastd.toml")   \
-  X(bad_configuration, "the configuration of agnocastd cannot be used",                          \
-    "correct the line that is named beside it; agnocastd --check-config looks again")            \
-  X(already_running, "another agnocastd has this socket",                                        \
-    "stop it, or start this one with another --socket")                                          \
-  X(endpoint_gone, "the other side has ended", "create it again if it is still needed")          \
-  X(loan_invalid, "this is no open loan of this publisher",                                      \
-    "publish a loan once, with the publisher that lent it; borrow a new one for each message")   \
-  X(qos_incompatible, "publisher and subscription want different qualities of service",          \
-    "offer at least what is requested: reliability and durability")                              \
-  X(limit_reached, "a table of the daemon is full",                                              \
-    "close what is not needed; the table is named beside it")                                    \
-  X(shut_down, "the library does not serve this process any more",                               \
-    "call exec after fork, and create endpoints before exit handlers run")                       \
-  X(address_limit, "the limit of addresses is too small for the shared heaps",                   \
-    "raise LimitAS of the unit or ulimit -v, or make [heap] arena_bytes smaller")                \
-  X(switched_off, "agnocast is switched off in this process", "start it without AGNOCAST=off")
+#define AGNOCAST_ERROR_TABLE(X)                                                                    \
+  X(os_failure, "the operating system refused an operation", "see the errno beside it")            \
+  X(internal, "an invariant of agnocast itself is broken; the endpoint is out of service",         \
+    "report it")                                                                                   \
+  X(protocol_violation, "a peer wrote something that the protocol does not allow",                 \
+    "check the peer's version")                                                                    \
+  X(no_slot, "every message slot of this publisher is in use",                                     \
+    "let subscriptions release messages, or raise their hold quota")                               \
+  X(would_block, "a keep-all subscription has not read enough yet",                                \
+    "publish later, or use a deeper history")                                                      \
+  X(heap_exhausted, "the shared heap of this process has no room for the message",                 \
+    "release messages, or raise [heap] window_bytes or [quota] heap_bytes in agnocastd.toml")      \
+  X(invalid_argument, "an argument is outside its domain", "see what is named beside it")          \
+  X(type_refused, "this type cannot be shared between processes",                                  \
+    "see docs/messages.md for what can")                                                           \
+  X(user_code_threw, "a constructor of the message threw an exception",                            \
+    "let it throw nothing but bad_alloc")                                                          \
+  X(daemon_not_running, "agnocastd does not answer",                                               \
+    "start it: systemctl start agnocastd; or name its socket in AGNOCAST_SOCKET")                  \
+  X(permission_denied, "this user may not do that",                                                \
+    "ask the administrator for a rule in agnocastd.toml, or to join the socket's group")           \
+  X(layout_mismatch, "library and daemon disagree about the layout of shared memory",              \
+    "use both from the same version, and restart agnocastd and the process")                       \
+  X(type_mismatch, "the topic has another message type, or the same type with another layout",     \
+    "use the type that agnocast-ctl topic info names, built with the same compiler and library")   \
+  X(invalid_name, "a name is not a ROS 2 name", "see the position named beside it")                \
+  X(depth_refused, "the history depth is outside what the daemon allows",                          \
+    "use a smaller depth, or raise [limits] depth_max in agnocastd.toml")                          \
+  X(quota_exceeded, "a limit of this user or of the daemon is reached",                            \
+    "close what is not needed, or raise the limit that is named beside it in agnocastd.toml")      \
+  X(arena_occupied, "something in this process lies where the shared heaps have to lie",           \
+    "move it, or set [heap] arena_base in agnocastd.toml")                                         \
+  X(lock_limit, "the limit of locked memory is too small",                                         \
+    "set LimitMEMLOCK=infinity in a drop-in of the unit (systemctl edit) or raise ulimit -l")      \
+  X(hook_missing, "the heap hook is not loaded in this process",                                   \
+    "start the process with agnocast-run, or link libagnocast_heaphook")                           \
+  X(hook_ineffective, "memory is not allocated by the heap hook although it is loaded",            \
+    "remove the other allocator that is named beside it, or load the hook before it")              \
+  X(window_exhausted, "this process has all heap windows it may have and they are full",           \
+    "release messages, or raise [heap] window_bytes or windows_per_process in agnocastd.toml")     \
+  X(bad_configuration, "the configuration of agnocastd cannot be used",                            \
+    "correct the line that is named beside it; agnocastd --check-config looks again")              \
+  X(already_running, "another agnocastd has this socket",                                          \
+    "stop it, or start this one with another --socket")                                            \
+  X(endpoint_gone, "the other side has ended", "create it again if it is still needed")            \
+  X(loan_invalid, "this is no open loan of this publisher",                                        \
+    "publish a loan once, with the publisher that lent it; borrow a new one for each message")     \
+  X(qos_incompatible, "publisher and subscription want different qualities of service",            \
+    "offer at least what is requested: reliability and durability")                                \
+  X(limit_reached, "a table of the daemon is full",                                                \
+    "close what is not needed; the table is named beside it")                                      \
+  X(shut_down, "the library does not serve this process any more",                                 \
+    "call exec after fork, and create endpoints before exit handlers run")                         \
+  X(address_limit, "the limit of addresses is too small for the shared heaps",                     \
+    "raise LimitAS of the unit or ulimit -v, or make [heap] arena_bytes smaller")                  \
+  X(switched_off, "agnocast is switched off in this process", "start it without AGNOCAST=off")     \
+  X(started_anew, "agnocastd was started anew and does not know this process any more",            \
+    "restart the process; until then its endpoints reach only those that they had reached before") \
+  X(revoked, "the membership of this process was ended from outside",                              \
+    "see the log of agnocastd for who did it and why, then restart the process")
 
 /// Codes of everything that a user of the library can be told. Zero is success (std::error_code
 /// convention).

@@ -145,12 +145,32 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::Notice, policy), offsetof(wire::Notice, index),
           offsetof(wire::Notice, generation), offsetof(wire::Notice, text));
   sum.add(sizeof(wire::Done), offsetof(wire::Done, header));
+  sum.add(sizeof(wire::Rejoin), offsetof(wire::Rejoin, header), offsetof(wire::Rejoin, fingerprint),
+          offsetof(wire::Rejoin, incarnation), offsetof(wire::Rejoin, client),
+          offsetof(wire::Rejoin, client_generation));
+  sum.add(sizeof(wire::Rejoined), offsetof(wire::Rejoined, header),
+          offsetof(wire::Rejoined, incarnation));
+  sum.add(sizeof(wire::Own), offsetof(wire::Own, header), offsetof(wire::Own, kind),
+          offsetof(wire::Own, topic), offsetof(wire::Own, index), offsetof(wire::Own, generation),
+          offsetof(wire::Own, creation), offsetof(wire::Own, active), offsetof(wire::Own, reserved),
+          wire::asked_again);
   sum.add(sizeof(wire::Observe), offsetof(wire::Observe, header),
           offsetof(wire::Observe, fingerprint));
   sum.add(sizeof(wire::Observed), offsetof(wire::Observed, header),
           offsetof(wire::Observed, fingerprint), offsetof(wire::Observed, incarnation),
           offsetof(wire::Observed, client_region_bytes));
   sum.add(sizeof(wire::Dump), offsetof(wire::Dump, header));
+  sum.add(sizeof(wire::Revoke), offsetof(wire::Revoke, header), offsetof(wire::Revoke, client),
+          offsetof(wire::Revoke, generation));
+  sum.add(sizeof(wire::ReadJournal), offsetof(wire::ReadJournal, header),
+          offsetof(wire::ReadJournal, last), offsetof(wire::ReadJournal, count));
+  sum.add(sizeof(wire::JournalRecord), offsetof(wire::JournalRecord, header),
+          offsetof(wire::JournalRecord, lsn), offsetof(wire::JournalRecord, stamp_ns),
+          offsetof(wire::JournalRecord, type), offsetof(wire::JournalRecord, applied),
+          offsetof(wire::JournalRecord, argument), offsetof(wire::JournalRecord, subject));
+  sum.add(sizeof(wire::JournalEnd), offsetof(wire::JournalEnd, header),
+          offsetof(wire::JournalEnd, record_count), offsetof(wire::JournalEnd, oldest),
+          offsetof(wire::JournalEnd, newest));
   sum.add(sizeof(wire::DaemonCounters), offsetof(wire::DaemonCounters, clients_registered),
           offsetof(wire::DaemonCounters, clients_reaped),
           offsetof(wire::DaemonCounters, intents_rolled_back),
@@ -213,6 +233,8 @@ constexpr std::uint64_t fingerprint() noexcept {
           Opcode::welcome, Opcode::window_opened, Opcode::executor_opened, Opcode::endpoint_created,
           Opcode::done, Opcode::refused, Opcode::announce, Opcode::window_announced, Opcode::forget,
           Opcode::orphaned, Opcode::kick, Opcode::notice);
+  sum.add(Opcode::rejoin, Opcode::rejoined, Opcode::own, Opcode::region, Opcode::revoked,
+          Opcode::revoke, Opcode::read_journal, Opcode::journal_record, Opcode::journal_end);
   sum.add(Opcode::observe, Opcode::dump, Opcode::observed, Opcode::dump_daemon,
           Opcode::dump_process, Opcode::dump_topic, Opcode::dump_endpoint, Opcode::dump_user,
           Opcode::dump_end, wire::ProcessState::connected, wire::ProcessState::orphaned,

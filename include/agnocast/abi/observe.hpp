@@ -8,6 +8,8 @@
 //   dump                  Dump       dump_daemon, then dump_process, dump_topic, dump_endpoint and
 //                                    dump_user, each as often as there is one, then dump_end;
 //                                    a process brings its region (read) while it has one
+//   revoke                Revoke     done (or refused: permission_denied, endpoint_gone)
+//   read_journal          ReadJournal  journal_record as often as there is one, then journal_end
 //
 // All packets of one dump carry its request id and were made in one turn of the daemon: together
 // they are one moment. An observer has no index, no region and no endpoint, and is never announced.
@@ -35,6 +37,34 @@ struct Observed {
 struct Dump {
   Header header;
 };
+/// Ends the membership of a living process as if it had died; it is told `revoked`.
+struct Revoke {
+  Header header;
+  std::uint64_t client;
+  std::uint64_t generation;
+};
+/// The newest records of the daemon's redo log, at most `count`, up to `last` (0: the newest).
+struct ReadJournal {
+  Header header;
+  std::uint64_t last;
+  std::uint64_t count;
+};
+struct JournalRecord {
+  Header header;
+  std::uint64_t lsn;
+  std::uint64_t stamp_ns;  // CLOCK_MONOTONIC
+  std::uint32_t type;      // journal::RecordType
+  std::uint32_t applied;   // 0: committed, its change may not be complete
+  std::uint64_t argument[14];
+  Name subject;  // what it is about, by name, while the daemon still knows
+};
+struct JournalEnd {
+  Header header;
+  std::uint64_t record_count;  // sent in this answer
+  std::uint64_t oldest;        // lsn of the oldest record that is still there, 0: none
+  std::uint64_t newest;
+};
+static_assert(sizeof(JournalRecord) <= packet_bytes_max);
 
 /// What has happened since the daemon began.
 struct DaemonCounters {

@@ -14,6 +14,7 @@
 // clang-format off
 //   client → daemon       body               answer              descriptors of the answer
 //   hello                 Hello              welcome             board (read), region (write)
+//   rejoin                Rejoin             rejoined            after the connection was lost
 //   open_window           WindowRequest      window_opened       window (write), window (read)
 //   open_executor         ExecutorRequest    executor_opened     eventfd, datagram socket
 //   create_publisher      CreateEndpoint     endpoint_created
@@ -22,7 +23,8 @@
 //   drained               Reference          done                nothing held, lines zeroed
 //   unlinked              Unlinked           –                   rule RU: not mapped any more
 //   any request may be answered by `refused`
-//   observe, dump         a connection that only looks: see observe.hpp
+//   observe, dump,        a connection that only looks: see observe.hpp
+//   revoke, read_journal
 //
 //   daemon → client, unasked
 //   announce              Announcement       region (read), windows (read), bells: see the body
@@ -31,6 +33,9 @@
 //   orphaned              Orphaned           a publisher is gone: drain it, then say unlinked
 //   kick                  Reference          make a pass over this publisher's queue
 //   notice                Notice             incompatible QoS, type mismatch, …
+//   own                   Own                after rejoined: an endpoint of yours that I know
+//   region                Reference          after rejoined: a region that you have been told about
+//   revoked               Refused            your membership is over; the connection ends
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
@@ -64,6 +69,10 @@ enum class Opcode : std::uint32_t {
   // observer → daemon (observe.hpp)
   observe = 9,
   dump = 10,
+  revoke = 12,
+  read_journal = 13,
+  // client → daemon, again
+  rejoin = 11,
   // daemon → client: answers
   welcome = 101,
   window_opened = 102,
@@ -78,6 +87,9 @@ enum class Opcode : std::uint32_t {
   dump_endpoint = 111,
   dump_user = 112,
   dump_end = 113,
+  rejoined = 114,
+  journal_record = 115,
+  journal_end = 116,
   // daemon → client: unasked
   announce = 201,
   window_announced = 202,
@@ -85,6 +97,9 @@ enum class Opcode : std::uint32_t {
   orphaned = 204,
   kick = 205,
   notice = 206,
+  own = 207,
+  region = 208,
+  revoked = 209,
 };
 
 /// What a Reference or Unlinked speaks of. A region is everything that belongs to one process:
@@ -98,6 +113,9 @@ struct Header {
   std::uint64_t request;
 };
 static_assert(sizeof(Header) == 16 && std::is_trivially_copyable_v<Header>);
+/// In the request id of what is asked a second time because the connection was lost before the answer
+/// came; the answer repeats the id without it. Ids are never used again by one process.
+inline constexpr std::uint64_t asked_again = std::uint64_t{1} << 63;
 
 /// NUL-terminated inside its bytes, or the packet is malformed.
 struct Name {
@@ -119,6 +137,18 @@ struct Welcome {
   std::uint64_t arena_base;  // the planned arena, to be reserved PROT_NONE now
   std::uint64_t arena_bytes;
   std::uint64_t client_region_bytes;
+};
+/// A process that the daemon knows, on a new connection. Who it is says the socket, not this packet.
+struct Rejoin {
+  Header header;
+  std::uint64_t fingerprint;
+  std::uint64_t incarnation;  // of the welcome
+  std::uint64_t client;
+  std::uint64_t client_generation;
+};
+struct Rejoined {
+  Header header;
+  std::uint64_t incarnation;
 };
 struct Reference {
   Header header;
@@ -233,15 +263,28 @@ struct Notice {
   std::uint64_t generation;
   Name text;
 };
+/// What the daemon knows of an endpoint of the process that has come back.
+struct Own {
+  Header header;
+  Kind kind;
+  std::uint32_t topic;
+  std::uint64_t index;
+  std::uint64_t generation;
+  std::uint64_t creation;  // id of the request that created it
+  std::uint32_t active;    // 0: it has left
+  std::uint32_t reserved;
+};
 struct Done {
   Header header;
 };
 
 static_assert(sizeof(CreateEndpoint) <= packet_bytes_max &&
               sizeof(Announcement) <= packet_bytes_max && sizeof(Hello) <= packet_bytes_max &&
-              sizeof(Notice) <= packet_bytes_max);
+              sizeof(Notice) <= packet_bytes_max && sizeof(Own) <= packet_bytes_max);
 static_assert(std::is_trivially_copyable_v<Announcement> &&
               std::is_standard_layout_v<Announcement>);
-static_assert(std::has_unique_object_representations_v<Announcement>, "no hidden padding travels");
+static_assert(std::has_unique_object_representations_v<Announcement> &&
+                  std::has_unique_object_representations_v<Own>,
+              "no hidden padding travels");
 
 }  // namespace agnocast::abi::wire
