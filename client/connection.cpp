@@ -28,14 +28,21 @@ tl::unexpected<Failure> gone() noexcept {
   return fail(Errc::daemon_not_running, "the connection to agnocastd has ended");
 }
 
-/// What the daemon refused, in its words.
-Failure refusal_of(const Incoming& packet) noexcept {
-  abi::wire::Refused refused{};
-  if (!packet.read(refused)) return {Errc::protocol_violation, 0, "an answer of agnocastd"};
+/// Its text ends, and has nothing in it that a terminal would obey.
+bool read_refused(const Incoming& packet, abi::wire::Refused& refused) noexcept {
+  if (!packet.read(refused)) return false;
   char* const end = std::find(std::begin(refused.text.text), std::end(refused.text.text) - 1, '\0');
   *end = '\0';
   std::replace_if(
       refused.text.text, end, [](char c) { return c < ' ' || c > '~'; }, '?');
+  return true;
+}
+
+/// What the daemon refused, in its words.
+Failure refusal_of(const Incoming& packet) noexcept {
+  abi::wire::Refused refused{};
+  if (!read_refused(packet, refused))
+    return {Errc::protocol_violation, 0, "an answer of agnocastd"};
   return failure_with(static_cast<Errc>(refused.code), refused.text.text,
                       static_cast<int>(refused.os_errno));
 }
@@ -49,6 +56,11 @@ Result<void> in_this_thread(const Result<void>& result, const std::string& detai
 
 }  // namespace
 
+std::string refusal_text(const Incoming& packet) {
+  abi::wire::Refused refused{};
+  return read_refused(packet, refused) ? refused.text.text : "";
+}
+
 Result<void> Connection::request_bytes(std::byte* bytes, std::size_t size,
                                        std::function<Result<void>(Incoming&)> on_answer) {
   const auto deadline = std::chrono::steady_clock::now() + answer_timeout;
@@ -56,7 +68,7 @@ Result<void> Connection::request_bytes(std::byte* bytes, std::size_t size,
   std::uint64_t id = 0;
   {
     const std::lock_guard lock(mutex_);
-    if (ended_) return gone();
+    if (ended_) return in_this_thread(tl::unexpected(end_), end_detail_);
     id = next_id_++;
     waiting_[id] = &waiting;
   }
@@ -188,11 +200,14 @@ Result<void> Connection::receive_first(Incoming& packet) {
   return {};
 }
 
-void Connection::fail_all() noexcept {
+void Connection::fail_all(const Failure& why) noexcept {
   const std::lock_guard lock(mutex_);
   ended_ = true;
+  end_ = why;
+  end_detail_ = detail_of(why);
   for (auto& [id, waiting] : waiting_) {
-    waiting->result = gone();
+    waiting->result = tl::unexpected(end_);
+    waiting->detail = end_detail_;
     waiting->done = true;
   }
   waiting_.clear();

@@ -107,8 +107,8 @@ class Connection {
   [[nodiscard]] Result<void> receive_first(Incoming& packet);
   /// Sends what post() could not; true while something is left.
   bool flush() noexcept;
-  /// Nobody will answer any more: every waiting request fails.
-  void fail_all() noexcept;
+  /// Nobody will answer any more: every waiting request fails, and every one to come.
+  void fail_all(const Failure& why) noexcept;
 
  private:
   struct Waiting {
@@ -132,6 +132,8 @@ class Connection {
   std::map<std::uint64_t, std::function<void(Result<Incoming*>)>> later_;
   std::uint64_t next_id_ = 2;  // 1 is hello's
   bool ended_ = false;
+  Failure end_;  // why; its detail is kept beside it
+  std::string end_detail_;
   std::deque<std::vector<std::byte>> unsent_;
 };
 
@@ -145,6 +147,8 @@ inline abi::wire::Reference reference(abi::wire::Kind kind, std::uint32_t topic,
   body.generation = generation;
   return body;
 }
+/// The text of a Refused, for people: nothing in it that a terminal would obey. Empty for any other.
+std::string refusal_text(const Incoming& packet);
 /// Copies a name into a packet. False if it does not fit with its terminator.
 bool write_name(abi::wire::Name& name, std::string_view text) noexcept;
 

@@ -59,7 +59,7 @@ class Context {
   /// The one of this process. Any thread.
   static Context& instance() noexcept;
 
-  /// Any of the following connects first if need be. Errors of all: daemon_not_running,
+  /// Any of the following connects first if need be. Errors of all: daemon_not_running, revoked,
   /// layout_mismatch, arena_occupied, lock_limit, address_limit, permission_denied, quota_exceeded,
   /// limit_reached, shut_down (forked child, exit handlers), invalid_argument (ROS_DOMAIN_ID), os_failure, and
   /// what is named.
@@ -124,6 +124,7 @@ class Context {
   void on_orphaned(Incoming& packet);
   void on_kick(Incoming& packet);
   void on_notice(Incoming& packet);
+  void on_revoked(Incoming& packet);
   std::vector<std::shared_ptr<PublisherEndpoint>> publishers() const;
   void run_errands();
   void collect_subscriptions();
@@ -155,6 +156,7 @@ class Context {
 
   UniqueFd epoll_, wake_;
   std::atomic<bool> ended_{false};
+  std::string revoked_why_;  // written before the service ends, then only read
 
   mutable std::mutex endpoints_;
   std::map<EndpointKey, std::shared_ptr<PublisherEndpoint>> publishers_;

@@ -3,6 +3,7 @@
 // The control thread of the context: what the daemon says, in order, and everything that user threads leave to it.
 
 #include <client/context.hpp>
+#include <client/forked_child.hpp>
 
 #include <poll.h>
 #include <sys/epoll.h>
@@ -89,7 +90,10 @@ bool Context::serve_once(int timeout_ms) {
 
 void Context::connection_ended() noexcept {
   ended_.store(true, std::memory_order_release);
-  connection_->fail_all();
+  connection_->fail_all(
+      service_state() == Errc::revoked
+          ? failure_with(Errc::revoked, revoked_why_.c_str())
+          : Failure{Errc::daemon_not_running, 0, "the connection to agnocastd has ended"});
   // What is in shared memory goes on without the daemon: publishers still need their passes.
   for (;;) {
     pollfd wake{wake_.get(), POLLIN, 0};
@@ -131,6 +135,9 @@ void Context::handle(Incoming& packet) {
       break;
     case Opcode::notice:
       on_notice(packet);
+      break;
+    case Opcode::revoked:
+      on_revoked(packet);
       break;
     default:
       break;  // a newer daemon may say more than we know
@@ -312,6 +319,16 @@ void Context::on_notice(Incoming& packet) {
     if (found != subscriptions_.end() && found->second->identity().generation == notice.generation)
       tell(found->second->events(), notice);
   }
+}
+
+// The daemon ends the connection after this. Endpoints stay as they are, and so does what is held.
+void Context::on_revoked(Incoming& packet) {
+  if (service_state() != Errc::ok) return;
+  revoked_why_ = refusal_text(packet);
+  end_service();
+  const std::lock_guard lock(endpoints_);
+  for (const auto& [key, publisher] : publishers_) publisher->revoke();
+  for (const auto& [key, subscription] : subscriptions_) subscription->revoke();
 }
 
 void Context::say_unlinked(Kind kind, std::uint32_t topic, std::uint64_t index,

@@ -69,6 +69,8 @@ class PublisherEndpoint {
   void attach(const Subscription& subscription, std::shared_ptr<Peer> peer, Doorbell bell);
   /// It is over: looks at it no more and lets go of its region.
   void detach(std::uint64_t index, std::uint64_t generation) noexcept;
+  /// The membership of the process was revoked: nobody is matched any more.
+  void revoke() noexcept;
   /// Lets go of every region, at the very end.
   void detach_all() noexcept;
   /// One pass, and everything that publishes have left to do.

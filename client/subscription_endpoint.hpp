@@ -123,6 +123,8 @@ class SubscriptionEndpoint {
   [[nodiscard]] Result<void> add_publisher(const Publisher& publisher, std::shared_ptr<Peer> peer);
   /// The daemon says that this publisher is gone: what it committed is still delivered.
   void orphan(std::uint64_t publisher, std::uint64_t generation) noexcept;
+  /// The membership of the process was revoked: nobody is matched any more.
+  void revoke() noexcept;
   /// The subscription takes no more.
   void close() noexcept;
   /// Links that are over and of which nothing is held: unlinked here; the caller tells the daemon.
@@ -149,6 +151,7 @@ class SubscriptionEndpoint {
   EndpointEvents& events() noexcept { return events_; }
 
  private:
+  bool is_member() const noexcept;
   void drop_beyond_depth() noexcept;
   void note_losses(Link& link) noexcept;
   std::shared_ptr<Link> oldest() const noexcept;

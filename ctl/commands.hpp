@@ -23,6 +23,7 @@ enum Takes : std::uint32_t {
   count = 1 << 3,
   verbose = 1 << 4,
   hidden = 1 << 5,
+  a_process = 1 << 7,
 };
 
 struct Command {
@@ -38,6 +39,7 @@ Outcome<void> show_status(const Arguments& arguments, Console& console);
 Outcome<void> list_topics(const Arguments& arguments, Console& console);
 Outcome<void> show_topic(const Arguments& arguments, Console& console);
 Outcome<void> list_processes(const Arguments& arguments, Console& console);
+Outcome<void> revoke_process(const Arguments& arguments, Console& console);
 Outcome<void> list_heaps(const Arguments& arguments, Console& console);
 Outcome<void> verify_system(const Arguments& arguments, Console& console);
 

@@ -68,12 +68,18 @@ struct System {
   bool is_still_there(const Topic& topic, const Endpoint& endpoint) const;
 };
 
+/// Is it held by SIGSTOP or a debugger? Such a process may stand in the middle of anything for any
+/// time. False as well when it cannot be known.
+bool is_stopped(const wire::DumpProcess& process);
+
 /// A connection that looks. Problems: not_reachable, permission_denied, failed.
 class Observer {
  public:
   static Outcome<Observer> connect(const std::string& socket);
   /// One moment.
   Outcome<System> look();
+  /// Ends the membership of a process. Problems also: no_such_thing.
+  Outcome<void> revoke(const wire::DumpProcess& process);
   /// How long every client region is.
   std::uint64_t region_bytes() const noexcept { return region_bytes_; }
 

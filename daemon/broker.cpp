@@ -23,8 +23,10 @@ namespace {
 
 // Packets of one connection handled in a row; the others must not wait for a flood.
 constexpr unsigned packets_per_turn = 32;
-// How often a process without a connection is looked at.
-constexpr int detached_interval_ms = 250;
+// How often a process without a connection is looked at, or one that seems to hold too much.
+constexpr int short_interval_ms = 250;
+// How often somebody else's holds are looked at, and observers.
+constexpr int watch_interval_ms = 1'000;
 
 // A dump that an observer has not read by then is thrown away, and the observer with it.
 constexpr std::uint64_t observer_patience_ms = 5'000;
@@ -79,6 +81,7 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
       plan_(options.arena),
       doorbells_(listener.bells_directory()),
       membership_(registry_, regions_, doorbells_, *this),
+      hold_watch_(registry_, regions_),
       by_client_(abi::client_count_max, nullptr),
       since_ns_(abi::client_count_max, 0),
       started_ns_(now_ns()),
@@ -188,6 +191,10 @@ void Broker::on_readable(PeerId id) {
     const auto found = peers_.find(id);
     if (found == peers_.end() || found->second->session.closed()) return;
     Peer& peer = *found->second;
+    if (peer.revoked) {
+      say_farewell(peer);
+      return;
+    }
     const bool observes = peer.session.role() == Role::observer;
     if (observes && turn > 0) return;  // a dump is work
     // A blocked writer is woken here as well: the handler does not tell the events apart.
@@ -219,7 +226,7 @@ void Broker::on_readable(PeerId id) {
 void Broker::on_process_end(PeerId id) {
   const auto found = peers_.find(id);
   if (found == peers_.end()) return;
-  reap_peer(*found->second, "process ended");
+  reap_peer(*found->second, EndReason::died, "process ended");
 }
 
 void Broker::flush(Peer& peer) {
@@ -269,14 +276,14 @@ void Broker::disconnect(Peer& peer, std::string_view why) {
              {{"client", number(client)}, {"pid", peer.session.identity().pid}, {"why", why}});
   // After exec, or when the library was shut down, nothing of the region is left in the process.
   if (!maps_file(peer.session.identity().pid, regions_.region_file(client))) {
-    reap_peer(peer, "process let go of its region");
+    reap_peer(peer, EndReason::let_go, "process let go of its region");
     return;
   }
   peer.detached = true;
   ++detached_count_;
 }
 
-void Broker::reap_peer(Peer& peer, std::string_view how) {
+void Broker::reap_peer(Peer& peer, EndReason reason, std::string_view how) {
   const PeerId id = peer.id;
   if (!peer.session.greeted()) {
     drop(id);
@@ -284,11 +291,18 @@ void Broker::reap_peer(Peer& peer, std::string_view how) {
   }
   const ClientIndex client = *peer.session.client();
   if (peer.detached) --detached_count_;
-  by_client_[number(client)] = nullptr;
   const pid_t pid = peer.session.identity().pid;
   const std::uint32_t uid = peer.session.identity().uid;
+  if (peer.revoked) {
+    // The rest was done when it was revoked; now its place may be used again.
+    drop(id);
+    registry_.client_died(client, reason);
+    membership_.settle_client(client);
+    return;
+  }
+  by_client_[number(client)] = nullptr;
   drop(id);
-  const Reaped reaped = reap(client, registry_, regions_, doorbells_, membership_);
+  const Reaped reaped = reap(client, reason, registry_, regions_, doorbells_, membership_);
   ++counters_.clients_reaped;
   counters_.intents_rolled_back += reaped.rolled_back;
   counters_.intents_rolled_forward += reaped.rolled_forward;
@@ -303,6 +317,60 @@ void Broker::reap_peer(Peer& peer, std::string_view how) {
         {"rolled_back", reaped.rolled_back},
         {"rolled_forward", reaped.rolled_forward},
         {"corrupt_intents", reaped.corrupt}});
+}
+
+// Until the process ends the peer stays, and with it the connection's place in its user's quota and
+// the pidfd: so long the process has its memory, and may not come back.
+void Broker::revoke(Peer& peer, const std::string& why) {
+  const ClientIndex client = *peer.session.client();
+  by_client_[number(client)] = nullptr;
+  peer.revoked = true;
+  if (!std::exchange(peer.detached, true)) ++detached_count_;
+  const Reaped reaped =
+      reap(client, EndReason::revoked, registry_, regions_, doorbells_, membership_);
+  ++counters_.clients_reaped;
+  log_.write(LogLevel::warning, "client revoked",
+             {{"client", number(client)},
+              {"pid", peer.session.identity().pid},
+              {"uid", peer.session.identity().uid},
+              {"why", why},
+              {"publishers", reaped.publishers},
+              {"subscriptions", reaped.subscriptions}});
+  if (peer.session.closed()) return;
+  // What waits for it is about a membership that it does not have any more.
+  peer.session.drop_output();
+  auto packet = make_body<wire::Refused>(wire::Opcode::revoked);
+  packet.code = static_cast<std::uint32_t>(Errc::revoked);
+  packet.text = name_of(why);
+  peer.session.push(packet_of(packet), {});
+  say_farewell(peer);
+}
+
+void Broker::say_farewell(Peer& peer) {
+  if (peer.session.flush() == Session::Flushed::blocked) {
+    dispatcher_.change(peer.connection, EPOLLOUT);  // nothing that it says is read any more
+    return;
+  }
+  dispatcher_.remove(peer.connection);
+  peer.connection = 0;
+  // Not closed: what of its requests was never read would cost it the packet that waits for it.
+  ::shutdown(peer.session.socket().fd(), SHUT_RDWR);
+}
+
+bool Broker::was_revoked(const Peer& peer) const {
+  const PeerIdentity& who = peer.session.identity();
+  for (const auto& [id, other] : peers_) {
+    if (!other->revoked) continue;
+    const PeerIdentity& one = other->session.identity();
+    const auto inode = who.process.inode(), its_inode = one.process.inode();
+    // A process that has not ended keeps its pid.
+    const bool same = inode && its_inode
+                          ? *inode == *its_inode
+                          : who.pid > 0 && who.pid == one.pid && !one.process.ended();
+    // After exec it is another program.
+    if (same && maps_file(one.pid, regions_.region_file(*other->session.client()))) return true;
+  }
+  return false;
 }
 
 void Broker::drop(PeerId id) {
@@ -323,12 +391,12 @@ void Broker::drop(PeerId id) {
 
 void Broker::tick() {
   const std::uint64_t now = now_ms();
-  if (now - looked_ms_ < detached_interval_ms) return;  // however many events there are
+  if (now - looked_ms_ < short_interval_ms) return;  // however many events there are
   looked_ms_ = now;
   if (flush_later_) {
     flush_later_ = false;
     for (auto& [id, peer] : peers_) {
-      if (!peer->session.closed() && peer->session.has_output()) flush(*peer);
+      if (!peer->session.closed() && !peer->revoked && peer->session.has_output()) flush(*peer);
     }
   }
   if (detached_count_ > 0) {
@@ -338,15 +406,17 @@ void Broker::tick() {
           !maps_file(peer->session.identity().pid, regions_.region_file(*peer->session.client())))
         gone.push_back(id);
     }
-    for (const PeerId id : gone) reap_peer(*peers_.at(id), "process let go of its region");
+    for (const PeerId id : gone)
+      reap_peer(*peers_.at(id), EndReason::let_go, "process let go of its region");
   }
   drop_slow_observers(now);
+  watch_holds(now);
   log_.flush();
 }
 
 int Broker::due_ms() const noexcept {
-  if (detached_count_ > 0 || flush_later_) return detached_interval_ms;
-  return observer_count_ > 0 ? 1'000 : 10'000;
+  if (detached_count_ > 0 || flush_later_ || hold_watch_.has_suspects()) return short_interval_ms;
+  return peers_.empty() ? 10'000 : watch_interval_ms;
 }
 
 void Broker::drop_slow_observers(std::uint64_t now) {
@@ -358,6 +428,20 @@ void Broker::drop_slow_observers(std::uint64_t now) {
       slow.push_back(id);
   }
   for (const PeerId id : slow) disconnect(*peers_.at(id), "an observer does not read");
+}
+
+void Broker::watch_holds(std::uint64_t now) {
+  const int interval = hold_watch_.has_suspects() ? short_interval_ms : watch_interval_ms;
+  if (now - watched_ms_ < static_cast<std::uint64_t>(interval)) return;
+  watched_ms_ = now;
+  const auto liar = hold_watch_.look();
+  if (!liar) return;
+  Peer* const peer = by_client_[number(registry_.owner_of(liar->subscription))];
+  if (peer == nullptr) return;
+  revoke(*peer, "its subscription to " +
+                    std::string(registry_.topic(liar->subscription.topic).name) + " holds " +
+                    std::to_string(liar->held) + " messages of one publisher, its quota is " +
+                    std::to_string(liar->quota));
 }
 
 // --- Post
@@ -457,6 +541,9 @@ void Broker::serve(Peer& peer, const Request& request) {
     } else if constexpr (std::is_same_v<Body, wire::Dump>) {
       id = body.header.request;
       served = dump(peer, body);
+    } else if constexpr (std::is_same_v<Body, wire::Revoke>) {
+      id = body.header.request;
+      served = revoke(peer, body);
     } else {
       id = body.request;
       served = refusal(body.code, body.text);
@@ -487,6 +574,8 @@ Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
   Session& session = peer.session;
   if (auto known = check_caller(peer, hello.fingerprint); !known) return known;
   if (peer.counts_as_observer) return refusal(Errc::quota_exceeded, clients_text());
+  if (was_revoked(peer))
+    return refusal(Errc::revoked, "the membership of this process was revoked");
   std::string_view name;
   AGNOCAST_CHECK(text_of(hello.process_name, name));
   const auto client = registry_.add_client({session.identity().uid, session.identity().gid,
@@ -669,6 +758,25 @@ Result<void> Broker::dump(Peer& peer, const wire::Dump& request) {
   return {};
 }
 
+Result<void> Broker::revoke(Peer& peer, const wire::Revoke& request) {
+  const ClientIndex client{static_cast<std::uint32_t>(request.client)};
+  if (number(client) >= registry_.client_high() || !registry_.is_alive(client) ||
+      registry_.client(client).generation != request.generation)
+    return refusal(Errc::endpoint_gone, "there is no such process, or it is no member any more");
+  const PeerIdentity& who = peer.session.identity();
+  const ClientRecord& record = registry_.client(client);
+  if (who.uid != 0 && who.uid != ::geteuid() && who.uid != record.uid)
+    return refusal(Errc::permission_denied, "user " + std::to_string(who.uid) +
+                                                " may not revoke a process of user " +
+                                                std::to_string(record.uid));
+  Peer* const revoked = by_client_[number(client)];
+  AGNOCAST_CHECK(revoked != nullptr);
+  revoke(*revoked,
+         "revoked by user " + std::to_string(who.uid) + " (pid " + std::to_string(who.pid) + ")");
+  reply(peer, packet_of(make_body<wire::Done>(wire::Opcode::done, request.header.request)));
+  return {};
+}
+
 DumpFacts Broker::facts() const {
   const std::uint64_t now = now_ns();
   DumpFacts facts;
@@ -707,6 +815,7 @@ DumpFacts Broker::facts() const {
     const Peer* const peer = by_client_[number(client)];
     if (peer != nullptr)
       process.state = peer->detached ? wire::ProcessState::orphaned : wire::ProcessState::connected;
+    if (registry_.is_revoked(client)) process.state = wire::ProcessState::revoked;
     process.age_ns = now - since_ns_[number(client)];
     process.region = regions_.region_reader(client);
     return process;

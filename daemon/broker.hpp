@@ -6,6 +6,7 @@
 //   connection readable   decode, check rights and quotas, membership
 //   connection ended      keep (the process lives), or reap (it has no trace of its region)
 //   pidfd readable        reap
+//   observer says revoke  reap although it lives; it is told, and its pidfd stays watched
 //
 // One thread. The order of things inside one event is the protocol's; between events everything is
 // consistent, so the daemon may be killed at any time.
@@ -17,6 +18,7 @@
 #include <daemon/dispatcher.hpp>
 #include <daemon/doorbells.hpp>
 #include <daemon/dump.hpp>
+#include <daemon/hold_watch.hpp>
 #include <daemon/listener.hpp>
 #include <daemon/log.hpp>
 #include <daemon/membership.hpp>
@@ -62,7 +64,8 @@ class Broker final : private Post {
     Dispatcher::Token connection = 0;
     Dispatcher::Token process = 0;
     bool wants_writable = false;
-    bool detached = false;  // without a connection, but alive and mapping its region
+    bool detached = false;  // without a connection, or revoked, but alive and mapping its region
+    bool revoked = false;   // its client is dead in the tables; nothing it says counts
     bool counts_as_observer = false;
     std::uint64_t asked_ms = 0;  // of an observer: when its last dump was made
   };
@@ -87,7 +90,13 @@ class Broker final : private Post {
   /// The connection is over; the process may live.
   void disconnect(Peer& peer, std::string_view why);
   void drop(PeerId id);
-  void reap_peer(Peer& peer, std::string_view how);
+  void reap_peer(Peer& peer, EndReason reason, std::string_view how);
+  /// Ends the membership of a process that lives. `why` is for it and for the log.
+  void revoke(Peer& peer, const std::string& why);
+  /// Sends what a revoked process is to hear last, then shuts its connection.
+  void say_farewell(Peer& peer);
+  /// Is the process at the other end one that was revoked?
+  bool was_revoked(const Peer& peer) const;
 
   void serve(Peer& peer, const Request& request);
   [[nodiscard]] Result<void> check_caller(const Peer& peer, std::uint64_t fingerprint);
@@ -97,8 +106,10 @@ class Broker final : private Post {
   [[nodiscard]] Result<void> create(Peer& peer, const CreateRequest& request);
   [[nodiscard]] Result<void> observe(Peer& peer, const wire::Observe& request);
   [[nodiscard]] Result<void> dump(Peer& peer, const wire::Dump& request);
+  [[nodiscard]] Result<void> revoke(Peer& peer, const wire::Revoke& request);
   DumpFacts facts() const;
   void drop_slow_observers(std::uint64_t now);
+  void watch_holds(std::uint64_t now);
   void refuse(Peer& peer, std::uint64_t request, Errc code, int os_errno, std::string_view text);
   void reply(Peer& peer, std::span<const std::byte> packet, std::vector<SharedFd> fds = {});
   void on_ended(ClientIndex client);
@@ -120,6 +131,7 @@ class Broker final : private Post {
   AddressPlan plan_;
   Doorbells doorbells_;
   Membership membership_;
+  HoldWatch hold_watch_;
   std::unordered_map<PeerId, std::unique_ptr<Peer>> peers_;
   std::vector<Peer*> by_client_;
   std::unordered_map<std::uint32_t, Connections> connections_;  // by uid
@@ -131,8 +143,9 @@ class Broker final : private Post {
   std::uint64_t detached_count_ = 0;  // processes without a connection
   bool flush_later_ = false;
   bool said_unlocked_ = false;
-  std::uint64_t looked_ms_ = 0;  // when tick() last had a look
-  UniqueFd spare_;               // given up for a moment when no descriptor is left
+  std::uint64_t looked_ms_ = 0;   // when tick() last had a look
+  std::uint64_t watched_ms_ = 0;  // the same, at what is held
+  UniqueFd spare_;                // given up for a moment when no descriptor is left
   Dispatcher::Token listening_ = 0;
 };
 

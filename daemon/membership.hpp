@@ -66,13 +66,15 @@ class Membership {
   void announce_window(ClientIndex owner);
 
   // --- for the reaper
-  /// A subscription whose process is dead.
+  /// A subscription whose process is no member any more.
   void bury_subscription(const EndpointRef& ref);
   /// Nobody publishes there any more: board, then everybody is rung and told.
   void orphan(const EndpointRef& ref, std::uint64_t final_head);
   /// Frees what nobody has any more, everywhere: after a process was forgotten.
   void settle_all();
   void forget_client(ClientIndex client);
+  /// Frees the place of a process if nobody has anything of it any more.
+  void settle_client(ClientIndex client);
 
  private:
   [[nodiscard]] Result<void> create_publisher(ClientIndex client, TopicIndex topic,
@@ -98,7 +100,6 @@ class Membership {
   void let_go(const EndpointRef& ref, ClientIndex by);
   void settle(const EndpointRef& ref);
   void settle_topic(TopicIndex topic);
-  void settle_client(ClientIndex client);
   bool is_own(ClientIndex client, const wire::Reference& reference) const;
   template <class Function>
   void for_each_told(const AnnounceSet& set, Function function) const;

@@ -33,10 +33,10 @@ void count(journal::IntentDecision decision, Reaped& reaped) noexcept {
 
 }  // namespace
 
-Reaped reap(ClientIndex client, Registry& registry, Regions& regions, Doorbells& doorbells,
-            Membership& membership) {
+Reaped reap(ClientIndex client, EndReason reason, Registry& registry, Regions& regions,
+            Doorbells& doorbells, Membership& membership) {
   Reaped reaped;
-  registry.client_died(client);
+  registry.client_died(client, reason);
   const std::vector<EndpointRef> endpoints = registry.endpoints_of(client);  // they go one by one
   for (const EndpointRef& ref : endpoints) {
     if (ref.kind != Kind::subscription) continue;
@@ -51,7 +51,11 @@ Reaped reap(ClientIndex client, Registry& registry, Regions& regions, Doorbells&
     if (record.state != EndpointState::active) continue;
     const dataplane::PublisherWords<SharedMemory> words{regions.region(client), record.extent};
     std::uint64_t final_head = 0;
-    count(journal::recover_queue(words, record.slot_count, final_head), reaped);
+    if (reason == EndReason::revoked) {
+      final_head = words.head().load(std::memory_order_acquire);
+    } else {
+      count(journal::recover_queue(words, record.slot_count, final_head), reaped);
+    }
     membership.orphan(ref, final_head);
     ++reaped.publishers;
   }

@@ -12,6 +12,10 @@
 // Every step may be repeated. The reaper never trusts a value that the dead process wrote, and
 // never takes the end of a connection for a death: only the pidfd says it, or a process that has no
 // trace of its region any more (after exec).
+//
+// Revoking is the same work on a process that lives, and may go on storing: its heads are copied
+// once and nothing is repaired in its region, because an interrupted publish may yet be completed.
+// What lies behind the copied head is read by nobody who has heard of the end.
 #pragma once
 
 #include <daemon/membership.hpp>
@@ -31,9 +35,9 @@ struct Reaped {
   std::uint64_t corrupt = 0;
 };
 
-/// `client` is alive in the tables and its process stores no more.
-Reaped reap(ClientIndex client, Registry& registry, Regions& regions, Doorbells& doorbells,
-            Membership& membership);
+/// `client` is alive in the tables; its process stores no more, unless the reason is `revoked`.
+Reaped reap(ClientIndex client, EndReason reason, Registry& registry, Regions& regions,
+            Doorbells& doorbells, Membership& membership);
 
 /// Whether the process has a mapping of this file. True as well when it cannot be known.
 bool maps_file(pid_t pid, const Regions::FileId& file) noexcept;

@@ -123,8 +123,10 @@ Result<SharedFd> Regions::window_writer(ClientIndex client, std::uint64_t window
 
 void Regions::bury_client(ClientIndex client) noexcept {
   SharedFd reader = region_reader(client);
+  const FileId file = region_file(client);
   close_client(client);
   clients_[number(client)].region_reader = std::move(reader);
+  clients_[number(client)].file = file;
 }
 
 void Regions::close_client(ClientIndex client) noexcept {

@@ -68,8 +68,8 @@ class Regions {
     return of(client).window_readers;
   }
 
-  /// The process is dead and recovered: drops every descriptor and mapping but one for reading, for
-  /// observers; others may have the memory for a while.
+  /// The process is no member any more, and recovered: drops every descriptor and mapping but one for
+  /// reading, for observers; others may have the memory for a while.
   void bury_client(ClientIndex client) noexcept;
   /// The process is over, or never came to life: nothing is kept.
   void close_client(ClientIndex client) noexcept;

@@ -185,6 +185,7 @@ void Registry::apply_to_client(const Record& record) {
       client.gid = static_cast<std::uint32_t>(record.argument[3]);
       client.pid = static_cast<std::uint32_t>(record.argument[4]);
       client.domain = record.argument[5];
+      client.reason = EndReason::none;
       client.executors = 0;
       client.window_count = 0;
       client.told.begin(client.generation);
@@ -201,6 +202,7 @@ void Registry::apply_to_client(const Record& record) {
       client.executors |= std::uint64_t{1} << record.argument[1];
       break;
     case Type::client_dead:
+      client.reason = static_cast<EndReason>(record.argument[1]);
       client.state = ClientState::dead;
       break;
     case Type::client_forgotten: {
@@ -379,9 +381,9 @@ void Registry::open_executor(ClientIndex index, std::uint32_t executor) {
   change(Type::open_executor, {number(index), executor});
 }
 
-void Registry::client_died(ClientIndex index) {
-  AGNOCAST_CHECK(client(index).state != ClientState::free);
-  change(Type::client_dead, {number(index)});
+void Registry::client_died(ClientIndex index, EndReason reason) {
+  AGNOCAST_CHECK(is_alive(index) || is_revoked(index));
+  change(Type::client_dead, {number(index), static_cast<std::uint64_t>(reason)});
 }
 
 void Registry::client_forgotten(ClientIndex index) {
@@ -390,8 +392,8 @@ void Registry::client_forgotten(ClientIndex index) {
 }
 
 bool Registry::can_end(ClientIndex index) const {
-  return client(index).state == ClientState::dead && endpoints_of(index).empty() &&
-         client(index).told.reusable();
+  return client(index).state == ClientState::dead && !is_revoked(index) &&
+         endpoints_of(index).empty() && client(index).told.reusable();
 }
 
 void Registry::end_client(ClientIndex index) {

@@ -131,11 +131,15 @@ class Registry {
   Usage usage_of(std::uint32_t uid) const;
   void open_window(ClientIndex index, const WindowRecord& window);
   void open_executor(ClientIndex index, std::uint32_t executor);
-  /// Its process is gone. Its endpoints stay what they are until they are changed one by one.
-  void client_died(ClientIndex index);
+  /// It is no member any more. Its endpoints stay what they are until they are changed one by one.
+  /// Said again of one that was revoked when its process is gone.
+  void client_died(ClientIndex index, EndReason reason = EndReason::died);
+  bool is_revoked(ClientIndex index) const noexcept {
+    return client(index).state == ClientState::dead && client(index).reason == EndReason::revoked;
+  }
   /// It has let go of everything that it was ever told about.
   void client_forgotten(ClientIndex index);
-  /// Dead, without endpoints, known to nobody: its place may be used again after end_client().
+  /// Gone, without endpoints, known to nobody: its place may be used again after end_client().
   bool can_end(ClientIndex index) const;
   void end_client(ClientIndex index);
 

@@ -136,6 +136,14 @@ Request decode_unlinked(Packet packet) {
 Request decode_observe(Packet packet) { return body_of<wire::Observe>(packet); }
 Request decode_dump(Packet packet) { return body_of<wire::Dump>(packet); }
 
+Request decode_revoke(Packet packet) {
+  const auto body = body_of<wire::Revoke>(packet);
+  const char* const wrong =
+      check_reference(wire::Kind::region, 0, body.client, body.generation, true);
+  if (wrong != nullptr) return refuse(body.header, Errc::protocol_violation, wrong);
+  return body;
+}
+
 struct Row {
   wire::Opcode opcode;
   std::size_t bytes;
@@ -155,12 +163,13 @@ constexpr Row rows[] = {
     {wire::Opcode::unlinked, sizeof(wire::Unlinked), Role::client, decode_unlinked},
     {wire::Opcode::observe, sizeof(wire::Observe), Role::unknown, decode_observe},
     {wire::Opcode::dump, sizeof(wire::Dump), Role::observer, decode_dump},
+    {wire::Opcode::revoke, sizeof(wire::Revoke), Role::observer, decode_revoke},
 };
 
 // Why a connection in this role does not say that.
 const char* out_of_place(Role role, wire::Opcode opcode) noexcept {
   if (role == Role::unknown) return "the first request must be hello";
-  if (role == Role::observer) return "an observer asks for dumps and nothing else";
+  if (role == Role::observer) return "an observer asks for dumps, or revokes";
   return opcode == wire::Opcode::hello ? "hello is said once"
                                        : "a client does not observe; observers connect for that";
 }

@@ -53,7 +53,8 @@ struct Rejected {
 
 using Request =
     std::variant<wire::Hello, wire::WindowRequest, wire::ExecutorRequest, CreateRequest,
-                 LeaveRequest, DrainedRequest, wire::Unlinked, wire::Observe, wire::Dump, Rejected>;
+                 LeaveRequest, DrainedRequest, wire::Unlinked, wire::Observe, wire::Dump,
+                 wire::Revoke, Rejected>;
 
 /// How far a connection has come, and so what may be said on it: hello makes it a client, observe
 /// an observer, for good.

@@ -36,7 +36,15 @@ using AnnounceSet = journal::AnnounceSet<SharedMemory>;
 enum class ClientState : std::uint32_t {
   free = 0,
   alive = 1,
-  dead = 2,  // its process is gone; others may still have its region
+  dead = 2,  // no member any more; others may still have its region
+};
+/// Why a process is no member any more. What was revoked keeps its place until it ends as well: so
+/// long it maps its memory, and so long it is known that it may not come back.
+enum class EndReason : std::uint32_t {
+  none = 0,
+  died = 1,     // its process has ended
+  let_go = 2,   // its process lives on without its region (exec)
+  revoked = 3,  // its process lives and has its region
 };
 enum class TopicState : std::uint32_t { free = 0, used = 1 };
 
@@ -62,6 +70,8 @@ struct ClientRecord {
   std::uint32_t uid;
   std::uint32_t gid;
   std::uint32_t pid;  // as the daemon sees it; 0 when it does not
+  EndReason reason;  // when dead
+  std::uint32_t reserved;
   std::uint64_t domain;
   std::uint64_t executors;  // one bit each
   std::uint64_t window_count;

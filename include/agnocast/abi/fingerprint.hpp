@@ -238,7 +238,7 @@ constexpr std::uint64_t fingerprint() noexcept {
   sum.add(Opcode::observe, Opcode::dump, Opcode::observed, Opcode::dump_daemon,
           Opcode::dump_process, Opcode::dump_topic, Opcode::dump_endpoint, Opcode::dump_user,
           Opcode::dump_end, wire::ProcessState::connected, wire::ProcessState::orphaned,
-          wire::ProcessState::dead);
+          wire::ProcessState::dead, wire::ProcessState::revoked);
   sum.add(wire::Kind::publisher, wire::Kind::subscription, wire::Kind::region);
   return sum.value();
 }

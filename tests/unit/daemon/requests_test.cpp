@@ -125,7 +125,7 @@ TEST(Requests, LetsEachRoleSayOnlyWhatIsItsOwn) {
   for (const Role role : {Role::observer, Role::unknown})
     EXPECT_EQ(rejected(decoded(window, {}, role)).code, Errc::protocol_violation);
   EXPECT_EQ(rejected(decoded(window, {}, Role::observer)).text,
-            "an observer asks for dumps and nothing else");
+            "an observer asks for dumps, or revokes");
 }
 
 TEST(Requests, RefusesNamesWithoutEnd) {
