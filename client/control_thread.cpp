@@ -271,7 +271,8 @@ void Context::on_orphaned(Incoming& packet) {
   if (!packet.read(gone)) return;
   const std::lock_guard lock(endpoints_);
   for (const auto& [key, subscription] : subscriptions_) {
-    if (key.first == gone.topic) subscription->orphan(gone.index, gone.generation);
+    if (key.first == gone.topic)
+      subscription->orphan(gone.index, gone.generation, gone.final_head == 0);
   }
 }
 

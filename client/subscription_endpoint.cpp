@@ -31,12 +31,16 @@ Result<void> SubscriptionEndpoint::add_publisher(const Publisher& publisher,
   return {};
 }
 
-void SubscriptionEndpoint::orphan(std::uint64_t publisher, std::uint64_t generation) noexcept {
+void SubscriptionEndpoint::orphan(std::uint64_t publisher, std::uint64_t generation,
+                                  bool give_up) noexcept {
   const std::lock_guard lock(mutex_);
   for (const auto& link : links_) {
     if (link->publisher() != publisher || link->generation() != generation) continue;
     link->core_.observe_publisher();
     if (!std::exchange(link->ceased_, true)) events_.ceased();
+    if (!give_up) continue;
+    while (link->core_.unread() > 0) link->core_.skip();
+    note_losses(*link);
   }
   // Publishers that come and go must not pile up behind a subscription that nobody looks at: beyond
   // its depth it owes nothing to those that are gone.

@@ -121,8 +121,9 @@ class SubscriptionEndpoint {
   /// An announced publisher. Errors: protocol_violation (it is not on the board; nothing is
   /// linked).
   [[nodiscard]] Result<void> add_publisher(const Publisher& publisher, std::shared_ptr<Peer> peer);
-  /// The daemon says that this publisher is gone: what it committed is still delivered.
-  void orphan(std::uint64_t publisher, std::uint64_t generation) noexcept;
+  /// The daemon says that this publisher is gone: what it committed is still delivered, unless it is
+  /// to be given up. Then what is unread is lost.
+  void orphan(std::uint64_t publisher, std::uint64_t generation, bool give_up) noexcept;
   /// The membership of the process was revoked: nobody is matched any more.
   void revoke() noexcept;
   /// The subscription takes no more.

@@ -70,6 +70,8 @@ class Membership {
   void bury_subscription(const EndpointRef& ref);
   /// Nobody publishes there any more: board, then everybody is rung and told.
   void orphan(const EndpointRef& ref, std::uint64_t final_head);
+  /// What a subscriber's process is told of an orphan, now or when it has come back.
+  wire::Orphaned about_orphan(const EndpointRef& ref, std::uint64_t final_head) const;
   /// Frees what nobody has any more, everywhere: after a process was forgotten.
   void settle_all();
   void forget_client(ClientIndex client);
@@ -97,6 +99,8 @@ class Membership {
   void kick(TopicIndex topic, std::uint32_t publisher);
   void kick_publishers_of(const EndpointRef& subscription);
   void forget_subscription(const EndpointRef& ref);
+  void limit_orphans(TopicIndex topic);
+  [[nodiscard]] tl::unexpected<Failure> explain_full(TopicIndex topic, const Failure& why) const;
   void let_go(const EndpointRef& ref, ClientIndex by);
   void settle(const EndpointRef& ref);
   void settle_topic(TopicIndex topic);
@@ -110,6 +114,7 @@ class Membership {
   Post& post_;
   // Whose wrong types the members of a topic have been told about; once is enough.
   std::set<std::pair<std::uint32_t, std::uint32_t>> type_notices_;
+  std::set<std::uint64_t> given_up_;  // generations of orphans that subscriptions shall let go of
 };
 
 }  // namespace agnocast::daemon

@@ -108,6 +108,7 @@ class Registry {
   static constexpr std::uint64_t client_region_bytes = std::uint64_t{1} << 30;
 
   explicit Registry(const Memory& memory, const Capacity& capacity = {}) noexcept;
+  const Capacity& capacity() const noexcept { return capacity_; }
 
   /// Fresh memory, all zero.
   void create(std::uint64_t incarnation);

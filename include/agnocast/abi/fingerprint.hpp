@@ -43,8 +43,9 @@ class Fingerprint {
 constexpr std::uint64_t fingerprint() noexcept {
   Fingerprint sum;
   sum.add(layout_version, cache_line_bytes, page_bytes, depth_max, ring_count, slot_count_max,
-          near_slot_count, publisher_count_max, subscription_count_max, topic_count_max,
-          client_count_max, window_count_max, executor_count_max, observer_count_max);
+          near_slot_count, publisher_count_max, subscription_count_max, orphan_count_max,
+          topic_count_max, client_count_max, window_count_max, executor_count_max,
+          observer_count_max);
   // How words are packed, by what comes out for probes.
   sum.add(pack_entry(0x123456789abc, 0xdef0), sequence_of(0xfedcba9876543210),
           slot_of(0xfedcba9876543210), retired_mark, first_sequence_of(0x12345),
