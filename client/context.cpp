@@ -116,10 +116,7 @@ bool Context::is_connected() const noexcept {
 Result<void> Context::connect() {
   if (Result<void> refused = refuse_forked_child(); !refused) return refused;
   if (Result<void> refused = refuse_after_exit(); !refused) return refused;
-  if (service_state() == Errc::revoked) {
-    std::atomic_thread_fence(std::memory_order_acquire);
-    return fail_with(Errc::revoked, revoked_why_);
-  }
+  if (is_revoked()) return fail_with(Errc::revoked, revoked_why_);
   const std::lock_guard lock(connecting_);
   if (is_connected_.load(std::memory_order_relaxed)) {
     if (ended_.load(std::memory_order_acquire))

@@ -91,9 +91,8 @@ bool Context::serve_once(int timeout_ms) {
 void Context::connection_ended() noexcept {
   ended_.store(true, std::memory_order_release);
   connection_->fail_all(
-      service_state() == Errc::revoked
-          ? failure_with(Errc::revoked, revoked_why_.c_str())
-          : Failure{Errc::daemon_not_running, 0, "the connection to agnocastd has ended"});
+      is_revoked() ? failure_with(Errc::revoked, revoked_why_.c_str())
+                   : Failure{Errc::daemon_not_running, 0, "the connection to agnocastd has ended"});
   // What is in shared memory goes on without the daemon: publishers still need their passes.
   for (;;) {
     pollfd wake{wake_.get(), POLLIN, 0};

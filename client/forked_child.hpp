@@ -45,6 +45,11 @@ inline Errc service_state() noexcept {
   return word == detail::forked ? Errc::shut_down : Errc::revoked;
 }
 inline bool is_served() noexcept { return detail::service_word() == detail::served; }
+/// Sees also what was written before end_service(). Any thread.
+inline bool is_revoked() noexcept {
+  return detail::own_process_word.load(std::memory_order_acquire)
+             ->load(std::memory_order_acquire) == detail::revoked;
+}
 /// The membership of this process is over, for good. After recognise_forked_children().
 inline void end_service() noexcept {
   detail::own_process_word.load(std::memory_order_acquire)

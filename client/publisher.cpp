@@ -84,7 +84,7 @@ Errc UntypedPublisher::state() const noexcept {
 }
 
 bool UntypedPublisher::is_active() const noexcept {
-  return endpoint_ != nullptr && service_state() != Errc::revoked;
+  return endpoint_ != nullptr && !is_revoked();
 }
 
 Errc UntypedPublisher::publish(void* message, std::size_t bytes) noexcept {

@@ -140,7 +140,7 @@ UntypedSubscription::~UntypedSubscription() {
 
 bool UntypedSubscription::is_own() const noexcept { return is_served(); }
 bool UntypedSubscription::is_active() const noexcept {
-  return endpoint_ != nullptr && service_state() != Errc::revoked;
+  return endpoint_ != nullptr && !is_revoked();
 }
 Block* UntypedSubscription::take() noexcept {
   return endpoint_ != nullptr ? take_block(*endpoint_) : nullptr;

@@ -382,7 +382,7 @@ void Registry::open_executor(ClientIndex index, std::uint32_t executor) {
 }
 
 void Registry::client_died(ClientIndex index, EndReason reason) {
-  AGNOCAST_CHECK(is_alive(index) || is_revoked(index));
+  AGNOCAST_CHECK(client(index).state != ClientState::free);
   change(Type::client_dead, {number(index), static_cast<std::uint64_t>(reason)});
 }
 

@@ -207,6 +207,26 @@ TEST(DaemonRevoke, DeliversWhatAPublisherHadCommittedAndNothingAfterIt) {
   EXPECT_EQ(after.window[0].base, revoked.window[0].base);
 }
 
+TEST(DaemonRevoke, RepairsNothingInTheRegionOfAProcessThatLives) {
+  DaemonProcess daemon;
+  WireNode publisher(daemon.socket_path());
+  ASSERT_TRUE(publisher.create_publisher(topic_name, deep));
+  ASSERT_TRUE(publisher.publish(1));
+  // As it stands between P4 and P5: it may go on with the commit at any time.
+  const auto words = publisher.queue();
+  const std::uint64_t next = abi::sequence_of(words.head().load()) + 1;
+  words.intent_sequence().store(next);
+  words.intent_slot().store(5);
+  words.intent_op().store(abi::intent_publish);
+  words.slot_id(5).store(next);
+  words.order(next).store(abi::pack_entry(next, 5));
+  Observer observer(daemon.socket_path());
+  ASSERT_EQ(observer.revoke(0, observer.processes().at(0).generation).opcode(), wire::Opcode::done);
+  EXPECT_EQ(words.intent_op().load(), abi::intent_publish);
+  EXPECT_EQ(words.slot_id(5).load(), next);
+  EXPECT_EQ(words.order(next).load(), abi::pack_entry(next, 5));
+}
+
 TEST(DaemonRevoke, TellsAProcessWhoseSocketIsFullWhenItReads) {
   DaemonProcess daemon(talkative);
   Child publisher = publisher_child(daemon.socket_path());

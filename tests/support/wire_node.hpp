@@ -115,6 +115,7 @@ class WireNode {
     Environment environment{*this};
     core_->pass(environment);
   }
+  dataplane::PublisherWords<M> queue() const { return {region_.base(), publisher_.extent}; }
   std::uint64_t allocated_count() const { return core_->allocated_count(); }
   std::size_t attached_count() const { return attached_.size(); }
 
