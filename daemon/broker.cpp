@@ -23,9 +23,9 @@ namespace {
 
 // Packets of one connection handled in a row; the others must not wait for a flood.
 constexpr unsigned packets_per_turn = 32;
-// How often a process without a connection is looked at, or one that seems to hold too much.
+// How often a process without a connection is looked at.
 constexpr int short_interval_ms = 250;
-// How often somebody else's holds are looked at, and observers.
+// How often holds are looked at, and observers.
 constexpr int watch_interval_ms = 1'000;
 
 // A dump that an observer has not read by then is thrown away, and the observer with it.
@@ -415,7 +415,7 @@ void Broker::tick() {
 }
 
 int Broker::due_ms() const noexcept {
-  if (detached_count_ > 0 || flush_later_ || hold_watch_.has_suspects()) return short_interval_ms;
+  if (detached_count_ > 0 || flush_later_) return short_interval_ms;
   return peers_.empty() ? 10'000 : watch_interval_ms;
 }
 
@@ -431,8 +431,7 @@ void Broker::drop_slow_observers(std::uint64_t now) {
 }
 
 void Broker::watch_holds(std::uint64_t now) {
-  const int interval = hold_watch_.has_suspects() ? short_interval_ms : watch_interval_ms;
-  if (now - watched_ms_ < static_cast<std::uint64_t>(interval)) return;
+  if (now - watched_ms_ < watch_interval_ms) return;
   watched_ms_ = now;
   const auto liar = hold_watch_.look();
   if (!liar) return;

@@ -34,8 +34,6 @@ class HoldWatch {
   };
   /// Looks at the next lines in turn, and again at those that were above their quota the last time.
   std::optional<Finding> look();
-  /// Somebody was above the quota the last time: look again soon.
-  bool has_suspects() const noexcept { return !suspects_.empty(); }
 
  private:
   using Key = std::tuple<std::uint32_t, std::uint32_t, std::uint32_t>;  // topic, subscription,
