@@ -5,6 +5,7 @@
 #include <agnocast/abi/fingerprint.hpp>
 #include <agnocast/version.hpp>
 #include <base/check.hpp>
+#include <base/clock.hpp>
 #include <base/names.hpp>
 
 #include <fcntl.h>
@@ -14,11 +15,13 @@
 
 #include <array>
 #include <cerrno>
-#include <ctime>
 #include <type_traits>
 #include <utility>
 
 namespace agnocast::daemon {
+
+using journal::DeathReason;
+
 namespace {
 
 // Packets of one connection handled in a row; the others must not wait for a flood.
@@ -29,13 +32,7 @@ constexpr int detached_interval_ms = 250;
 // A dump that an observer has not read by then is thrown away, and the observer with it.
 constexpr std::uint64_t observer_patience_ms = 5'000;
 
-std::uint64_t now_ns() noexcept {
-  timespec now{};
-  ::clock_gettime(CLOCK_MONOTONIC, &now);
-  return static_cast<std::uint64_t>(now.tv_sec) * 1'000'000'000 +
-         static_cast<std::uint64_t>(now.tv_nsec);
-}
-std::uint64_t now_ms() noexcept { return now_ns() / 1'000'000; }
+std::uint64_t now_ms() noexcept { return monotonic_ns() / 1'000'000; }
 
 // The enumerator's own word: what explain and the documentation list.
 const char* word_of(Errc code) noexcept {
@@ -81,7 +78,7 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
       membership_(registry_, regions_, doorbells_, *this),
       by_client_(abi::client_count_max, nullptr),
       since_ns_(abi::client_count_max, 0),
-      started_ns_(now_ns()),
+      started_ns_(monotonic_ns()),
       spare_(::open("/dev/null", O_RDONLY | O_CLOEXEC)) {
   registry_.create(incarnation);
   regions_.sign_board(incarnation);
@@ -124,7 +121,7 @@ void Broker::accept_all() {
 }
 
 void Broker::turn_away() {
-  ++counters_.connections_refused;
+  ++registry_.counters().connections_refused;
   spare_.reset();
   {
     auto socket = listener_.socket().accept();
@@ -149,7 +146,7 @@ void Broker::accept(PacketSocket socket) {
   // Who has all the clients he may have can still look at them: such a connection can only observe.
   const bool only_observes = used.clients >= options_.config.quota.clients;
   if (only_observes && used.observers >= abi::observer_count_max) {
-    ++counters_.connections_refused;
+    ++registry_.counters().connections_refused;
     send_refused(socket, Errc::quota_exceeded, clients_text());
     log_.write_limited("connections uid=" + std::to_string(uid), LogLevel::warning,
                        "connection refused",
@@ -219,7 +216,7 @@ void Broker::on_readable(PeerId id) {
 void Broker::on_process_end(PeerId id) {
   const auto found = peers_.find(id);
   if (found == peers_.end()) return;
-  reap_peer(*found->second, "process ended");
+  reap_peer(*found->second, DeathReason::died, "process ended");
 }
 
 void Broker::flush(Peer& peer) {
@@ -269,14 +266,14 @@ void Broker::disconnect(Peer& peer, std::string_view why) {
              {{"client", number(client)}, {"pid", peer.session.identity().pid}, {"why", why}});
   // After exec, or when the library was shut down, nothing of the region is left in the process.
   if (!maps_file(peer.session.identity().pid, regions_.region_file(client))) {
-    reap_peer(peer, "process let go of its region");
+    reap_peer(peer, DeathReason::let_go, "process let go of its region");
     return;
   }
   peer.detached = true;
   ++detached_count_;
 }
 
-void Broker::reap_peer(Peer& peer, std::string_view how) {
+void Broker::reap_peer(Peer& peer, DeathReason reason, std::string_view how) {
   const PeerId id = peer.id;
   if (!peer.session.greeted()) {
     drop(id);
@@ -288,11 +285,7 @@ void Broker::reap_peer(Peer& peer, std::string_view how) {
   const pid_t pid = peer.session.identity().pid;
   const std::uint32_t uid = peer.session.identity().uid;
   drop(id);
-  const Reaped reaped = reap(client, registry_, regions_, doorbells_, membership_);
-  ++counters_.clients_reaped;
-  counters_.intents_rolled_back += reaped.rolled_back;
-  counters_.intents_rolled_forward += reaped.rolled_forward;
-  counters_.intents_corrupt += reaped.corrupt;
+  const Reaped reaped = reap(client, reason, registry_, regions_, doorbells_, membership_);
   note(reaped.corrupt == 0 ? LogLevel::info : LogLevel::warning, uid, "client gone",
        {{"client", number(client)},
         {"pid", pid},
@@ -338,7 +331,8 @@ void Broker::tick() {
           !maps_file(peer->session.identity().pid, regions_.region_file(*peer->session.client())))
         gone.push_back(id);
     }
-    for (const PeerId id : gone) reap_peer(*peers_.at(id), "process let go of its region");
+    for (const PeerId id : gone)
+      reap_peer(*peers_.at(id), DeathReason::let_go, "process let go of its region");
   }
   drop_slow_observers(now);
   log_.flush();
@@ -415,7 +409,7 @@ void Broker::refuse(Peer& peer, std::uint64_t request, Errc code, int os_errno,
   packet.os_errno = static_cast<std::uint32_t>(os_errno);
   packet.text = name_of(text);
   const std::uint32_t uid = peer.session.identity().uid;
-  ++counters_.requests_refused;
+  ++registry_.counters().requests_refused;
   log_.write_limited("refused uid=" + std::to_string(uid), LogLevel::warning, "request refused",
                      {{"pid", peer.session.identity().pid},
                       {"uid", uid},
@@ -495,14 +489,13 @@ Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
   if (!client) return tl::unexpected(client.error());
   const ClientRecord& record = registry_.client(*client);
   if (auto opened = regions_.open_client(*client, record.generation); !opened) {
-    registry_.client_died(*client);
+    registry_.client_died(*client, DeathReason::let_go);
     registry_.end_client(*client);
     return opened;
   }
   session.greet(*client);
   by_client_[number(*client)] = &peer;
-  since_ns_[number(*client)] = now_ns();
-  ++counters_.clients_registered;
+  since_ns_[number(*client)] = monotonic_ns();
   auto packet = make_body<wire::Welcome>(wire::Opcode::welcome, hello.header.request);
   packet.fingerprint = abi::fingerprint();
   packet.incarnation = registry_.incarnation();
@@ -670,7 +663,7 @@ Result<void> Broker::dump(Peer& peer, const wire::Dump& request) {
 }
 
 DumpFacts Broker::facts() const {
-  const std::uint64_t now = now_ns();
+  const std::uint64_t now = monotonic_ns();
   DumpFacts facts;
   wire::DumpDaemon& daemon = facts.daemon;
   daemon.version_major = AGNOCAST_VERSION_MAJOR;
@@ -685,7 +678,7 @@ DumpFacts Broker::facts() const {
   daemon.window_bytes = options_.arena.window_bytes;
   daemon.windows_used = plan_.used_count();
   daemon.unlocked_count = regions_.unlocked_count();
-  daemon.counters = counters_;
+  daemon.counters = registry_.counters();
   const Config::Limits& limits = options_.config.limits;
   daemon.limits = {limits.clients,
                    limits.topics,

@@ -87,7 +87,7 @@ class Broker final : private Post {
   /// The connection is over; the process may live.
   void disconnect(Peer& peer, std::string_view why);
   void drop(PeerId id);
-  void reap_peer(Peer& peer, std::string_view how);
+  void reap_peer(Peer& peer, journal::DeathReason reason, std::string_view how);
 
   void serve(Peer& peer, const Request& request);
   [[nodiscard]] Result<void> check_caller(const Peer& peer, std::uint64_t fingerprint);
@@ -126,7 +126,6 @@ class Broker final : private Post {
   std::vector<std::uint64_t> since_ns_;                         // when each client said hello
   std::uint64_t started_ns_;
   std::uint64_t observer_count_ = 0;
-  wire::DaemonCounters counters_{};
   PeerId last_peer_ = 0;
   std::uint64_t detached_count_ = 0;  // processes without a connection
   bool flush_later_ = false;

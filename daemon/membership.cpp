@@ -334,7 +334,7 @@ Result<void> Membership::leave(ClientIndex client, const wire::Reference& refere
       return fail(Errc::protocol_violation, "the publisher has left before");
     const dataplane::PublisherWords<SharedMemory> words{regions_.region(client), record.extent};
     // What the process wrote; readers check it like any other value of a publisher.
-    orphan(ref, words.head().load(std::memory_order_acquire));
+    orphan(ref, words.head().load(std::memory_order_acquire), journal::LeaveCause::left);
   } else {
     if (registry_.subscription(ref.topic, ref.index).state != EndpointState::active)
       return fail(Errc::protocol_violation, "the subscription has left before");
@@ -426,8 +426,9 @@ Result<void> Membership::unlinked(ClientIndex client, const wire::Unlinked& stat
 
 // --- what happens to others
 
-void Membership::orphan(const EndpointRef& ref, std::uint64_t final_head) {
-  registry_.orphan_publisher(ref.topic, ref.index, final_head);
+void Membership::orphan(const EndpointRef& ref, std::uint64_t final_head,
+                        journal::LeaveCause cause) {
+  registry_.orphan_publisher(ref.topic, ref.index, final_head, cause);
   auto packet = make_body<wire::Orphaned>(wire::Opcode::orphaned);
   packet.topic = number(ref.topic);
   packet.index = ref.index;

@@ -69,7 +69,7 @@ class Membership {
   /// A subscription whose process is dead.
   void bury_subscription(const EndpointRef& ref);
   /// Nobody publishes there any more: board, then everybody is rung and told.
-  void orphan(const EndpointRef& ref, std::uint64_t final_head);
+  void orphan(const EndpointRef& ref, std::uint64_t final_head, journal::LeaveCause cause);
   /// Frees what nobody has any more, everywhere: after a process was forgotten.
   void settle_all();
   void forget_client(ClientIndex client);

@@ -15,28 +15,29 @@
 namespace agnocast::daemon {
 namespace {
 
-void count(journal::IntentDecision decision, Reaped& reaped) noexcept {
+journal::LeaveCause count(journal::IntentDecision decision, Reaped& reaped) noexcept {
   switch (decision) {
     case journal::IntentDecision::nothing:
       break;
     case journal::IntentDecision::roll_back:
       ++reaped.rolled_back;
-      break;
+      return journal::LeaveCause::rolled_back;
     case journal::IntentDecision::roll_forward:
       ++reaped.rolled_forward;
-      break;
+      return journal::LeaveCause::rolled_forward;
     case journal::IntentDecision::corrupt:
       ++reaped.corrupt;
-      break;
+      return journal::LeaveCause::corrupt;
   }
+  return journal::LeaveCause::nothing_open;
 }
 
 }  // namespace
 
-Reaped reap(ClientIndex client, Registry& registry, Regions& regions, Doorbells& doorbells,
-            Membership& membership) {
+Reaped reap(ClientIndex client, journal::DeathReason reason, Registry& registry, Regions& regions,
+            Doorbells& doorbells, Membership& membership) {
   Reaped reaped;
-  registry.client_died(client);
+  registry.client_died(client, reason);
   const std::vector<EndpointRef> endpoints = registry.endpoints_of(client);  // they go one by one
   for (const EndpointRef& ref : endpoints) {
     if (ref.kind != Kind::subscription) continue;
@@ -51,8 +52,9 @@ Reaped reap(ClientIndex client, Registry& registry, Regions& regions, Doorbells&
     if (record.state != EndpointState::active) continue;
     const dataplane::PublisherWords<SharedMemory> words{regions.region(client), record.extent};
     std::uint64_t final_head = 0;
-    count(journal::recover_queue(words, record.slot_count, final_head), reaped);
-    membership.orphan(ref, final_head);
+    const journal::LeaveCause cause =
+        count(journal::recover_queue(words, record.slot_count, final_head), reaped);
+    membership.orphan(ref, final_head, cause);
     ++reaped.publishers;
   }
   membership.forget_client(client);

@@ -31,9 +31,9 @@ struct Reaped {
   std::uint64_t corrupt = 0;
 };
 
-/// `client` is alive in the tables and its process stores no more.
-Reaped reap(ClientIndex client, Registry& registry, Regions& regions, Doorbells& doorbells,
-            Membership& membership);
+/// `client` is alive in the tables and its process stores no more (or is not believed any more).
+Reaped reap(ClientIndex client, journal::DeathReason reason, Registry& registry, Regions& regions,
+            Doorbells& doorbells, Membership& membership);
 
 /// Whether the process has a mapping of this file. True as well when it cannot be known.
 bool maps_file(pid_t pid, const Regions::FileId& file) noexcept;

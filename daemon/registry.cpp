@@ -13,9 +13,11 @@ namespace agnocast::daemon {
 namespace {
 
 constexpr std::uint64_t magic_value = 0x6c6261742e6f6761;  // "ago.tabl" in memory order
-constexpr std::uint64_t layout_of_tables = sizeof(ClientRecord) << 48 | sizeof(TopicRecord) << 32 |
-                                           sizeof(PublisherRecord) << 16 |
-                                           sizeof(SubscriptionRecord);
+constexpr std::uint64_t layout_of_tables =
+    abi::Fingerprint()
+        .add(sizeof(TableHeader), sizeof(ClientRecord), sizeof(TopicRecord),
+             sizeof(PublisherRecord), sizeof(SubscriptionRecord))
+        .value();
 
 // A pass may be left out so many times (docs/protocol.md, lazy pass); what these publishes would
 // have freed needs a slot each.
@@ -44,6 +46,36 @@ tl::unexpected<Failure> full(const char* key, std::uint64_t limit) {
 
 bool counts_as_member(EndpointState state) noexcept {
   return state == EndpointState::active || state == EndpointState::leaving;
+}
+
+using journal::DeathReason;
+using journal::LeaveCause;
+
+std::uint64_t& death_counter(abi::wire::DaemonCounters& counters, DeathReason reason) noexcept {
+  switch (reason) {
+    case DeathReason::let_go:
+      return counters.clients_let_go;
+    case DeathReason::revoked:
+      return counters.clients_revoked;
+    case DeathReason::died:
+      break;
+  }
+  return counters.clients_died;
+}
+
+std::uint64_t* intent_counter(abi::wire::DaemonCounters& counters, LeaveCause cause) noexcept {
+  switch (cause) {
+    case LeaveCause::rolled_back:
+      return &counters.intents_rolled_back;
+    case LeaveCause::rolled_forward:
+      return &counters.intents_rolled_forward;
+    case LeaveCause::corrupt:
+      return &counters.intents_corrupt;
+    case LeaveCause::left:
+    case LeaveCause::nothing_open:
+      break;
+  }
+  return nullptr;
 }
 
 TopicIndex topic_of(const journal::Record& record) noexcept {
@@ -79,6 +111,7 @@ bool Registry::open() {
   if (const auto record = log_.pending()) {
     apply(*record);
     log_.applied();
+    redone_lsn_ = record->lsn;
   }
   rebuild();
   return true;
@@ -113,8 +146,10 @@ void Registry::change(Type type, std::initializer_list<std::uint64_t> arguments)
 void Registry::apply(const Record& record) {
   switch (record.type) {
     case Type::none:
-    case Type::revoke_subscription:
-    case Type::free_window:
+      break;
+    case Type::recovered:
+    case Type::rejoined:
+      apply_to_counters(record);
       break;
     case Type::register_client:
     case Type::open_window:
@@ -189,6 +224,7 @@ void Registry::apply_to_client(const Record& record) {
       client.window_count = 0;
       client.told.begin(client.generation);
       client.state = ClientState::alive;
+      tables_.header.counters.clients_registered = record.argument[6];
       tables_.header.client_high =
           std::max(tables_.header.client_high, static_cast<std::uint32_t>(record.argument[0]) + 1);
       note_generation(client.generation);
@@ -202,6 +238,8 @@ void Registry::apply_to_client(const Record& record) {
       break;
     case Type::client_dead:
       client.state = ClientState::dead;
+      death_counter(tables_.header.counters, static_cast<DeathReason>(record.argument[2])) =
+          record.argument[3];
       break;
     case Type::client_forgotten: {
       const std::uint64_t gone = record.argument[0];
@@ -257,6 +295,9 @@ void Registry::apply_to_endpoint(const Record& record) {
       break;
     case Type::leave_publisher:
       publisher.state = EndpointState::orphan;
+      if (std::uint64_t* const counter =
+              intent_counter(tables_.header.counters, static_cast<LeaveCause>(argument[5])))
+        *counter = argument[6];
       board(at).orphan_publisher(index, publisher.generation, argument[2]);
       break;
     case Type::free_publisher: {
@@ -297,6 +338,27 @@ void Registry::apply_to_endpoint(const Record& record) {
       untrack({Kind::subscription, at, index});
       break;
   }
+}
+
+void Registry::apply_to_counters(const Record& record) {
+  abi::wire::DaemonCounters& counters = tables_.header.counters;
+  if (record.type == Type::recovered) {
+    counters.restarts = record.argument[5];
+    counters.clients_died_meanwhile = record.argument[6];
+  } else {
+    counters.clients_rejoined = record.argument[2];
+  }
+}
+
+void Registry::note_recovered(const Recovered& facts) {
+  change(Type::recovered,
+         {facts.pid, facts.away_ns, redone_lsn_, facts.dead_count, facts.board_word_count,
+          counters().restarts + 1, counters().clients_died_meanwhile + facts.dead_count});
+}
+
+void Registry::note_rejoined(ClientIndex index) {
+  change(Type::rejoined,
+         {number(index), client(index).generation, counters().clients_rejoined + 1});
 }
 
 void Registry::note_generation(std::uint64_t generation) noexcept {
@@ -344,8 +406,8 @@ Result<ClientIndex> Registry::add_client(const NewClient& wanted) {
   if (index >= capacity_.clients) return full("clients", capacity_.clients);
   AGNOCAST_CHECK(views_[index].endpoints.empty());
   put(tables_.client[index].name, wanted.name);
-  change(Type::register_client,
-         {index, next_generation(), wanted.uid, wanted.gid, wanted.pid, wanted.domain});
+  change(Type::register_client, {index, next_generation(), wanted.uid, wanted.gid, wanted.pid,
+                                 wanted.domain, counters().clients_registered + 1});
   return static_cast<ClientIndex>(index);
 }
 
@@ -370,23 +432,26 @@ Usage Registry::usage_of(std::uint32_t uid) const {
 void Registry::open_window(ClientIndex index, const WindowRecord& window) {
   AGNOCAST_CHECK(is_alive(index));
   AGNOCAST_CHECK(client(index).window_count < abi::window_count_max);
-  change(Type::open_window, {number(index), client(index).window_count, window.base, window.bytes});
+  change(Type::open_window, {number(index), client(index).window_count, window.base, window.bytes,
+                             client(index).generation});
 }
 
 void Registry::open_executor(ClientIndex index, std::uint32_t executor) {
   AGNOCAST_CHECK(is_alive(index));
   AGNOCAST_CHECK(executor < abi::executor_count_max);
-  change(Type::open_executor, {number(index), executor});
+  change(Type::open_executor, {number(index), executor, client(index).generation});
 }
 
-void Registry::client_died(ClientIndex index) {
+void Registry::client_died(ClientIndex index, DeathReason reason) {
   AGNOCAST_CHECK(client(index).state != ClientState::free);
-  change(Type::client_dead, {number(index)});
+  change(Type::client_dead,
+         {number(index), client(index).generation, static_cast<std::uint64_t>(reason),
+          death_counter(counters(), reason) + 1});
 }
 
 void Registry::client_forgotten(ClientIndex index) {
   AGNOCAST_CHECK(client(index).state == ClientState::dead);
-  change(Type::client_forgotten, {number(index)});
+  change(Type::client_forgotten, {number(index), client(index).generation});
 }
 
 bool Registry::can_end(ClientIndex index) const {
@@ -396,7 +461,7 @@ bool Registry::can_end(ClientIndex index) const {
 
 void Registry::end_client(ClientIndex index) {
   AGNOCAST_CHECK(can_end(index));
-  change(Type::client_end, {number(index)});
+  change(Type::client_end, {number(index), client(index).generation});
 }
 
 // --- topics
@@ -428,7 +493,7 @@ bool Registry::topic_is_empty(TopicIndex index) const {
 void Registry::free_topic(TopicIndex index) {
   AGNOCAST_CHECK(topic(index).state == TopicState::used);
   AGNOCAST_CHECK(topic_is_empty(index));
-  change(Type::free_topic, {number(index)});
+  change(Type::free_topic, {number(index), topic(index).generation});
 }
 
 // --- endpoints
@@ -509,7 +574,9 @@ Result<SubscriptionPlan> Registry::plan_subscription(ClientIndex client, TopicIn
 
 void Registry::raise_slots(TopicIndex topic, const SlotRaise& raise) {
   AGNOCAST_CHECK(raise.slot_count <= abi::slot_count_max);
-  change(Type::raise_slots, {number(topic), raise.index, raise.slot_count});
+  const EndpointRef ref{Kind::publisher, topic, raise.index};
+  change(Type::raise_slots,
+         {number(topic), raise.index, raise.slot_count, generation_of(ref), number(owner_of(ref))});
 }
 
 void Registry::add_subscription(ClientIndex client, TopicIndex topic, const abi::Qos& qos,
@@ -524,26 +591,36 @@ void Registry::add_subscription(ClientIndex client, TopicIndex topic, const abi:
                                   abi::pack_qos(qos), plan.extent, quota, executor});
 }
 
-void Registry::orphan_publisher(TopicIndex topic, std::uint32_t index, std::uint64_t final_head) {
-  AGNOCAST_CHECK(publisher(topic, index).state == EndpointState::active);
-  change(Type::leave_publisher, {number(topic), index, final_head});
+void Registry::orphan_publisher(TopicIndex topic, std::uint32_t index, std::uint64_t final_head,
+                                LeaveCause cause) {
+  const PublisherRecord& record = publisher(topic, index);
+  AGNOCAST_CHECK(record.state == EndpointState::active);
+  const std::uint64_t* const counter = intent_counter(counters(), cause);
+  change(Type::leave_publisher,
+         {number(topic), index, final_head, record.generation, number(record.client),
+          static_cast<std::uint64_t>(cause), counter == nullptr ? 0 : *counter + 1});
 }
 
 void Registry::end_publisher(TopicIndex topic, std::uint32_t index, EndpointState state) {
   AGNOCAST_CHECK(publisher(topic, index).state == EndpointState::orphan ||
                  publisher(topic, index).state == EndpointState::over);
   AGNOCAST_CHECK(publisher(topic, index).told.reusable());
-  change(Type::free_publisher, {number(topic), index, static_cast<std::uint64_t>(state)});
+  const PublisherRecord& record = publisher(topic, index);
+  change(Type::free_publisher, {number(topic), index, static_cast<std::uint64_t>(state),
+                                record.generation, number(record.client)});
 }
 
 void Registry::change_subscription(TopicIndex topic, std::uint32_t index, EndpointState state) {
   AGNOCAST_CHECK(subscription(topic, index).state != EndpointState::free);
-  change(Type::leave_subscription, {number(topic), index, static_cast<std::uint64_t>(state)});
+  const SubscriptionRecord& record = subscription(topic, index);
+  change(Type::leave_subscription, {number(topic), index, static_cast<std::uint64_t>(state),
+                                    record.generation, number(record.client)});
 }
 
 void Registry::free_subscription(TopicIndex topic, std::uint32_t index) {
   AGNOCAST_CHECK(subscription(topic, index).told.reusable());
-  change(Type::free_subscription, {number(topic), index});
+  const SubscriptionRecord& record = subscription(topic, index);
+  change(Type::free_subscription, {number(topic), index, record.generation, number(record.client)});
 }
 
 bool Registry::uses_far_slots(TopicIndex topic) const {
@@ -579,18 +656,21 @@ void Registry::tell(const EndpointRef& ref, ClientIndex to) {
       (owner_of(ref) == to || client(owner_of(ref)).told.contains(number(to))))
     return;
   change(Type::announced,
-         {number(ref.topic), ref.index, number(to), static_cast<std::uint64_t>(ref.kind)});
+         {number(ref.topic), ref.index, number(to), static_cast<std::uint64_t>(ref.kind),
+          generation_of(ref), number(owner_of(ref)), client(to).generation});
 }
 
 void Registry::let_go(const EndpointRef& ref, ClientIndex by) {
   if (!told_of(ref).contains(number(by))) return;
   change(Type::unlinked,
-         {number(ref.topic), ref.index, number(by), static_cast<std::uint64_t>(ref.kind)});
+         {number(ref.topic), ref.index, number(by), static_cast<std::uint64_t>(ref.kind),
+          generation_of(ref), number(owner_of(ref)), client(by).generation});
 }
 
 void Registry::let_go_of_region(ClientIndex owner, ClientIndex by) {
   if (!client(owner).told.contains(number(by))) return;
-  change(Type::unlinked, {number(owner), 0, number(by), static_cast<std::uint64_t>(Kind::region)});
+  change(Type::unlinked, {number(owner), 0, number(by), static_cast<std::uint64_t>(Kind::region),
+                          client(owner).generation, number(owner), client(by).generation});
 }
 
 }  // namespace agnocast::daemon

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Registry: what exists and who knows of it. Pure state, no descriptor in it, no packet, no clock.
+// Registry: what exists and who knows of it. Pure state, no descriptor in it, no packet.
 //
 // Every change goes one way: a record is committed to the redo log, apply() carries it out on the
 // tables and on the board, the log notes that it is applied. apply() is idempotent, so a daemon
@@ -97,6 +97,14 @@ struct Usage {
   std::uint64_t held_messages = 0;  // what its subscriptions may hold, together
 };
 
+/// What a start after a death found and did.
+struct Recovered {
+  std::uint32_t pid = 0;               // of the new daemon
+  std::uint64_t away_ns = 0;           // how long nobody served; 0: not known
+  std::uint64_t dead_count = 0;        // processes that ended meanwhile
+  std::uint64_t board_word_count = 0;  // words of the board that had to be written again
+};
+
 class Registry {
  public:
   struct Memory {
@@ -131,13 +139,26 @@ class Registry {
   Usage usage_of(std::uint32_t uid) const;
   void open_window(ClientIndex index, const WindowRecord& window);
   void open_executor(ClientIndex index, std::uint32_t executor);
-  /// Its process is gone. Its endpoints stay what they are until they are changed one by one.
-  void client_died(ClientIndex index);
+  /// Its process is gone, or has to go. Its endpoints stay what they are until they are changed one
+  /// by one.
+  void client_died(ClientIndex index, journal::DeathReason reason);
   /// It has let go of everything that it was ever told about.
   void client_forgotten(ClientIndex index);
   /// Dead, without endpoints, known to nobody: its place may be used again after end_client().
   bool can_end(ClientIndex index) const;
   void end_client(ClientIndex index);
+
+  // --- the flight recorder
+  /// Counters outlive the daemon. What a record counts is set by the record; the others are the
+  /// caller's to raise.
+  abi::wire::DaemonCounters& counters() noexcept { return tables_.header.counters; }
+  const abi::wire::DaemonCounters& counters() const noexcept { return tables_.header.counters; }
+  /// A daemon has taken over what another one left, once it serves.
+  void note_recovered(const Recovered& facts);
+  /// A process that is alive here is connected again.
+  void note_rejoined(ClientIndex index);
+  /// What open() had to complete; 0: nothing was under way.
+  std::uint64_t redone_lsn() const noexcept { return redone_lsn_; }
 
   // --- topics
   std::optional<TopicIndex> find_topic(std::uint64_t domain, std::string_view name) const;
@@ -166,7 +187,8 @@ class Registry {
   void add_subscription(ClientIndex client, TopicIndex topic, const abi::Qos& qos,
                         std::uint64_t quota, std::uint64_t executor, const SubscriptionPlan& plan,
                         std::string_view node);
-  void orphan_publisher(TopicIndex topic, std::uint32_t index, std::uint64_t final_head);
+  void orphan_publisher(TopicIndex topic, std::uint32_t index, std::uint64_t final_head,
+                        journal::LeaveCause cause = journal::LeaveCause::left);
   /// over, then free.
   void end_publisher(TopicIndex topic, std::uint32_t index, EndpointState state);
   /// leaving, over, dead.
@@ -208,6 +230,7 @@ class Registry {
   }
 
   journal::RedoLog& log() noexcept { return log_; }
+  const journal::RedoLog& log() const noexcept { return log_; }
 
  private:
   using M = SharedMemory;
@@ -224,6 +247,7 @@ class Registry {
   void apply(const Record& record);
   void apply_to_client(const Record& record);
   void apply_to_endpoint(const Record& record);
+  void apply_to_counters(const Record& record);
   void rebuild();
   void note_generation(std::uint64_t generation) noexcept;
   std::uint64_t next_generation() const noexcept { return tables_.header.last_generation + 1; }
@@ -244,6 +268,7 @@ class Registry {
   journal::RedoLog log_;
   Tables& tables_;
   std::byte* board_;
+  std::uint64_t redone_lsn_ = 0;
   std::vector<View> views_;
   std::unordered_map<std::string, TopicIndex> topics_;
 };

@@ -13,6 +13,7 @@
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
+#include <agnocast/abi/observe.hpp>
 #include <agnocast/abi/wire.hpp>
 #include <journal/announce_set.hpp>
 
@@ -118,6 +119,7 @@ struct TableHeader {
   std::uint64_t last_generation;  // one counter for everything; 48 bits last for millennia
   std::uint32_t client_high;
   std::uint32_t topic_high;
+  abi::wire::DaemonCounters counters;
 };
 
 struct Tables {

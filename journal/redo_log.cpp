@@ -2,6 +2,8 @@
 
 #include <journal/redo_log.hpp>
 
+#include <base/clock.hpp>
+
 #include <array>
 #include <cstring>
 
@@ -10,9 +12,13 @@ namespace {
 
 constexpr std::uint64_t magic_value = 0x676f6c2e6f676761;  // "aggo.log" in memory order
 constexpr std::uint64_t magic_offset = 0, fingerprint_offset = 8, incarnation_offset = 16,
-                        count_offset = 24;
+                        shape_offset = 24;
 constexpr std::uint64_t committed_offset = abi::cache_line_bytes,
                         applied_offset = 2 * abi::cache_line_bytes;
+
+// Another build's records are not ours, even where all that clients see is the same.
+constexpr std::uint64_t shape = RedoLog::record_count | sizeof(Record) << 32 |
+                                offsetof(Record, stamp_ns) << 48 | offsetof(Record, argument) << 56;
 
 constexpr std::array<std::uint32_t, 256> make_table() noexcept {
   std::array<std::uint32_t, 256> table{};
@@ -47,17 +53,17 @@ std::uint32_t crc32c(const void* data, std::size_t bytes) noexcept {
 void RedoLog::create(std::uint64_t fingerprint, std::uint64_t incarnation) noexcept {
   word(fingerprint_offset).store(fingerprint, std::memory_order_relaxed);
   word(incarnation_offset).store(incarnation, std::memory_order_relaxed);
-  word(count_offset).store(record_count, std::memory_order_relaxed);
+  word(shape_offset).store(shape, std::memory_order_relaxed);
   word(magic_offset)
       .store(magic_value, std::memory_order_release);  // last: a half-made log is none
 }
 
 bool RedoLog::is_valid(std::uint64_t fingerprint) const noexcept {
   const std::uint64_t committed = committed_lsn();
-  const std::uint64_t done = word(applied_offset).load(std::memory_order_relaxed);
+  const std::uint64_t done = applied_lsn();
   return word(magic_offset).load(std::memory_order_acquire) == magic_value &&
          word(fingerprint_offset).load(std::memory_order_relaxed) == fingerprint &&
-         word(count_offset).load(std::memory_order_relaxed) == record_count &&
+         word(shape_offset).load(std::memory_order_relaxed) == shape &&
          (committed == done || committed == done + 1);
 }
 
@@ -68,11 +74,20 @@ std::uint64_t RedoLog::committed_lsn() const noexcept {
   return word(committed_offset).load(std::memory_order_acquire);
 }
 
+std::uint64_t RedoLog::applied_lsn() const noexcept {
+  return word(applied_offset).load(std::memory_order_acquire);
+}
+std::uint64_t RedoLog::oldest_lsn() const noexcept {
+  const std::uint64_t newest = committed_lsn();
+  return newest <= record_count ? (newest == 0 ? 0 : 1) : newest - record_count + 1;
+}
+
 std::uint64_t RedoLog::commit(RecordType type, const std::uint64_t* arguments,
                               std::size_t count) noexcept {
   Record record;
   record.lsn = committed_lsn() + 1;
   record.type = type;
+  record.stamp_ns = monotonic_ns();
   for (std::size_t i = 0; i < count && i < std::size(record.argument); ++i)
     record.argument[i] = arguments[i];
   record.crc = checksum(record);
@@ -87,7 +102,7 @@ void RedoLog::applied() noexcept {
 
 std::optional<Record> RedoLog::pending() const noexcept {
   const std::uint64_t committed = committed_lsn();
-  if (committed == word(applied_offset).load(std::memory_order_acquire)) return std::nullopt;
+  if (committed == applied_lsn()) return std::nullopt;
   return read(committed);
 }
 

@@ -179,7 +179,7 @@ TEST_F(RegistryTest, EndsAProcessOnlyWhenNothingOfItIsKnown) {
   const auto p = publisher(a, t);
   registry.tell({Kind::publisher, t, p.index}, b);
   EXPECT_FALSE(registry.can_end(a));
-  registry.client_died(a);
+  registry.client_died(a, journal::DeathReason::died);
   registry.orphan_publisher(t, p.index, 0);
   EXPECT_FALSE(registry.can_end(a));
   registry.let_go({Kind::publisher, t, p.index}, b);
@@ -200,7 +200,7 @@ TEST_F(RegistryTest, ForgetsADeadProcessEverywhere) {
   const auto s = subscription(a, u);
   registry.tell({Kind::publisher, t, p.index}, b);
   registry.tell({Kind::subscription, u, s.index}, b);
-  registry.client_died(b);
+  registry.client_died(b, journal::DeathReason::died);
   registry.client_forgotten(b);
   EXPECT_TRUE(registry.told_of({Kind::publisher, t, p.index}).reusable());
   EXPECT_TRUE(registry.told_of({Kind::subscription, u, s.index}).reusable());
