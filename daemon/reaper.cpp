@@ -3,6 +3,7 @@
 #include <daemon/reaper.hpp>
 
 #include <base/check.hpp>
+#include <base/step.hpp>
 #include <journal/recovery.hpp>
 
 #include <sys/sysmacros.h>
@@ -51,14 +52,17 @@ Reaped reap(ClientIndex client, Registry& registry, Regions& regions, Doorbells&
     if (record.state != EndpointState::active) continue;
     const dataplane::PublisherWords<SharedMemory> words{regions.region(client), record.extent};
     std::uint64_t final_head = 0;
+    AGNOCAST_CRASH_POINT(B_recover);
     count(journal::recover_queue(words, record.slot_count, final_head), reaped);
     membership.orphan(ref, final_head);
     ++reaped.publishers;
   }
   membership.forget_client(client);
   doorbells.close_client(client);
+  AGNOCAST_CRASH_POINT(B_bells_closed);
   // Others keep what they map; nobody new is told of it.
   regions.bury_client(client);
+  AGNOCAST_CRASH_POINT(B_buried);
   membership.settle_all();
   return reaped;
 }
