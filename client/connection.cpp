@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <base/step.hpp>
 #include <client/connection.hpp>
 
 #include <poll.h>
@@ -69,6 +70,7 @@ Result<void> Connection::request_bytes(std::byte* bytes, std::size_t size,
     answered_.wait(lock, [&] { return waiting.done; });
     return in_this_thread(waiting.result, waiting.detail);
   };
+  AGNOCAST_CRASH_POINT(C_ask);
   for (;;) {
     const Result<Sent> sent = socket_.send({bytes, size});
     if (!sent) return give_up(tl::unexpected<Failure>(sent.error()));
@@ -93,6 +95,7 @@ Result<void> Connection::request_bytes(std::byte* bytes, std::size_t size,
 void Connection::post_bytes(std::span<const std::byte> bytes) {
   const std::lock_guard lock(mutex_);
   if (ended_) return;
+  AGNOCAST_CRASH_POINT(C_post);
   if (unsent_.empty()) {
     const Result<Sent> sent = socket_.send(bytes);
     if (sent && *sent != Sent::would_block)
@@ -112,6 +115,7 @@ bool Connection::flush() noexcept {
 }
 
 void Connection::answer(std::uint64_t id, Incoming& packet) {
+  AGNOCAST_CRASH_POINT(C_answer);
   std::unique_lock lock(mutex_);
   if (const auto later = later_.find(id); later != later_.end()) {
     const auto on_answer = std::move(later->second);

@@ -3,6 +3,7 @@
 #include <client/context.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
+#include <base/step.hpp>
 #include <base/text.hpp>
 #include <client/forked_child.hpp>
 #include <client/user_code.hpp>
@@ -127,6 +128,7 @@ Result<void> Context::connect() {
   if (Result<void> ends = end_user_code_at_exit(); !ends) return ends;
   socket_path_ = socket_path();
   Result<void> done = say_hello();
+  AGNOCAST_CRASH_POINT(C_thread);
   if (done) done = start_control_thread();
   if (!done) {
     connection_.reset();
@@ -147,12 +149,14 @@ Result<void> Context::say_hello() {
     const Failure& why = socket.error();
     return fail_with(why.code, "connecting to " + socket_path_, why.os_errno);
   }
+  AGNOCAST_CRASH_POINT(C_connect);
   connection_ = std::make_unique<Connection>(std::move(*socket));
 
   wire::Hello hello{};
   hello.fingerprint = abi::fingerprint();
   hello.domain = *domain;
   write_name(hello.process_name, process_name());
+  AGNOCAST_CRASH_POINT(C_hello);
   connection_->post(Opcode::hello, hello, 1);
   Incoming packet;
   if (Result<void> first = connection_->receive_first(packet); !first) {
@@ -172,8 +176,10 @@ Result<void> Context::say_hello() {
 }
 
 Result<void> Context::map_regions(const wire::Welcome& welcome, std::span<UniqueFd> fds) {
+  AGNOCAST_CRASH_POINT(C_arena);
   if (Result<void> reserved = reserve_arena(welcome.arena_base, welcome.arena_bytes); !reserved)
     return reserved;
+  AGNOCAST_CRASH_POINT(C_regions);
   Result<SparseRegion> board =
       SparseRegion::make(std::move(fds[0]), abi::board_bytes, Mapping::Access::read);
   if (!board) return tl::unexpected<Failure>(board.error());
@@ -343,6 +349,7 @@ Result<wire::CreateEndpoint> describe(const EndpointRequest& request,
 
 // The topic's entry on the board, and the endpoint's own words.
 Result<void> Context::open_extents(const wire::EndpointCreated& made, std::uint64_t bytes) {
+  AGNOCAST_CRASH_POINT(C_extent_open);
   Result<void> opened = board_.open(abi::topic_offset(made.topic), abi::topic_bytes);
   return opened ? region_.open(made.extent, bytes) : opened;
 }
@@ -380,6 +387,7 @@ Result<std::shared_ptr<PublisherEndpoint>> Context::create_publisher(
             PublisherEndpoint::Identity{core, made.topic, destroy_message,
                                         []() noexcept { Context::instance().wake_control(); }});
         const std::lock_guard lock(endpoints_);
+        AGNOCAST_CRASH_POINT(C_registered);
         publishers_[{made.topic, made.index}] = publisher;
         return {};
       });
@@ -416,6 +424,7 @@ Result<std::shared_ptr<SubscriptionEndpoint>> Context::create_subscription(
                                            request.message_alignment},
             sleeper);
         const std::lock_guard lock(endpoints_);
+        AGNOCAST_CRASH_POINT(C_registered);
         subscriptions_[{made.topic, made.index}] = subscription;
         return {};
       });
@@ -461,6 +470,7 @@ Result<std::shared_ptr<Sleeper>> Context::create_sleeper() {
           return fail(Errc::protocol_violation, "a new executor");
         }
         const auto fds = packet.packet.fds();
+        AGNOCAST_CRASH_POINT(C_sleeper);
         sleeper = std::make_unique<Sleeper>(region_.base(), request.executor,
                                             DoorbellReceiver(std::move(fds[0]), std::move(fds[1])));
         return {};
@@ -489,6 +499,7 @@ void Context::destroy(const std::shared_ptr<PublisherEndpoint>& publisher) noexc
       Opcode::leave,
       reference(Kind::publisher, publisher->topic_index(), identity.index, identity.generation),
       [](Incoming&) -> Result<void> { return {}; });
+  AGNOCAST_CRASH_POINT(C_left);
   wake_control();
 }
 
@@ -500,13 +511,17 @@ void Context::destroy(const std::shared_ptr<SubscriptionEndpoint>& subscription)
       Opcode::leave,
       reference(Kind::subscription, identity.topic_index, identity.index, identity.generation),
       [](Incoming&) -> Result<void> { return {}; });
+  AGNOCAST_CRASH_POINT(C_left);
   subscription->close();
+  AGNOCAST_CRASH_POINT(C_closed);
   wake_control();
 }
 
 void Context::release(const Received& received) noexcept {
   if (is_forked_child()) return;  // the hold is the parent's
-  if (received.link->release(received.taken.slot)) wake_control();
+  if (!received.link->release(received.taken.slot)) return;
+  AGNOCAST_CRASH_POINT(C_release_last);
+  wake_control();
 }
 
 }  // namespace agnocast

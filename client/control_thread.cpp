@@ -4,6 +4,8 @@
 
 #include <client/context.hpp>
 
+#include <base/step.hpp>
+
 #include <poll.h>
 #include <sys/epoll.h>
 #include <unistd.h>
@@ -113,6 +115,7 @@ std::vector<std::shared_ptr<PublisherEndpoint>> Context::publishers() const {
 }
 
 void Context::handle(Incoming& packet) {
+  AGNOCAST_CRASH_POINT(C_packet);
   switch (packet.header().opcode) {
     case Opcode::announce:
       on_announce(packet);
@@ -157,6 +160,7 @@ std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
     if (own) {
       known.peer = std::make_unique<Peer>(client_, client_generation_, region_.base());
     } else {
+      AGNOCAST_CRASH_POINT(C_peer_map);
       Result<SparseRegion> region =
           SparseRegion::make(std::move(fds[0]), std::uint64_t{1} << 30, Mapping::Access::read);
       if (!region || !region->open(0, abi::page_bytes)) {
@@ -174,6 +178,7 @@ std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
     const bool inside = window.base >= arena && window.bytes <= arena_.bytes() &&
                         window.base - arena <= arena_.bytes() - window.bytes;
     if (!inside) return nullptr;
+    AGNOCAST_CRASH_POINT(C_peer_window);
     Result<void> added =
         own ? known.peer->heap().add_own(i, window.base, window.bytes)
             : known.peer->heap().add(i, window.base, window.bytes, std::move(fds[1 + i]));
@@ -181,6 +186,7 @@ std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
   }
   const std::uint64_t bytes = announcement.kind == Kind::publisher ? abi::publisher_extent_bytes
                                                                    : abi::subscription_extent_bytes;
+  AGNOCAST_CRASH_POINT(C_peer_extent);
   if (!known.peer->open(announcement.extent, bytes)) return nullptr;
   return use(known);
 }
@@ -242,6 +248,7 @@ void Context::on_window(Incoming& packet) {
     return;  // unmapped meanwhile: the next announcement brings all windows
   const bool own = announced.client == client_ && announced.client_generation == client_generation_;
   PeerHeap& heap = found->second.peer->heap();
+  AGNOCAST_CRASH_POINT(C_peer_window);
   (void)(own ? heap.add_own(announced.window, announced.base, announced.bytes)
              : heap.add(announced.window, announced.base, announced.bytes,
                         std::move(packet.packet.fds()[0])));
@@ -329,12 +336,14 @@ void Context::run_errands() {
   for (const auto& publisher : publishers()) {
     publisher->run_errands();
     if (!publisher->is_over()) continue;
+    AGNOCAST_CRASH_POINT(C_publisher_over);
     publisher->detach_all();
     const auto& identity = publisher->identity();
     {
       const std::lock_guard lock(endpoints_);
       publishers_.erase({publisher->topic_index(), identity.index});
     }
+    AGNOCAST_CRASH_POINT(C_erased);
     connection_->post(Opcode::drained, reference(Kind::publisher, publisher->topic_index(),
                                                  identity.index, identity.generation));
   }
@@ -362,6 +371,7 @@ void Context::collect_subscriptions() {
       connection_->post(Opcode::drained,
                         reference(Kind::subscription, it->first.first, it->first.second,
                                   subscription->identity().generation));
+      AGNOCAST_CRASH_POINT(C_erased);
       it = subscriptions_.erase(it);
     } else {
       ++it;
@@ -376,6 +386,7 @@ void Context::collect_peers() {
       continue;
     }
     const auto [client, generation] = it->first;
+    AGNOCAST_CRASH_POINT(C_peer_unmap);
     it = peers_.erase(it);  // unmapped here, said after
     if (client != client_ || generation != client_generation_)
       say_unlinked(Kind::region, 0, client, generation);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <base/mapping.hpp>
+#include <base/step.hpp>
 #include <client/dataplane/windows.hpp>
 #include <client/peer_heap.hpp>
 
@@ -19,6 +20,7 @@ PeerHeap::~PeerHeap() {
   for (std::uint64_t i = 0; i < window_count(); ++i) {
     const Window& window = windows_[i];
     if (!window.fd || window.opened.load(std::memory_order_relaxed) == 0) continue;
+    AGNOCAST_CRASH_POINT(C_peer_cover);
     Mapping::cover(static_cast<std::byte*>(at_address(window.base)),
                    window.opened.load(std::memory_order_relaxed));
   }
@@ -62,12 +64,14 @@ void PeerHeap::open() noexcept {
     const std::uint64_t opened = window.opened.load(std::memory_order_relaxed);
     if (frontier <= opened) continue;
     void* const at = at_address(window.base + opened);
+    AGNOCAST_CRASH_POINT(C_peer_open);
     if (::mmap(at, frontier - opened, PROT_READ, MAP_SHARED | MAP_FIXED, window.fd.get(),
                static_cast<off_t>(opened)) == MAP_FAILED) {
       return;  // what lies beyond stays closed: contains() refuses it, and the message counts as
                // malformed
     }
     ::madvise(at, frontier - opened, MADV_DONTDUMP);
+    AGNOCAST_CRASH_POINT(C_peer_opened);
     window.opened.store(frontier, std::memory_order_release);
   }
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <base/step.hpp>
 #include <client/forked_child.hpp>
 #include <client/publisher_endpoint.hpp>
 #include <client/user_code.hpp>
@@ -76,7 +77,10 @@ void PublisherEndpoint::with_queue(Do work, bool may_destroy) noexcept {
     const std::lock_guard lock(mutex_);
     work(left);
   }
-  for (std::size_t i = 0; i < left.destroy_count; ++i) identity_.destroy(left.destroy[i]);
+  for (std::size_t i = 0; i < left.destroy_count; ++i) {
+    AGNOCAST_CRASH_POINT(C_destroy);
+    identity_.destroy(left.destroy[i]);
+  }
   if (left.wake_control) identity_.wake_control();
 }
 
@@ -136,6 +140,7 @@ std::size_t PublisherEndpoint::executor_of(const Peer& peer, std::uint64_t execu
 void PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr<Peer> peer,
                                Doorbell bell) {
   in_control_thread([&](Work& work) {
+    AGNOCAST_CRASH_POINT(C_attach);
     attached_.reserve(attached_.size() + 1);
     const std::size_t executor = executor_of(*peer, subscription.executor, std::move(bell));
     core_->attach(subscription.index, subscription.generation, peer->region(), subscription.extent,
@@ -179,6 +184,7 @@ void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) no
         });
     if (found == attached_.end()) return;
     core_->pass(work);  // learns that it is over while its line can still be read
+    AGNOCAST_CRASH_POINT(C_detach);
     core_->detach(index, generation);
     if (--executors_[found->executor].users == 0) executors_[found->executor] = {};
     let_go = std::move(found->peer);
@@ -202,6 +208,7 @@ void PublisherEndpoint::run_errands() noexcept {
     for (Executor& sleeper : executors_) {
       const std::uint64_t owed = std::exchange(sleeper.owed, 0);
       if (owed == 0 || sleeper.users == 0) continue;
+      AGNOCAST_CRASH_POINT(C_errand_ring);
       // Another generation: it was awake meanwhile and has looked for itself.
       if (SharedMemory::word(sleeper.region, armed_offset(sleeper.executor))
               .load(std::memory_order_relaxed) == owed)

@@ -7,6 +7,7 @@
 #include <base/check.hpp>
 #include <base/clock.hpp>
 #include <base/names.hpp>
+#include <base/step.hpp>
 
 #include <fcntl.h>
 #include <sys/epoll.h>
@@ -141,6 +142,7 @@ void Broker::accept(PacketSocket socket) {
     send_refused(socket, identity.error().code, identity.error().what);
     return;
   }
+  AGNOCAST_CRASH_POINT(B_accepted);
   const std::uint32_t uid = identity->uid;
   Connections& used = connections_[uid];
   // Who has all the clients he may have can still look at them: such a connection can only observe.
@@ -208,6 +210,7 @@ void Broker::on_readable(PeerId id) {
       disconnect(peer, "an observer asks before it has read");
       return;
     }
+    AGNOCAST_CRASH_POINT(B_request);
     const Envelope envelope{packet->descriptor_count, packet->truncated, packet->descriptors_lost};
     serve(peer, decode({buffer.data(), packet->bytes}, envelope, peer.session.role()));
   }
@@ -251,6 +254,7 @@ void Broker::flush(Peer& peer) {
 }
 
 void Broker::disconnect(Peer& peer, std::string_view why) {
+  AGNOCAST_CRASH_POINT(B_ended);
   dispatcher_.remove(peer.connection);
   peer.connection = 0;
   peer.session.close();
@@ -274,6 +278,7 @@ void Broker::disconnect(Peer& peer, std::string_view why) {
 }
 
 void Broker::reap_peer(Peer& peer, DeathReason reason, std::string_view how) {
+  AGNOCAST_CRASH_POINT(B_reap);
   const PeerId id = peer.id;
   if (!peer.session.greeted()) {
     drop(id);
@@ -369,10 +374,12 @@ void Broker::send(ClientIndex client, std::span<const std::byte> packet,
 }
 
 void Broker::reply(Peer& peer, std::span<const std::byte> packet, std::vector<SharedFd> fds) {
+  AGNOCAST_CRASH_POINT(B_send);
   const bool waiting = peer.session.has_output();
   peer.session.push(packet, std::move(fds));
   // While something waits for the socket there is nothing to gain from another try.
   if (!waiting || peer.session.queued_count() > Session::queue_count_max) flush(peer);
+  AGNOCAST_CRASH_POINT(B_sent);
 }
 
 void Broker::note(LogLevel level, std::uint32_t uid, std::string_view event, Log::Fields fields) {
@@ -542,11 +549,13 @@ Result<void> Broker::open_window(Peer& peer, const wire::WindowRequest& request)
       return refusal(Errc::limit_reached,
                      "[heap] arena_bytes has room for " + std::to_string(plan_.window_count()) +
                          " windows of " + std::to_string(bytes) + " bytes, all are given out");
+    AGNOCAST_CRASH_POINT(B_window_base);
     writer = regions_.open_window(client, bytes);
     if (!writer) {
       plan_.give_back(*base);
       return tl::unexpected(writer.error());
     }
+    AGNOCAST_CRASH_POINT(B_window_made);
     registry_.open_window(client, {*base, bytes});
     // Before the answer: the announcement is in a subscriber's socket before the first message lies
     // in the window.
@@ -577,6 +586,7 @@ Result<void> Broker::open_executor(Peer& peer, const wire::ExecutorRequest& requ
     return allowed;
   auto bells = doorbells_.open(client, request.executor);
   if (!bells) return tl::unexpected(bells.error());
+  AGNOCAST_CRASH_POINT(B_bell_bound);
   registry_.open_executor(client, static_cast<std::uint32_t>(request.executor));
   const auto packet = make_body<wire::Done>(wire::Opcode::executor_opened, request.header.request);
   reply(peer, packet_of(packet), std::move(*bells));
@@ -708,6 +718,7 @@ DumpFacts Broker::facts() const {
 }
 
 void Broker::on_ended(ClientIndex client) {
+  AGNOCAST_CRASH_POINT(B_place_free);
   regions_.close_client(client);
   const ClientRecord& record = registry_.client(client);
   for (std::uint64_t w = 0; w < record.window_count; ++w)

@@ -2,6 +2,8 @@
 
 #include <daemon/doorbells.hpp>
 
+#include <base/step.hpp>
+
 #include <fcntl.h>
 #include <unistd.h>
 
@@ -26,6 +28,7 @@ Doorbells::~Doorbells() {
 Result<std::vector<SharedFd>> Doorbells::open(ClientIndex client, std::uint64_t executor) {
   const Key key{number(client), executor};
   const std::string name = name_of(key);
+  AGNOCAST_CRASH_POINT(B_bell_bind);
   auto receiver = make_doorbell(directory_, name);
   if (!receiver) return tl::unexpected(receiver.error());
   auto sender = connect_doorbell(directory_, name);
@@ -59,7 +62,10 @@ void Doorbells::ring(ClientIndex client, std::uint64_t executor) noexcept {
 void Doorbells::close_client(ClientIndex client) noexcept {
   const auto begin = bells_.lower_bound({number(client), 0});
   const auto end = bells_.lower_bound({number(client) + 1, 0});
-  for (auto at = begin; at != end; ++at) ::unlink((directory_ + "/" + name_of(at->first)).c_str());
+  for (auto at = begin; at != end; ++at) {
+    AGNOCAST_CRASH_POINT(B_bell_remove);
+    ::unlink((directory_ + "/" + name_of(at->first)).c_str());
+  }
   bells_.erase(begin, end);
 }
 

@@ -3,6 +3,7 @@
 #include <daemon/membership.hpp>
 
 #include <base/check.hpp>
+#include <base/step.hpp>
 
 #include <algorithm>
 
@@ -75,6 +76,7 @@ Result<void> Membership::create_publisher(ClientIndex client, TopicIndex topic,
   if (!ready) return ready;
   // Nobody looks there yet; the add that follows publishes it.
   const dataplane::PublisherWords<SharedMemory> words{regions_.region(client), plan->extent};
+  AGNOCAST_CRASH_POINT(B_head);
   words.head().store(abi::pack_entry(plan->first_sequence, 0), std::memory_order_release);
   if (plan->slot_count > abi::near_slot_count) {
     // Its readers will use the hold words behind their link lines.
@@ -435,7 +437,9 @@ void Membership::orphan(const EndpointRef& ref, std::uint64_t final_head,
   packet.generation = registry_.generation_of(ref);
   packet.final_head = final_head;
   registry_.for_each_subscription(ref.topic, [&](std::uint32_t, const SubscriptionRecord& record) {
-    if (record.state == EndpointState::active) doorbells_.ring(record.client, record.executor);
+    if (record.state != EndpointState::active) return;
+    AGNOCAST_CRASH_POINT(B_ring);
+    doorbells_.ring(record.client, record.executor);
   });
   for_each_told(registry_.told_of(ref),
                 [&](ClientIndex to) { post_.send(to, packet_of(packet), {}); });
@@ -477,6 +481,7 @@ void Membership::let_go(const EndpointRef& ref, ClientIndex by) {
 
 void Membership::settle(const EndpointRef& ref) {
   if (!registry_.told_of(ref).reusable()) return;
+  AGNOCAST_CRASH_POINT(B_settle);
   const ClientIndex owner = registry_.owner_of(ref);
   const bool owner_dead = !registry_.is_alive(owner);
   if (ref.kind == Kind::publisher) {

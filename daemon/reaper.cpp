@@ -3,6 +3,7 @@
 #include <daemon/reaper.hpp>
 
 #include <base/check.hpp>
+#include <base/step.hpp>
 #include <journal/recovery.hpp>
 
 #include <sys/sysmacros.h>
@@ -52,6 +53,7 @@ Reaped reap(ClientIndex client, journal::DeathReason reason, Registry& registry,
     if (record.state != EndpointState::active) continue;
     const dataplane::PublisherWords<SharedMemory> words{regions.region(client), record.extent};
     std::uint64_t final_head = 0;
+    AGNOCAST_CRASH_POINT(B_recover);
     const journal::LeaveCause cause =
         count(journal::recover_queue(words, record.slot_count, final_head), reaped);
     membership.orphan(ref, final_head, cause);
@@ -59,8 +61,10 @@ Reaped reap(ClientIndex client, journal::DeathReason reason, Registry& registry,
   }
   membership.forget_client(client);
   doorbells.close_client(client);
+  AGNOCAST_CRASH_POINT(B_bells_closed);
   // Others keep what they map; nobody new is told of it.
   regions.bury_client(client);
+  AGNOCAST_CRASH_POINT(B_buried);
   membership.settle_all();
   return reaped;
 }

@@ -4,6 +4,7 @@
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/memfd.hpp>
+#include <base/step.hpp>
 
 #include <fcntl.h>
 #include <sys/mman.h>
@@ -63,6 +64,7 @@ Result<void> Regions::open_client(ClientIndex client, std::uint64_t generation) 
   if (!mapping) return tl::unexpected(mapping.error());
   // A writable mapping is not left out of core dumps by Mapping; this one is other people's memory.
   ::madvise(mapping->base(), mapping->bytes(), MADV_DONTDUMP);
+  AGNOCAST_CRASH_POINT(B_region_made);
   struct stat file {};
   if (::fstat(writer->get(), &file) != 0)
     return fail(Errc::os_failure, "looking at a memfd", errno);
@@ -76,14 +78,18 @@ Result<void> Regions::open_client(ClientIndex client, std::uint64_t generation) 
     return backed;
   }
   auto* const header = reinterpret_cast<abi::ClientRegionHeader*>(memory.region.base());
+  AGNOCAST_CRASH_POINT(B_region_sign);
   header->fingerprint.store(abi::fingerprint(), std::memory_order_relaxed);
+  AGNOCAST_CRASH_POINT(B_region_sign);
   header->generation.store(generation, std::memory_order_relaxed);
+  AGNOCAST_CRASH_POINT(B_region_sign);
   header->magic.store(abi::client_region_magic, std::memory_order_release);
   return {};
 }
 
 Result<void> Regions::back(ClientIndex client, std::uint64_t offset, std::uint64_t bytes) {
   const ClientMemory& memory = of(client);
+  AGNOCAST_CRASH_POINT(B_back);
   int status = 0;
   do {
     status = ::fallocate(memory.region_writer->get(), 0, static_cast<off_t>(offset),
@@ -96,6 +102,7 @@ Result<void> Regions::back(ClientIndex client, std::uint64_t offset, std::uint64
 
 Result<void> Regions::renew(ClientIndex client, std::uint64_t offset, std::uint64_t extent_bytes,
                             std::uint64_t backed_bytes) {
+  AGNOCAST_CRASH_POINT(B_clear);
   // A hole reads as zero, whatever kind of endpoint was here, and the parts that are backed later
   // are zero then.
   if (::fallocate(of(client).region_writer->get(), FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE,

@@ -4,6 +4,7 @@
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/check.hpp>
+#include <base/step.hpp>
 
 #include <algorithm>
 #include <bit>
@@ -35,8 +36,22 @@ constexpr std::uint64_t round_up(std::uint64_t value, std::uint64_t unit) noexce
 template <std::size_t size>
 void put(char (&to)[size], std::string_view text) noexcept {
   const std::size_t count = std::min(text.size(), size - 1);
+  AGNOCAST_CRASH_POINT(B_name);
   std::memcpy(to, text.data(), count);
+  AGNOCAST_CRASH_POINT(B_name);
   std::memset(to + count, 0, size - count);
+}
+
+/// Every number of the tables is stored here: one place where the sweep may kill before each.
+template <class Field>
+void store(Field& field, const std::type_identity_t<Field>& value) noexcept {
+  AGNOCAST_CRASH_POINT(B_table);
+  field = value;
+}
+
+void forget(AnnounceSet& told, std::uint64_t gone) noexcept {
+  AGNOCAST_CRASH_POINT(B_told);
+  told.died(gone);
 }
 
 tl::unexpected<Failure> full(const char* key, std::uint64_t limit) {
@@ -162,16 +177,18 @@ void Registry::apply(const Record& record) {
     case Type::add_topic: {
       const TopicIndex at = topic_of(record);
       TopicRecord& topic = tables_.topic[number(at)];
-      topic.generation = record.argument[1];
-      topic.domain = record.argument[2];
-      topic.layout_hash = record.argument[3];
-      topic.publisher_high = 0;
-      topic.subscription_high = 0;
-      topic.state = TopicState::used;
-      tables_.header.topic_high = std::max(tables_.header.topic_high, number(at) + 1);
+      store(topic.generation, record.argument[1]);
+      store(topic.domain, record.argument[2]);
+      store(topic.layout_hash, record.argument[3]);
+      store(topic.publisher_high, 0);
+      store(topic.subscription_high, 0);
+      store(topic.state, TopicState::used);
+      store(tables_.header.topic_high, std::max(tables_.header.topic_high, number(at) + 1));
       note_generation(topic.generation);
       const auto line = words(at);
+      AGNOCAST_CRASH_POINT(B_board_field);
       line.publisher_high().store(0, std::memory_order_relaxed);
+      AGNOCAST_CRASH_POINT(B_board_field);
       line.subscription_high().store(0, std::memory_order_relaxed);
       topics_.insert_or_assign(topic_key(topic.domain, topic.name), at);
       break;
@@ -179,7 +196,7 @@ void Registry::apply(const Record& record) {
     case Type::free_topic: {
       TopicRecord& topic = tables_.topic[number(topic_of(record))];
       topics_.erase(topic_key(topic.domain, topic.name));
-      topic.state = TopicState::free;
+      store(topic.state, TopicState::free);
       break;
     }
     case Type::add_publisher:
@@ -195,9 +212,12 @@ void Registry::apply(const Record& record) {
       const EndpointRef ref{static_cast<Kind>(record.argument[3]), topic_of(record),
                             index_of(record)};
       const std::uint64_t to = record.argument[2];
+      AGNOCAST_CRASH_POINT(B_told);
       told(ref).tell(to);
       const ClientIndex owner = owner_of(ref);
-      if (number(owner) != to) tables_.client[number(owner)].told.tell(to);
+      if (number(owner) == to) break;
+      AGNOCAST_CRASH_POINT(B_told);
+      tables_.client[number(owner)].told.tell(to);
       break;
     }
     case Type::unlinked: {
@@ -205,6 +225,7 @@ void Registry::apply(const Record& record) {
       const std::uint64_t by = record.argument[2];
       AnnounceSet& set = kind == Kind::region ? tables_.client[record.argument[0]].told
                                               : told({kind, topic_of(record), index_of(record)});
+      AGNOCAST_CRASH_POINT(B_told);
       set.let_go(by, set.generation());
       break;
     }
@@ -215,49 +236,51 @@ void Registry::apply_to_client(const Record& record) {
   ClientRecord& client = tables_.client[record.argument[0]];
   switch (record.type) {
     case Type::register_client:
-      client.generation = record.argument[1];
-      client.uid = static_cast<std::uint32_t>(record.argument[2]);
-      client.gid = static_cast<std::uint32_t>(record.argument[3]);
-      client.pid = static_cast<std::uint32_t>(record.argument[4]);
-      client.domain = record.argument[5];
-      client.executors = 0;
-      client.window_count = 0;
+      store(client.generation, record.argument[1]);
+      store(client.uid, static_cast<std::uint32_t>(record.argument[2]));
+      store(client.gid, static_cast<std::uint32_t>(record.argument[3]));
+      store(client.pid, static_cast<std::uint32_t>(record.argument[4]));
+      store(client.domain, record.argument[5]);
+      store(client.executors, 0);
+      store(client.window_count, 0);
+      AGNOCAST_CRASH_POINT(B_told);
       client.told.begin(client.generation);
-      client.state = ClientState::alive;
-      tables_.header.counters.clients_registered = record.argument[6];
-      tables_.header.client_high =
-          std::max(tables_.header.client_high, static_cast<std::uint32_t>(record.argument[0]) + 1);
+      store(client.state, ClientState::alive);
+      store(tables_.header.counters.clients_registered, record.argument[6]);
+      store(
+          tables_.header.client_high,
+          std::max(tables_.header.client_high, static_cast<std::uint32_t>(record.argument[0]) + 1));
       note_generation(client.generation);
       break;
     case Type::open_window:
-      client.window[record.argument[1]] = {record.argument[2], record.argument[3]};
-      client.window_count = std::max(client.window_count, record.argument[1] + 1);
+      store(client.window[record.argument[1]], {record.argument[2], record.argument[3]});
+      store(client.window_count, std::max(client.window_count, record.argument[1] + 1));
       break;
     case Type::open_executor:
-      client.executors |= std::uint64_t{1} << record.argument[1];
+      store(client.executors, client.executors | std::uint64_t{1} << record.argument[1]);
       break;
     case Type::client_dead:
-      client.state = ClientState::dead;
-      death_counter(tables_.header.counters, static_cast<DeathReason>(record.argument[2])) =
-          record.argument[3];
+      store(client.state, ClientState::dead);
+      store(death_counter(tables_.header.counters, static_cast<DeathReason>(record.argument[2])),
+            record.argument[3]);
       break;
     case Type::client_forgotten: {
       const std::uint64_t gone = record.argument[0];
       for (std::uint32_t i = 0; i < tables_.header.client_high; ++i) {
-        if (tables_.client[i].state != ClientState::free) tables_.client[i].told.died(gone);
+        if (tables_.client[i].state != ClientState::free) forget(tables_.client[i].told, gone);
       }
       for (std::uint32_t t = 0; t < tables_.header.topic_high; ++t) {
         const TopicRecord& topic = tables_.topic[t];
         if (topic.state == TopicState::free) continue;
         for (std::uint32_t i = 0; i < topic.publisher_high; ++i)
-          tables_.publisher[t][i].told.died(gone);
+          forget(tables_.publisher[t][i].told, gone);
         for (std::uint32_t i = 0; i < topic.subscription_high; ++i)
-          tables_.subscription[t][i].told.died(gone);
+          forget(tables_.subscription[t][i].told, gone);
       }
       break;
     }
     default:  // client_end
-      client.state = ClientState::free;
+      store(client.state, ClientState::free);
       break;
   }
 }
@@ -272,14 +295,15 @@ void Registry::apply_to_endpoint(const Record& record) {
   const std::uint64_t* const argument = record.argument;
   switch (record.type) {
     case Type::add_publisher:
-      publisher.generation = argument[2];
-      publisher.client = static_cast<ClientIndex>(argument[3]);
-      publisher.qos = argument[4];
-      publisher.extent = argument[5];
-      publisher.slot_count = argument[6];
+      store(publisher.generation, argument[2]);
+      store(publisher.client, static_cast<ClientIndex>(argument[3]));
+      store(publisher.qos, argument[4]);
+      store(publisher.extent, argument[5]);
+      store(publisher.slot_count, argument[6]);
+      AGNOCAST_CRASH_POINT(B_told);
       publisher.told.begin(publisher.generation);
-      publisher.state = EndpointState::active;
-      topic.publisher_high = std::max(topic.publisher_high, index + 1);
+      store(publisher.state, EndpointState::active);
+      store(topic.publisher_high, std::max(topic.publisher_high, index + 1));
       note_generation(publisher.generation);
       track({Kind::publisher, at, index});
       board(at).add_publisher(
@@ -288,35 +312,37 @@ void Registry::apply_to_endpoint(const Record& record) {
            publisher.slot_count, abi::first_sequence_of(publisher.generation)});
       break;
     case Type::raise_slots:
-      publisher.slot_count = std::max(publisher.slot_count, argument[2]);
+      store(publisher.slot_count, std::max(publisher.slot_count, argument[2]));
+      AGNOCAST_CRASH_POINT(B_board_field);
       words(at)
           .publisher(index, offsetof(abi::PublisherEntry, slot_count))
           .store(publisher.slot_count, std::memory_order_release);
       break;
     case Type::leave_publisher:
-      publisher.state = EndpointState::orphan;
+      store(publisher.state, EndpointState::orphan);
       if (std::uint64_t* const counter =
               intent_counter(tables_.header.counters, static_cast<LeaveCause>(argument[5])))
-        *counter = argument[6];
+        store(*counter, argument[6]);
       board(at).orphan_publisher(index, publisher.generation, argument[2]);
       break;
     case Type::free_publisher: {
       const auto state = static_cast<EndpointState>(argument[2]);
-      publisher.state = state;
+      store(publisher.state, state);
       board(at).free_publisher(index, publisher.generation);
       if (state == EndpointState::free) untrack({Kind::publisher, at, index});
       break;
     }
     case Type::add_subscription:
-      subscription.generation = argument[2];
-      subscription.client = static_cast<ClientIndex>(argument[3]);
-      subscription.qos = argument[4];
-      subscription.extent = argument[5];
-      subscription.quota = argument[6];
-      subscription.executor = argument[7];
+      store(subscription.generation, argument[2]);
+      store(subscription.client, static_cast<ClientIndex>(argument[3]));
+      store(subscription.qos, argument[4]);
+      store(subscription.extent, argument[5]);
+      store(subscription.quota, argument[6]);
+      store(subscription.executor, argument[7]);
+      AGNOCAST_CRASH_POINT(B_told);
       subscription.told.begin(subscription.generation);
-      subscription.state = EndpointState::active;
-      topic.subscription_high = std::max(topic.subscription_high, index + 1);
+      store(subscription.state, EndpointState::active);
+      store(topic.subscription_high, std::max(topic.subscription_high, index + 1));
       note_generation(subscription.generation);
       track({Kind::subscription, at, index});
       board(at).add_subscription(index, subscription.generation,
@@ -325,7 +351,7 @@ void Registry::apply_to_endpoint(const Record& record) {
       break;
     case Type::leave_subscription: {
       const auto state = static_cast<EndpointState>(argument[2]);
-      subscription.state = state;
+      store(subscription.state, state);
       board(at).set_subscription(index, subscription.generation,
                                  state == EndpointState::leaving ? abi::MemberState::leaving
                                  : state == EndpointState::dead  ? abi::MemberState::dead
@@ -333,7 +359,7 @@ void Registry::apply_to_endpoint(const Record& record) {
       break;
     }
     default:  // free_subscription
-      subscription.state = EndpointState::free;
+      store(subscription.state, EndpointState::free);
       board(at).set_subscription(index, subscription.generation, abi::MemberState::free);
       untrack({Kind::subscription, at, index});
       break;
@@ -343,10 +369,10 @@ void Registry::apply_to_endpoint(const Record& record) {
 void Registry::apply_to_counters(const Record& record) {
   abi::wire::DaemonCounters& counters = tables_.header.counters;
   if (record.type == Type::recovered) {
-    counters.restarts = record.argument[5];
-    counters.clients_died_meanwhile = record.argument[6];
+    store(counters.restarts, record.argument[5]);
+    store(counters.clients_died_meanwhile, record.argument[6]);
   } else {
-    counters.clients_rejoined = record.argument[2];
+    store(counters.clients_rejoined, record.argument[2]);
   }
 }
 
@@ -362,7 +388,7 @@ void Registry::note_rejoined(ClientIndex index) {
 }
 
 void Registry::note_generation(std::uint64_t generation) noexcept {
-  tables_.header.last_generation = std::max(tables_.header.last_generation, generation);
+  store(tables_.header.last_generation, std::max(tables_.header.last_generation, generation));
 }
 
 // --- derived
