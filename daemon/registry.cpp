@@ -239,6 +239,8 @@ void Registry::apply_to_endpoint(const Record& record) {
       publisher.qos = argument[4];
       publisher.extent = argument[5];
       publisher.slot_count = argument[6];
+      publisher.creation = argument[7];
+      publisher.last_joined = 0;
       publisher.told.begin(publisher.generation);
       publisher.state = EndpointState::active;
       topic.publisher_high = std::max(topic.publisher_high, index + 1);
@@ -257,6 +259,7 @@ void Registry::apply_to_endpoint(const Record& record) {
       break;
     case Type::leave_publisher:
       publisher.state = EndpointState::orphan;
+      publisher.last_joined = argument[3];
       board(at).orphan_publisher(index, publisher.generation, argument[2]);
       break;
     case Type::free_publisher: {
@@ -273,6 +276,7 @@ void Registry::apply_to_endpoint(const Record& record) {
       subscription.extent = argument[5];
       subscription.quota = argument[6];
       subscription.executor = argument[7];
+      subscription.creation = argument[8];
       subscription.told.begin(subscription.generation);
       subscription.state = EndpointState::active;
       topic.subscription_high = std::max(topic.subscription_high, index + 1);
@@ -472,14 +476,15 @@ Result<PublisherPlan> Registry::plan_publisher(ClientIndex client, TopicIndex to
 }
 
 void Registry::add_publisher(ClientIndex client, TopicIndex topic, const abi::Qos& qos,
-                             const PublisherPlan& plan, std::string_view node) {
+                             const PublisherPlan& plan, std::string_view node,
+                             std::uint64_t creation) {
   PublisherRecord& record = tables_.publisher[number(topic)][plan.index];
   AGNOCAST_CHECK(is_alive(client));
   AGNOCAST_CHECK(record.state == EndpointState::free);
   AGNOCAST_CHECK(record.told.reusable());
   put(record.node, node);
   change(Type::add_publisher, {number(topic), plan.index, plan.generation, number(client),
-                               abi::pack_qos(qos), plan.extent, plan.slot_count});
+                               abi::pack_qos(qos), plan.extent, plan.slot_count, creation});
 }
 
 Result<SubscriptionPlan> Registry::plan_subscription(ClientIndex client, TopicIndex topic,
@@ -514,19 +519,37 @@ void Registry::raise_slots(TopicIndex topic, const SlotRaise& raise) {
 
 void Registry::add_subscription(ClientIndex client, TopicIndex topic, const abi::Qos& qos,
                                 std::uint64_t quota, std::uint64_t executor,
-                                const SubscriptionPlan& plan, std::string_view node) {
+                                const SubscriptionPlan& plan, std::string_view node,
+                                std::uint64_t creation) {
   SubscriptionRecord& record = tables_.subscription[number(topic)][plan.index];
   AGNOCAST_CHECK(is_alive(client));
   AGNOCAST_CHECK(record.state == EndpointState::free);
   AGNOCAST_CHECK(record.told.reusable());
   put(record.node, node);
   change(Type::add_subscription, {number(topic), plan.index, plan.generation, number(client),
-                                  abi::pack_qos(qos), plan.extent, quota, executor});
+                                  abi::pack_qos(qos), plan.extent, quota, executor, creation});
+}
+
+std::optional<EndpointRef> Registry::find_creation(ClientIndex client, Kind kind,
+                                                   std::uint64_t creation) const {
+  for (const EndpointRef& ref : endpoints_of(client)) {
+    if (ref.kind == kind &&
+        creation == (kind == Kind::publisher ? publisher(ref.topic, ref.index).creation
+                                             : subscription(ref.topic, ref.index).creation))
+      return ref;
+  }
+  return std::nullopt;
 }
 
 void Registry::orphan_publisher(TopicIndex topic, std::uint32_t index, std::uint64_t final_head) {
   AGNOCAST_CHECK(publisher(topic, index).state == EndpointState::active);
-  change(Type::leave_publisher, {number(topic), index, final_head});
+  change(Type::leave_publisher, {number(topic), index, final_head, tables_.header.last_generation});
+}
+
+std::uint64_t Registry::final_head_of(TopicIndex topic, std::uint32_t index) const noexcept {
+  return words(topic)
+      .publisher(index, offsetof(abi::PublisherEntry, final_head))
+      .load(std::memory_order_relaxed);
 }
 
 void Registry::end_publisher(TopicIndex topic, std::uint32_t index, EndpointState state) {
