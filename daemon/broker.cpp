@@ -14,6 +14,7 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <type_traits>
@@ -146,7 +147,8 @@ void Broker::accept(PacketSocket socket) {
   const std::uint32_t uid = identity->uid;
   Connections& used = connections_[uid];
   // Who has all the clients he may have can still look at them: such a connection can only observe.
-  const bool only_observes = used.clients >= options_.config.quota.clients;
+  // Processes that have lost their connection may come back.
+  const bool only_observes = used.clients >= options_.config.quota.clients + used.detached;
   if (only_observes && used.observers >= abi::observer_count_max) {
     ++registry_.counters().connections_refused;
     send_refused(socket, Errc::quota_exceeded, clients_text());
@@ -161,7 +163,8 @@ void Broker::accept(PacketSocket socket) {
   const PeerId id = ++last_peer_;
   auto peer = std::make_unique<Peer>(Peer{id, Session(std::move(socket), std::move(*identity))});
   if (peer->session.identity().pid > 0) {
-    peer->session.user_namespace = user_namespace_of(peer->session.identity().pid).value_or(0);
+    peer->session.user_namespace =
+        agnocast::user_namespace_of(peer->session.identity().pid).value_or(0);
   }
   const auto connection = dispatcher_.add(peer->session.socket().fd(), EPOLLIN,
                                           [this, id](std::uint32_t) { on_readable(id); });
@@ -275,6 +278,7 @@ void Broker::disconnect(Peer& peer, std::string_view why) {
   }
   peer.detached = true;
   ++detached_count_;
+  ++connections_[peer.session.identity().uid].detached;
 }
 
 void Broker::reap_peer(Peer& peer, DeathReason reason, std::string_view how) {
@@ -285,7 +289,6 @@ void Broker::reap_peer(Peer& peer, DeathReason reason, std::string_view how) {
     return;
   }
   const ClientIndex client = *peer.session.client();
-  if (peer.detached) --detached_count_;
   by_client_[number(client)] = nullptr;
   const pid_t pid = peer.session.identity().pid;
   const std::uint32_t uid = peer.session.identity().uid;
@@ -314,6 +317,10 @@ void Broker::drop(PeerId id) {
   std::uint64_t& count = peer.counts_as_observer ? user->second.observers : user->second.clients;
   AGNOCAST_CHECK(count > 0);
   --count;
+  if (peer.detached) {
+    --detached_count_;
+    --user->second.detached;
+  }
   if (user->second.clients + user->second.observers == 0) connections_.erase(user);
   if (peer.session.role() == Role::observer) --observer_count_;
   peers_.erase(found);
@@ -364,6 +371,11 @@ void Broker::drop_slow_observers(std::uint64_t now) {
 Session* Broker::session_of(ClientIndex client) {
   Peer* const peer = by_client_[number(client)];
   return peer == nullptr || peer->session.closed() ? nullptr : &peer->session;
+}
+
+std::uint64_t Broker::user_namespace_of(ClientIndex client) {
+  const Peer* const peer = by_client_[number(client)];
+  return peer == nullptr ? 0 : peer->session.user_namespace;
 }
 
 void Broker::send(ClientIndex client, std::span<const std::byte> packet,
@@ -434,21 +446,24 @@ void Broker::serve(Peer& peer, const Request& request) {
     if constexpr (std::is_same_v<Body, wire::Hello>) {
       id = body.header.request;
       served = hello(peer, body);
+    } else if constexpr (std::is_same_v<Body, wire::Rejoin>) {
+      id = body.header.request;
+      served = rejoin(peer, body);
     } else if constexpr (std::is_same_v<Body, wire::WindowRequest>) {
       id = body.header.request;
       served = open_window(peer, body);
-    } else if constexpr (std::is_same_v<Body, wire::ExecutorRequest>) {
-      id = body.header.request;
+    } else if constexpr (std::is_same_v<Body, ExecutorRequest>) {
+      id = body.request;
       served = open_executor(peer, body);
     } else if constexpr (std::is_same_v<Body, CreateRequest>) {
       id = body.request;
       served = create(peer, body);
     } else if constexpr (std::is_same_v<Body, LeaveRequest>) {
       id = body.reference.header.request;
-      served = membership_.leave(*peer.session.client(), body.reference);
+      served = membership_.leave(*peer.session.client(), body);
     } else if constexpr (std::is_same_v<Body, DrainedRequest>) {
       id = body.reference.header.request;
-      served = membership_.drained(*peer.session.client(), body.reference);
+      served = membership_.drained(*peer.session.client(), body);
     } else if constexpr (std::is_same_v<Body, wire::Unlinked>) {
       id = body.header.request;
       served = membership_.unlinked(*peer.session.client(), body);
@@ -487,7 +502,9 @@ Result<void> Broker::check_caller(const Peer& peer, std::uint64_t fingerprint) {
 Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
   Session& session = peer.session;
   if (auto known = check_caller(peer, hello.fingerprint); !known) return known;
-  if (peer.counts_as_observer) return refusal(Errc::quota_exceeded, clients_text());
+  if (peer.counts_as_observer ||
+      connections_[session.identity().uid].clients > options_.config.quota.clients)
+    return refusal(Errc::quota_exceeded, clients_text());
   std::string_view name;
   AGNOCAST_CHECK(text_of(hello.process_name, name));
   const auto client = registry_.add_client({session.identity().uid, session.identity().gid,
@@ -521,6 +538,44 @@ Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
               {"uid", session.identity().uid},
               {"domain", hello.domain},
               {"name", name}});
+  return {};
+}
+
+// The connection that the process had before.
+Result<Broker::Peer*> Broker::lost_peer(const Peer& peer, const wire::Rejoin& request) {
+  const ClientIndex client{static_cast<std::uint32_t>(request.client)};
+  if (request.incarnation != registry_.incarnation() || number(client) >= registry_.client_high() ||
+      registry_.client(client).state == ClientState::free ||
+      registry_.client(client).generation != request.client_generation)
+    return refusal(Errc::started_anew, "the daemon does not know this process");
+  Peer* const before = by_client_[number(client)];
+  if (!registry_.is_alive(client) || before == nullptr)
+    return refusal(Errc::revoked, "the membership of this process is over");
+  if (!same_process(before->session.identity().process, peer.session.identity().process))
+    return refusal(Errc::permission_denied, "that is the place of another process");
+  return before;
+}
+
+Result<void> Broker::rejoin(Peer& peer, const wire::Rejoin& request) {
+  if (auto known = check_caller(peer, request.fingerprint); !known) return known;
+  const auto before = lost_peer(peer, request);
+  if (!before) return tl::unexpected(before.error());
+  const ClientIndex client{static_cast<std::uint32_t>(request.client)};
+  if (std::exchange(peer.counts_as_observer, false)) {
+    // It was taken for one more because the daemon had not seen yet that the old one had ended.
+    Connections& used = connections_[peer.session.identity().uid];
+    --used.observers;
+    ++used.clients;
+  }
+  peer.session.greet(client);
+  by_client_[number(client)] = &peer;
+  drop((*before)->id);
+  auto packet = make_body<wire::Rejoined>(wire::Opcode::rejoined, request.header.request);
+  packet.incarnation = registry_.incarnation();
+  reply(peer, packet_of(packet));
+  membership_.welcome_back(client);
+  log_.write(LogLevel::debug, "client is back",
+             {{"client", number(client)}, {"pid", peer.session.identity().pid}});
   return {};
 }
 
@@ -575,20 +630,29 @@ Result<void> Broker::open_window(Peer& peer, const wire::WindowRequest& request)
   return {};
 }
 
-Result<void> Broker::open_executor(Peer& peer, const wire::ExecutorRequest& request) {
+Result<void> Broker::admit_executor(ClientIndex client, const ExecutorRequest& request) {
+  if (!doorbells_.is_open(client, request.executor))
+    return check_limit(registry_.usage_of(registry_.client(client).uid).executors, 1,
+                       options_.config.quota.executors, "[quota] executors");
+  const auto& endpoints = registry_.endpoints_of(client);
+  const bool in_use = std::any_of(endpoints.begin(), endpoints.end(), [&](const EndpointRef& ref) {
+    return ref.kind == Kind::subscription &&
+           registry_.subscription(ref.topic, ref.index).executor == request.executor;
+  });
+  if (!request.again || in_use) return refusal(Errc::protocol_violation, "the executor is open");
+  // The bells were lost with the answer.
+  doorbells_.close(client, request.executor);
+  return {};
+}
+
+Result<void> Broker::open_executor(Peer& peer, const ExecutorRequest& request) {
   const ClientIndex client = *peer.session.client();
-  if (doorbells_.is_open(client, request.executor))
-    return refusal(Errc::protocol_violation, "the executor is open");
-  const std::uint32_t uid = registry_.client(client).uid;
-  if (auto allowed = check_limit(registry_.usage_of(uid).executors, 1,
-                                 options_.config.quota.executors, "[quota] executors");
-      !allowed)
-    return allowed;
+  if (auto admitted = admit_executor(client, request); !admitted) return admitted;
   auto bells = doorbells_.open(client, request.executor);
   if (!bells) return tl::unexpected(bells.error());
   AGNOCAST_CRASH_POINT(B_bell_bound);
   registry_.open_executor(client, static_cast<std::uint32_t>(request.executor));
-  const auto packet = make_body<wire::Done>(wire::Opcode::executor_opened, request.header.request);
+  const auto packet = make_body<wire::Done>(wire::Opcode::executor_opened, request.request);
   reply(peer, packet_of(packet), std::move(*bells));
   return {};
 }
@@ -596,6 +660,7 @@ Result<void> Broker::open_executor(Peer& peer, const wire::ExecutorRequest& requ
 Result<void> Broker::create(Peer& peer, const CreateRequest& request) {
   const ClientIndex client = *peer.session.client();
   const ClientRecord& record = registry_.client(client);
+  if (request.again && membership_.answer_again(client, request)) return {};
   if (const auto problem = check_topic_name(request.topic))
     return refusal(Errc::invalid_name,
                    "topic " + printable(request.topic) + ": " + problem->text());

@@ -5,6 +5,7 @@
 //   listener readable     accept, identify, watch connection and process
 //   connection readable   decode, check rights and quotas, membership
 //   connection ended      keep (the process lives), or reap (it has no trace of its region)
+//   rejoin                the new connection takes the place of the one that the process lost
 //   pidfd readable        reap
 //
 // One thread. The order of things inside one event is the protocol's; between events everything is
@@ -70,10 +71,12 @@ class Broker final : private Post {
   struct Connections {
     std::uint64_t clients = 0;
     std::uint64_t observers = 0;
+    std::uint64_t detached = 0;  // of the clients: processes without a connection
   };
 
   // Post
   Session* session_of(ClientIndex client) override;
+  std::uint64_t user_namespace_of(ClientIndex client) override;
   void send(ClientIndex client, std::span<const std::byte> packet,
             std::vector<SharedFd> fds) override;
 
@@ -92,8 +95,11 @@ class Broker final : private Post {
   void serve(Peer& peer, const Request& request);
   [[nodiscard]] Result<void> check_caller(const Peer& peer, std::uint64_t fingerprint);
   [[nodiscard]] Result<void> hello(Peer& peer, const wire::Hello& hello);
+  [[nodiscard]] Result<void> rejoin(Peer& peer, const wire::Rejoin& request);
+  [[nodiscard]] Result<Peer*> lost_peer(const Peer& peer, const wire::Rejoin& request);
   [[nodiscard]] Result<void> open_window(Peer& peer, const wire::WindowRequest& request);
-  [[nodiscard]] Result<void> open_executor(Peer& peer, const wire::ExecutorRequest& request);
+  [[nodiscard]] Result<void> open_executor(Peer& peer, const ExecutorRequest& request);
+  [[nodiscard]] Result<void> admit_executor(ClientIndex client, const ExecutorRequest& request);
   [[nodiscard]] Result<void> create(Peer& peer, const CreateRequest& request);
   [[nodiscard]] Result<void> observe(Peer& peer, const wire::Observe& request);
   [[nodiscard]] Result<void> dump(Peer& peer, const wire::Dump& request);

@@ -59,6 +59,11 @@ void Doorbells::ring(ClientIndex client, std::uint64_t executor) noexcept {
   if (found != bells_.end()) found->second.own.ring();
 }
 
+void Doorbells::close(ClientIndex client, std::uint64_t executor) noexcept {
+  const Key key{number(client), executor};
+  if (bells_.erase(key) != 0) ::unlink((directory_ + "/" + name_of(key)).c_str());
+}
+
 void Doorbells::close_client(ClientIndex client) noexcept {
   const auto begin = bells_.lower_bound({number(client), 0});
   const auto end = bells_.lower_bound({number(client) + 1, 0});

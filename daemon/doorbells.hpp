@@ -39,6 +39,8 @@ class Doorbells {
   /// any more.
   std::vector<SharedFd> for_publisher(ClientIndex client, std::uint64_t executor, bool same_user);
   void ring(ClientIndex client, std::uint64_t executor) noexcept;
+  /// The executor's process never got them; it asks for new ones.
+  void close(ClientIndex client, std::uint64_t executor) noexcept;
   /// The process is dead.
   void close_client(ClientIndex client) noexcept;
 

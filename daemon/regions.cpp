@@ -129,9 +129,9 @@ Result<SharedFd> Regions::window_writer(ClientIndex client, std::uint64_t window
 }
 
 void Regions::bury_client(ClientIndex client) noexcept {
-  SharedFd reader = region_reader(client);
-  close_client(client);
-  clients_[number(client)].region_reader = std::move(reader);
+  ClientMemory& memory = clients_[number(client)];
+  memory.region_writer.reset();
+  memory.region = Mapping();
 }
 
 void Regions::close_client(ClientIndex client) noexcept {

@@ -68,8 +68,9 @@ class Regions {
     return of(client).window_readers;
   }
 
-  /// The process is dead and recovered: drops every descriptor and mapping but one for reading, for
-  /// observers; others may have the memory for a while.
+  /// The process is dead and recovered: drops what can write. What readers need stays for as long
+  /// as its place is taken: who was without a connection when it died is still to be announced its
+  /// last messages, and observers look at it.
   void bury_client(ClientIndex client) noexcept;
   /// The process is over, or never came to life: nothing is kept.
   void close_client(ClientIndex client) noexcept;

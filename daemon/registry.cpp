@@ -300,6 +300,8 @@ void Registry::apply_to_endpoint(const Record& record) {
       store(publisher.qos, argument[4]);
       store(publisher.extent, argument[5]);
       store(publisher.slot_count, argument[6]);
+      store(publisher.creation, argument[7]);
+      store(publisher.last_joined, 0);
       AGNOCAST_CRASH_POINT(B_told);
       publisher.told.begin(publisher.generation);
       store(publisher.state, EndpointState::active);
@@ -320,6 +322,7 @@ void Registry::apply_to_endpoint(const Record& record) {
       break;
     case Type::leave_publisher:
       store(publisher.state, EndpointState::orphan);
+      store(publisher.last_joined, argument[7]);
       if (std::uint64_t* const counter =
               intent_counter(tables_.header.counters, static_cast<LeaveCause>(argument[5])))
         store(*counter, argument[6]);
@@ -339,6 +342,7 @@ void Registry::apply_to_endpoint(const Record& record) {
       store(subscription.extent, argument[5]);
       store(subscription.quota, argument[6]);
       store(subscription.executor, argument[7]);
+      store(subscription.creation, argument[8]);
       AGNOCAST_CRASH_POINT(B_told);
       subscription.told.begin(subscription.generation);
       store(subscription.state, EndpointState::active);
@@ -563,14 +567,15 @@ Result<PublisherPlan> Registry::plan_publisher(ClientIndex client, TopicIndex to
 }
 
 void Registry::add_publisher(ClientIndex client, TopicIndex topic, const abi::Qos& qos,
-                             const PublisherPlan& plan, std::string_view node) {
+                             const PublisherPlan& plan, std::string_view node,
+                             std::uint64_t creation) {
   PublisherRecord& record = tables_.publisher[number(topic)][plan.index];
   AGNOCAST_CHECK(is_alive(client));
   AGNOCAST_CHECK(record.state == EndpointState::free);
   AGNOCAST_CHECK(record.told.reusable());
   put(record.node, node);
   change(Type::add_publisher, {number(topic), plan.index, plan.generation, number(client),
-                               abi::pack_qos(qos), plan.extent, plan.slot_count});
+                               abi::pack_qos(qos), plan.extent, plan.slot_count, creation});
 }
 
 Result<SubscriptionPlan> Registry::plan_subscription(ClientIndex client, TopicIndex topic,
@@ -607,14 +612,26 @@ void Registry::raise_slots(TopicIndex topic, const SlotRaise& raise) {
 
 void Registry::add_subscription(ClientIndex client, TopicIndex topic, const abi::Qos& qos,
                                 std::uint64_t quota, std::uint64_t executor,
-                                const SubscriptionPlan& plan, std::string_view node) {
+                                const SubscriptionPlan& plan, std::string_view node,
+                                std::uint64_t creation) {
   SubscriptionRecord& record = tables_.subscription[number(topic)][plan.index];
   AGNOCAST_CHECK(is_alive(client));
   AGNOCAST_CHECK(record.state == EndpointState::free);
   AGNOCAST_CHECK(record.told.reusable());
   put(record.node, node);
   change(Type::add_subscription, {number(topic), plan.index, plan.generation, number(client),
-                                  abi::pack_qos(qos), plan.extent, quota, executor});
+                                  abi::pack_qos(qos), plan.extent, quota, executor, creation});
+}
+
+std::optional<EndpointRef> Registry::find_creation(ClientIndex client, Kind kind,
+                                                   std::uint64_t creation) const {
+  for (const EndpointRef& ref : endpoints_of(client)) {
+    if (ref.kind == kind &&
+        creation == (kind == Kind::publisher ? publisher(ref.topic, ref.index).creation
+                                             : subscription(ref.topic, ref.index).creation))
+      return ref;
+  }
+  return std::nullopt;
 }
 
 void Registry::orphan_publisher(TopicIndex topic, std::uint32_t index, std::uint64_t final_head,
@@ -624,7 +641,14 @@ void Registry::orphan_publisher(TopicIndex topic, std::uint32_t index, std::uint
   const std::uint64_t* const counter = intent_counter(counters(), cause);
   change(Type::leave_publisher,
          {number(topic), index, final_head, record.generation, number(record.client),
-          static_cast<std::uint64_t>(cause), counter == nullptr ? 0 : *counter + 1});
+          static_cast<std::uint64_t>(cause), counter == nullptr ? 0 : *counter + 1,
+          tables_.header.last_generation});
+}
+
+std::uint64_t Registry::final_head_of(TopicIndex topic, std::uint32_t index) const noexcept {
+  return words(topic)
+      .publisher(index, offsetof(abi::PublisherEntry, final_head))
+      .load(std::memory_order_relaxed);
 }
 
 void Registry::end_publisher(TopicIndex topic, std::uint32_t index, EndpointState state) {

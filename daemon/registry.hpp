@@ -179,16 +179,21 @@ class Registry {
   [[nodiscard]] Result<PublisherPlan> plan_publisher(ClientIndex client, TopicIndex topic,
                                                      const abi::Qos& qos) const;
   void add_publisher(ClientIndex client, TopicIndex topic, const abi::Qos& qos,
-                     const PublisherPlan& plan, std::string_view node);
+                     const PublisherPlan& plan, std::string_view node, std::uint64_t creation = 0);
   [[nodiscard]] Result<SubscriptionPlan> plan_subscription(ClientIndex client, TopicIndex topic,
                                                            const abi::Qos& qos,
                                                            std::uint64_t quota) const;
   void raise_slots(TopicIndex topic, const SlotRaise& raise);
   void add_subscription(ClientIndex client, TopicIndex topic, const abi::Qos& qos,
                         std::uint64_t quota, std::uint64_t executor, const SubscriptionPlan& plan,
-                        std::string_view node);
+                        std::string_view node, std::uint64_t creation = 0);
+  /// The endpoint of the process that this request created, if it is still there.
+  std::optional<EndpointRef> find_creation(ClientIndex client, Kind kind,
+                                           std::uint64_t creation) const;
   void orphan_publisher(TopicIndex topic, std::uint32_t index, std::uint64_t final_head,
                         journal::LeaveCause cause = journal::LeaveCause::left);
+  /// Of an orphan: the head up to which it is still read.
+  std::uint64_t final_head_of(TopicIndex topic, std::uint32_t index) const noexcept;
   /// over, then free.
   void end_publisher(TopicIndex topic, std::uint32_t index, EndpointState state);
   /// leaving, over, dead.

@@ -91,6 +91,8 @@ struct PublisherRecord {
   std::uint64_t qos;
   std::uint64_t extent;
   std::uint64_t slot_count;
+  std::uint64_t creation;     // id of the request that created it
+  std::uint64_t last_joined;  // orphan: subscriptions of a later generation came after its end
   AnnounceSet told;
   char node[abi::wire::name_bytes];
 };
@@ -103,6 +105,7 @@ struct SubscriptionRecord {
   std::uint64_t extent;
   std::uint64_t quota;
   std::uint64_t executor;
+  std::uint64_t creation;  // id of the request that created it
   AnnounceSet told;
   char node[abi::wire::name_bytes];
 };

@@ -55,7 +55,7 @@ TEST(Requests, PassesEveryHonestPacket) {
       decoded(body<wire::Hello>(wire::Opcode::hello), {}, Role::unknown)));
   EXPECT_TRUE(std::holds_alternative<wire::WindowRequest>(
       decoded(body<wire::WindowRequest>(wire::Opcode::open_window))));
-  EXPECT_TRUE(std::holds_alternative<wire::ExecutorRequest>(
+  EXPECT_TRUE(std::holds_alternative<ExecutorRequest>(
       decoded(body<wire::ExecutorRequest>(wire::Opcode::open_executor))));
   EXPECT_TRUE(std::holds_alternative<wire::Observe>(
       decoded(body<wire::Observe>(wire::Opcode::observe), {}, Role::unknown)));
