@@ -570,6 +570,7 @@ Result<void> Broker::rejoin(Peer& peer, const wire::Rejoin& request) {
   peer.session.greet(client);
   by_client_[number(client)] = &peer;
   drop((*before)->id);
+  registry_.note_rejoined(client);
   auto packet = make_body<wire::Rejoined>(wire::Opcode::rejoined, request.header.request);
   packet.incarnation = registry_.incarnation();
   reply(peer, packet_of(packet));
