@@ -71,10 +71,10 @@ std::optional<long> pid_of(const Pidfd& process) noexcept {
 
 }  // namespace
 
-bool same_process(const Pidfd& known, const Pidfd& other) noexcept {
+bool same_process(const Pidfd& known, const Pidfd& other, bool has_inodes) noexcept {
   const auto inode = known.inode();
   const auto other_inode = other.inode();
-  if (inode && other_inode) return *inode == *other_inode && !known.ended();
+  if (has_inodes && inode && other_inode) return *inode == *other_inode && !known.ended();
   const auto pid = pid_of(known);
   const auto other_pid = pid_of(other);
   // The order matters: a process that has not ended after both looks pinned its number during them.
