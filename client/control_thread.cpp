@@ -29,79 +29,81 @@ constexpr int timer_first_ms = 100;
 constexpr int timer_last_ms = 1000;
 // Looks at a subscription that has not linked yet: usually it does within a millisecond.
 constexpr int link_look_first_ms = 1;
+// Looks at a socket that the daemon has not read empty.
+constexpr int output_look_ms = 10;
 
 }  // namespace
 
 void Context::serve() noexcept {
-  int timeout = timer_last_ms;
-  int link_look = link_look_first_ms;
-  bool was_reclaimable = false;
   for (;;) {
     try {
-      if (!serve_once(timeout)) break;
-      const auto all = publishers();
-      const bool reclaimable = std::any_of(all.begin(), all.end(), [](const auto& publisher) {
-        return publisher->has_reclaimable();
-      });
-      if (!reclaimable) {
-        timeout = timer_last_ms;
-      } else {
-        timeout = was_reclaimable ? std::min(timeout * 2, timer_last_ms) : timer_first_ms;
-      }
-      was_reclaimable = reclaimable;
-      if (std::any_of(all.begin(), all.end(),
-                      [](const auto& publisher) { return publisher->awaits_link(); })) {
-        timeout = std::min(timeout, link_look);
-        link_look = std::min(link_look * 2, timer_first_ms);
-      } else {
-        link_look = link_look_first_ms;
-      }
+      serve_once(passes_due_ms());
     } catch (const std::bad_alloc&) {
-      // Out of memory in the control thread: nothing is half done that the next round would not do
-      // again.
-      timeout = timer_last_ms;
+      // A packet may be half done. After a new connection the daemon says again what counts.
+      lose_connection();
     }
   }
-  connection_ended();
 }
 
-bool Context::serve_once(int timeout_ms) {
+// In how many milliseconds somebody must look at the publishers again.
+int Context::passes_due_ms() {
+  const auto all = publishers();
+  const bool reclaimable = std::any_of(
+      all.begin(), all.end(), [](const auto& publisher) { return publisher->has_reclaimable(); });
+  if (!reclaimable) {
+    passes_pause_ = timer_last_ms;
+  } else {
+    passes_pause_ = was_reclaimable_ ? std::min(passes_pause_ * 2, timer_last_ms) : timer_first_ms;
+  }
+  was_reclaimable_ = reclaimable;
+  const bool awaits_link = std::any_of(
+      all.begin(), all.end(), [](const auto& publisher) { return publisher->awaits_link(); });
+  if (!awaits_link) {
+    link_look_ = link_look_first_ms;
+    return passes_pause_;
+  }
+  const int look = link_look_;
+  link_look_ = std::min(link_look_ * 2, timer_first_ms);
+  return std::min(passes_pause_, look);
+}
+
+void Context::serve_once(int timeout_ms) {
+  if (reconnection_.state() == Reconnection::State::waiting) {
+    const auto left = std::chrono::ceil<std::chrono::milliseconds>(reconnection_.next_try() -
+                                                                   Reconnection::Clock::now());
+    timeout_ms = std::clamp(static_cast<int>(left.count()), 0, timeout_ms);
+  }
+  if (is_output_blocked_) timeout_ms = std::min(timeout_ms, output_look_ms);
   epoll_event events[4];
   const int count = ::epoll_wait(epoll_.get(), events, 4, timeout_ms);
-  if (count < 0 && errno != EINTR) return false;
+  if (count < 0 && errno != EINTR) {
+    // Somebody has closed our descriptors; their numbers may be others' by now.
+    const Failure why{Errc::os_failure, errno, "waiting in the control thread"};
+    connection_->disown_socket();
+    become_island(why);
+    ::poll(nullptr, 0, timer_first_ms);
+  }
   for (int i = 0; i < count; ++i) {
     if (events[i].data.fd == wake_.get()) {
       std::uint64_t ignored = 0;
       [[maybe_unused]] const ssize_t got = ::read(wake_.get(), &ignored, sizeof ignored);
-      continue;
-    }
-    for (;;) {
-      Incoming packet;
-      bool unasked = false;
-      const Result<bool> alive = connection_->receive(packet, unasked);
-      if (!alive || !*alive) return false;
-      if (!unasked) break;
-      handle(packet);
+    } else {
+      read_connection();
     }
   }
+  if (reconnection_.is_due(Reconnection::Clock::now())) reconnect();
   run_errands();
-  connection_->flush();
-  return true;
+  is_output_blocked_ = connection_->flush();
 }
 
-void Context::connection_ended() noexcept {
-  ended_.store(true, std::memory_order_release);
-  connection_->fail_all();
-  // What is in shared memory goes on without the daemon: publishers still need their passes.
-  for (;;) {
-    pollfd wake{wake_.get(), POLLIN, 0};
-    ::poll(&wake, 1, timer_first_ms);
-    std::uint64_t ignored = 0;
-    [[maybe_unused]] const ssize_t got = ::read(wake_.get(), &ignored, sizeof ignored);
-    try {
-      for (const auto& publisher : publishers()) publisher->run_errands();
-    } catch (const std::bad_alloc&) {  // next time
-    }
+void Context::read_connection() {
+  while (connection_->fd() >= 0) {
+    Incoming packet;
+    bool unasked = false;
+    const Result<bool> alive = connection_->receive(packet, unasked);
+    if (!alive || !*alive) return lose_connection();
+    if (!unasked) return;
+    handle(packet);
   }
 }
 
@@ -134,6 +136,21 @@ void Context::handle(Incoming& packet) {
       break;
     case Opcode::notice:
       on_notice(packet);
+      break;
+    case Opcode::rejoined:
+      on_rejoined(packet);
+      break;
+    case Opcode::own:
+      on_own(packet);
+      break;
+    case Opcode::region:
+      on_region(packet);
+      break;
+    case Opcode::revoked:
+      become_island(failure_with(Errc::revoked, detail_of(refusal_of(packet))));
+      break;
+    case Opcode::refused:
+      on_refused(packet);
       break;
     default:
       break;  // a newer daemon may say more than we know
@@ -208,13 +225,11 @@ void Context::on_announce(Incoming& packet) {
     }
     if (subscription != nullptr &&
         subscription->identity().generation == announcement.own_generation) {
-      linked =
-          subscription
-              ->add_publisher({announcement.index, announcement.generation, announcement.extent,
-                               announcement.first_sequence, abi::unpack_qos(announcement.qos),
-                               announcement.from_start != 0},
-                              std::move(peer))
-              .has_value();
+      linked = subscription->add_publisher(
+          {announcement.index, announcement.generation, announcement.extent,
+           announcement.first_sequence, abi::unpack_qos(announcement.qos),
+           announcement.from_start != 0},
+          std::move(peer));
     }
   } else if (peer != nullptr && announcement.kind == Kind::subscription &&
              announcement.doorbell_count >= 1 && announcement.doorbell_count <= 2 &&
@@ -235,9 +250,30 @@ void Context::on_announce(Incoming& packet) {
       linked = true;
     }
   }
+  // `unlinked` speaks for the whole process: not while another endpoint of ours is linked.
+  linked = linked ||
+           (announcement.kind == Kind::publisher
+                ? is_linked(announcement.topic, announcement.index, announcement.generation)
+                : is_attached(announcement.topic, announcement.index, announcement.generation));
   if (!linked)
     say_unlinked(announcement.kind, announcement.topic, announcement.index,
                  announcement.generation);
+}
+
+bool Context::is_linked(std::uint32_t topic, std::uint64_t publisher,
+                        std::uint64_t generation) const {
+  const std::lock_guard lock(endpoints_);
+  return std::any_of(subscriptions_.begin(), subscriptions_.end(), [&](const auto& entry) {
+    return entry.first.first == topic && entry.second->is_linked_to(publisher, generation);
+  });
+}
+
+bool Context::is_attached(std::uint32_t topic, std::uint64_t subscription,
+                          std::uint64_t generation) const {
+  const auto all = publishers();
+  return std::any_of(all.begin(), all.end(), [&](const auto& publisher) {
+    return publisher->topic_index() == topic && publisher->is_attached(subscription, generation);
+  });
 }
 
 void Context::on_window(Incoming& packet) {
@@ -333,6 +369,7 @@ void Context::say_unlinked(Kind kind, std::uint32_t topic, std::uint64_t index,
 }
 
 void Context::run_errands() {
+  say_departures();
   for (const auto& publisher : publishers()) {
     publisher->run_errands();
     if (!publisher->is_over()) continue;
@@ -349,6 +386,7 @@ void Context::run_errands() {
   }
   collect_subscriptions();
   collect_peers();
+  see_strangers_off();
   ask_for_window();
 }
 

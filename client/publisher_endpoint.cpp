@@ -139,6 +139,7 @@ std::size_t PublisherEndpoint::executor_of(const Peer& peer, std::uint64_t execu
 
 void PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr<Peer> peer,
                                Doorbell bell) {
+  if (is_attached(subscription.index, subscription.generation)) return;
   in_control_thread([&](Work& work) {
     AGNOCAST_CRASH_POINT(C_attach);
     attached_.reserve(attached_.size() + 1);
@@ -150,6 +151,13 @@ void PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr
     core_->pass(work);
   });
   note_links();
+}
+
+bool PublisherEndpoint::is_attached(std::uint64_t index, std::uint64_t generation) const noexcept {
+  const std::lock_guard lock(mutex_);
+  return std::any_of(attached_.begin(), attached_.end(), [&](const Attached& attached) {
+    return attached.index == index && attached.generation == generation;
+  });
 }
 
 bool PublisherEndpoint::is_linked(const Attached& attached) const noexcept {

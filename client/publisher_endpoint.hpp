@@ -11,6 +11,7 @@
 
 #include <base/doorbell.hpp>
 #include <client/dataplane/publisher_core.hpp>
+#include <client/departure.hpp>
 #include <client/endpoint_events.hpp>
 #include <client/peer.hpp>
 
@@ -65,8 +66,10 @@ class PublisherEndpoint {
   // --- control thread
   // ------------------------------------------------------------------------------------------------------------
 
-  /// An announced subscription; `bell` may be empty if the executor is known already. Allocates.
+  /// An announced subscription; `bell` may be empty if the executor is known already. Nothing when
+  /// it is attached. Allocates.
   void attach(const Subscription& subscription, std::shared_ptr<Peer> peer, Doorbell bell);
+  bool is_attached(std::uint64_t index, std::uint64_t generation) const noexcept;
   /// It is over: looks at it no more and lets go of its region.
   void detach(std::uint64_t index, std::uint64_t generation) noexcept;
   /// Lets go of every region, at the very end.
@@ -84,6 +87,7 @@ class PublisherEndpoint {
   /// nobody rings when it has.
   bool awaits_link() const noexcept;
   EndpointEvents& events() noexcept { return events_; }
+  Departure& departure() noexcept { return departure_; }
 
  private:
   // Destroyed by one publish at most; what is more waits for the next ones, or for the timer of the
@@ -128,6 +132,7 @@ class PublisherEndpoint {
   std::vector<Attached> attached_;
   std::vector<void*> doomed_;  // to be destroyed later; capacity for every slot from the start
   EndpointEvents events_;
+  Departure departure_;
 };
 
 }  // namespace agnocast
