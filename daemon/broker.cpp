@@ -65,26 +65,31 @@ const char* name_of_kind(Kind kind) noexcept {
 }  // namespace
 
 Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, Listener& listener,
-               Regions regions, std::uint64_t incarnation)
+               Regions regions, DescriptorStore& store)
     : options_(options),
       log_(log),
       dispatcher_(dispatcher),
       listener_(listener),
+      store_(store),
       regions_(std::move(regions)),
       registry_(regions_.memory(), {options.config.limits.clients, options.config.limits.topics,
                                     options.config.limits.publishers_per_topic,
                                     options.config.limits.subscriptions_per_topic,
                                     options.config.limits.slots_per_publisher}),
       plan_(options.arena),
-      doorbells_(listener.bells_directory()),
+      doorbells_(listener.bells_directory(), store),
       membership_(registry_, regions_, doorbells_, *this),
       by_client_(abi::client_count_max, nullptr),
-      since_ns_(abi::client_count_max, 0),
-      started_ns_(monotonic_ns()),
       spare_(::open("/dev/null", O_RDONLY | O_CLOEXEC)) {
-  registry_.create(incarnation);
-  regions_.sign_board(incarnation);
   membership_.on_ended = [this](ClientIndex client) { on_ended(client); };
+}
+
+Result<void> Broker::found(std::uint64_t incarnation) {
+  const Arena& arena = options_.arena;
+  registry_.create(incarnation, {arena.base, arena.bytes, arena.window_bytes, monotonic_ns(),
+                                 listener_.bells_directory()});
+  if (auto kept = regions_.keep(); !kept) return kept;
+  return listener_.keep(store_);
 }
 
 Broker::~Broker() {
@@ -290,10 +295,15 @@ void Broker::reap_peer(Peer& peer, DeathReason reason, std::string_view how) {
   }
   const ClientIndex client = *peer.session.client();
   by_client_[number(client)] = nullptr;
-  const pid_t pid = peer.session.identity().pid;
-  const std::uint32_t uid = peer.session.identity().uid;
   drop(id);
+  repair(client, reason, how);
+}
+
+void Broker::repair(ClientIndex client, DeathReason reason, std::string_view how) {
+  const std::uint32_t uid = registry_.client(client).uid;
+  const std::uint32_t pid = registry_.client(client).pid;
   const Reaped reaped = reap(client, reason, registry_, regions_, doorbells_, membership_);
+  store_.remove(DescriptorStore::process(client));
   note(reaped.corrupt == 0 ? LogLevel::info : LogLevel::warning, uid, "client gone",
        {{"client", number(client)},
         {"pid", pid},
@@ -507,32 +517,34 @@ Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
     return refusal(Errc::quota_exceeded, clients_text());
   std::string_view name;
   AGNOCAST_CHECK(text_of(hello.process_name, name));
-  const auto client = registry_.add_client({session.identity().uid, session.identity().gid,
-                                            static_cast<std::uint32_t>(session.identity().pid),
-                                            hello.domain, name});
-  if (!client) return tl::unexpected(client.error());
-  const ClientRecord& record = registry_.client(*client);
-  if (auto opened = regions_.open_client(*client, record.generation); !opened) {
-    registry_.client_died(*client, DeathReason::let_go);
-    registry_.end_client(*client);
-    return opened;
+  const auto plan = registry_.plan_client();
+  if (!plan) return tl::unexpected(plan.error());
+  const ClientIndex client = plan->index;
+  if (auto opened = regions_.open_client(client, plan->generation); !opened) return opened;
+  if (auto kept = store_.put(DescriptorStore::process(client), session.identity().process.fd());
+      !kept) {
+    regions_.close_client(client);
+    return kept;
   }
-  session.greet(*client);
-  by_client_[number(*client)] = &peer;
-  since_ns_[number(*client)] = monotonic_ns();
+  registry_.add_client({session.identity().uid, session.identity().gid,
+                        static_cast<std::uint32_t>(session.identity().pid), hello.domain, name},
+                       *plan);
+  const ClientRecord& record = registry_.client(client);
+  session.greet(client);
+  by_client_[number(client)] = &peer;
   auto packet = make_body<wire::Welcome>(wire::Opcode::welcome, hello.header.request);
   packet.fingerprint = abi::fingerprint();
   packet.incarnation = registry_.incarnation();
-  packet.client = number(*client);
+  packet.client = number(client);
   packet.client_generation = record.generation;
   packet.arena_base = options_.arena.base;
   packet.arena_bytes = options_.arena.bytes;
   packet.client_region_bytes = Registry::client_region_bytes;
-  reply(peer, packet_of(packet), {regions_.board_reader(), regions_.region_writer(*client)});
+  reply(peer, packet_of(packet), {regions_.board_reader(), regions_.region_writer(client)});
   if (regions_.unlocked_count() > 0 && !std::exchange(said_unlocked_, true))
     log_.write(LogLevel::info, "memory not locked", {{"why", "limit of locked memory"}});
   log_.write(LogLevel::debug, "client registered",
-             {{"client", number(*client)},
+             {{"client", number(client)},
               {"generation", record.generation},
               {"pid", session.identity().pid},
               {"uid", session.identity().uid},
@@ -748,7 +760,7 @@ DumpFacts Broker::facts() const {
   daemon.pid = static_cast<std::uint32_t>(::getpid());
   daemon.uid = ::geteuid();
   daemon.incarnation = registry_.incarnation();
-  daemon.uptime_ns = now - started_ns_;
+  daemon.uptime_ns = now - registry_.header().began_ns;
   daemon.arena_base = options_.arena.base;
   daemon.arena_bytes = options_.arena.bytes;
   daemon.window_bytes = options_.arena.window_bytes;
@@ -776,7 +788,7 @@ DumpFacts Broker::facts() const {
     const Peer* const peer = by_client_[number(client)];
     if (peer != nullptr)
       process.state = peer->detached ? wire::ProcessState::orphaned : wire::ProcessState::connected;
-    process.age_ns = now - since_ns_[number(client)];
+    process.age_ns = now - registry_.client(client).since_ns;
     process.region = regions_.region_reader(client);
     return process;
   };

@@ -7,6 +7,7 @@
 //   connection ended      keep (the process lives), or reap (it has no trace of its region)
 //   rejoin                the new connection takes the place of the one that the process lost
 //   pidfd readable        reap
+//   started again         broker_resume.cpp
 //
 // One thread. The order of things inside one event is the protocol's; between events everything is
 // consistent, so the daemon may be killed at any time.
@@ -15,6 +16,7 @@
 #include <daemon/access.hpp>
 #include <daemon/address_plan.hpp>
 #include <daemon/config.hpp>
+#include <daemon/descriptor_store.hpp>
 #include <daemon/dispatcher.hpp>
 #include <daemon/doorbells.hpp>
 #include <daemon/dump.hpp>
@@ -44,16 +46,23 @@ struct BrokerOptions {
 class Broker final : private Post {
  public:
   Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, Listener& listener,
-         Regions regions, std::uint64_t incarnation);
+         Regions regions, DescriptorStore& store);
   ~Broker() override;
   Broker(const Broker&) = delete;
   Broker& operator=(const Broker&) = delete;
 
+  /// A new life, in memory that is all zero. Errors: as DescriptorStore::put.
+  [[nodiscard]] Result<void> found(std::uint64_t incarnation);
+  /// Goes on with a former life: see broker_resume.cpp. Errors: layout_mismatch, internal (the memory
+  /// is damaged), os_failure.
+  [[nodiscard]] Result<void> resume();
   /// Begins to serve. Errors: os_failure.
   [[nodiscard]] Result<void> start();
   /// What is to be done now and then; call it after at most due_ms() (-1: nothing is due).
   void tick();
   int due_ms() const noexcept;
+  /// The one in force: a former life's, whatever the options say.
+  const Arena& arena() const noexcept { return options_.arena; }
 
  private:
   using PeerId = std::uint64_t;
@@ -91,6 +100,12 @@ class Broker final : private Post {
   void disconnect(Peer& peer, std::string_view why);
   void drop(PeerId id);
   void reap_peer(Peer& peer, journal::DeathReason reason, std::string_view how);
+  void repair(ClientIndex client, journal::DeathReason reason, std::string_view how);
+  // --- resume
+  [[nodiscard]] Result<void> adopt_client(ClientIndex client, std::uint64_t& lost);
+  void back_endpoints(ClientIndex client);
+  [[nodiscard]] Result<void> watch(ClientIndex client, UniqueFd process);
+  std::uint64_t reap_while_away(const std::vector<ClientIndex>& ended);
 
   void serve(Peer& peer, const Request& request);
   [[nodiscard]] Result<void> check_caller(const Peer& peer, std::uint64_t fingerprint);
@@ -121,6 +136,7 @@ class Broker final : private Post {
   Log& log_;
   Dispatcher& dispatcher_;
   Listener& listener_;
+  DescriptorStore& store_;
   Regions regions_;
   Registry registry_;
   AddressPlan plan_;
@@ -129,8 +145,6 @@ class Broker final : private Post {
   std::unordered_map<PeerId, std::unique_ptr<Peer>> peers_;
   std::vector<Peer*> by_client_;
   std::unordered_map<std::uint32_t, Connections> connections_;  // by uid
-  std::vector<std::uint64_t> since_ns_;                         // when each client said hello
-  std::uint64_t started_ns_;
   std::uint64_t observer_count_ = 0;
   PeerId last_peer_ = 0;
   std::uint64_t detached_count_ = 0;  // processes without a connection

@@ -660,6 +660,48 @@ void Membership::forget_client(ClientIndex client) {
   std::erase_if(type_notices_, [&](const auto& entry) { return entry.first == number(client); });
 }
 
+// drained() has two halves: its own record, and one for each thing that its process has let go of
+// with it. The second half follows from what the tables say then.
+void Membership::finish() {
+  const auto lets_go = [&](const EndpointRef& ref, auto has_use) {
+    std::vector<ClientIndex> gone;
+    for_each_told(registry_.told_of(ref), [&](ClientIndex to) {
+      if (registry_.is_alive(to) && !has_use(to)) gone.push_back(to);
+    });
+    for (const ClientIndex client : gone) let_go(ref, client);
+  };
+  for (std::uint32_t t = 0; t < registry_.topic_high(); ++t) {
+    const TopicIndex topic{t};
+    // The topic goes with its last endpoint, in the middle of this.
+    const auto is_used = [&] { return registry_.topic(topic).state == TopicState::used; };
+    for (std::uint32_t p = 0; is_used() && p < registry_.topic(topic).publisher_high; ++p) {
+      const PublisherRecord& publisher = registry_.publisher(topic, p);
+      if (publisher.state == EndpointState::free) continue;
+      lets_go({Kind::publisher, topic, p}, [&](ClientIndex to) {
+        bool uses = false;
+        registry_.for_each_subscription(topic, [&](std::uint32_t, const SubscriptionRecord& own) {
+          uses = uses ||
+                 (own.client == to &&
+                  (own.state == EndpointState::active || own.state == EndpointState::leaving) &&
+                  matches(publisher, own));
+        });
+        return uses;
+      });
+    }
+    for (std::uint32_t s = 0; is_used() && s < registry_.topic(topic).subscription_high; ++s) {
+      if (registry_.subscription(topic, s).state == EndpointState::free) continue;
+      lets_go({Kind::subscription, topic, s}, [&](ClientIndex to) {
+        bool uses = false;
+        registry_.for_each_publisher(topic, [&](std::uint32_t, const PublisherRecord& own) {
+          uses = uses || own.client == to;
+        });
+        return uses;
+      });
+    }
+  }
+  settle_all();
+}
+
 void Membership::settle_all() {
   for (std::uint32_t t = 0; t < registry_.topic_high(); ++t) {
     const TopicIndex topic{t};
@@ -669,6 +711,7 @@ void Membership::settle_all() {
     for (std::uint32_t i = 0; i < registry_.topic(topic).subscription_high; ++i) {
       if (registry_.topic(topic).state == TopicState::used) settle({Kind::subscription, topic, i});
     }
+    settle_topic(topic);
   }
   for (std::uint32_t c = 0; c < registry_.client_high(); ++c)
     settle_client(static_cast<ClientIndex>(c));

@@ -82,6 +82,11 @@ class Membership {
   void settle_all();
   void forget_client(ClientIndex client);
 
+  // --- for a daemon that goes on
+  /// Carries out what follows from the records of the former life and has no record yet: who has
+  /// drained has let go as well, and what nobody has any more is free.
+  void finish();
+
  private:
   [[nodiscard]] Result<void> create_publisher(ClientIndex client, TopicIndex topic,
                                               const CreateRequest& request);

@@ -31,9 +31,14 @@ struct Reaped {
   std::uint64_t corrupt = 0;
 };
 
-/// `client` is alive in the tables and its process stores no more (or is not believed any more).
+/// `client` is alive in the tables, or was being reaped when the daemon died, and its process stores
+/// no more (or is not believed any more). A process whose region was lost has no queues to repair:
+/// its publishers end as they are.
 Reaped reap(ClientIndex client, journal::DeathReason reason, Registry& registry, Regions& regions,
             Doorbells& doorbells, Membership& membership);
+
+/// Whether reap() has done for a dead process whatever nobody else has to let go of first.
+bool is_reaped(ClientIndex client, const Registry& registry);
 
 /// Whether the process has a mapping of this file. True as well when it cannot be known.
 bool maps_file(pid_t pid, const Regions::FileId& file) noexcept;

@@ -13,13 +13,6 @@
 namespace agnocast::daemon {
 namespace {
 
-constexpr std::uint64_t magic_value = 0x6c6261742e6f6761;  // "ago.tabl" in memory order
-constexpr std::uint64_t layout_of_tables =
-    abi::Fingerprint()
-        .add(sizeof(TableHeader), sizeof(ClientRecord), sizeof(TopicRecord),
-             sizeof(PublisherRecord), sizeof(SubscriptionRecord))
-        .value();
-
 // A pass may be left out so many times (docs/protocol.md, lazy pass); what these publishes would
 // have freed needs a slot each.
 constexpr std::uint64_t lazy_pass_count = 32;
@@ -112,25 +105,6 @@ Registry::Registry(const Memory& memory, const Capacity& capacity) noexcept
       tables_(*reinterpret_cast<Tables*>(memory.tables)),
       board_(memory.board),
       views_(abi::client_count_max) {}
-
-void Registry::create(std::uint64_t incarnation) {
-  log_.create(abi::fingerprint(), incarnation);
-  tables_.header.magic = magic_value;
-  tables_.header.layout = layout_of_tables;
-}
-
-bool Registry::open() {
-  if (!log_.is_valid(abi::fingerprint()) || tables_.header.magic != magic_value ||
-      tables_.header.layout != layout_of_tables)
-    return false;
-  if (const auto record = log_.pending()) {
-    apply(*record);
-    log_.applied();
-    redone_lsn_ = record->lsn;
-  }
-  rebuild();
-  return true;
-}
 
 void Registry::rebuild() {
   topics_.clear();
@@ -241,6 +215,7 @@ void Registry::apply_to_client(const Record& record) {
       store(client.gid, static_cast<std::uint32_t>(record.argument[3]));
       store(client.pid, static_cast<std::uint32_t>(record.argument[4]));
       store(client.domain, record.argument[5]);
+      store(client.since_ns, record.stamp_ns);
       store(client.executors, 0);
       store(client.window_count, 0);
       AGNOCAST_CRASH_POINT(B_told);
@@ -300,6 +275,7 @@ void Registry::apply_to_endpoint(const Record& record) {
       store(publisher.qos, argument[4]);
       store(publisher.extent, argument[5]);
       store(publisher.slot_count, argument[6]);
+      store(publisher.final_head, 0);
       store(publisher.creation, argument[7]);
       store(publisher.last_joined, 0);
       AGNOCAST_CRASH_POINT(B_told);
@@ -321,6 +297,7 @@ void Registry::apply_to_endpoint(const Record& record) {
           .store(publisher.slot_count, std::memory_order_release);
       break;
     case Type::leave_publisher:
+      store(publisher.final_head, argument[2]);
       store(publisher.state, EndpointState::orphan);
       store(publisher.last_joined, argument[7]);
       if (std::uint64_t* const counter =
@@ -356,10 +333,7 @@ void Registry::apply_to_endpoint(const Record& record) {
     case Type::leave_subscription: {
       const auto state = static_cast<EndpointState>(argument[2]);
       store(subscription.state, state);
-      board(at).set_subscription(index, subscription.generation,
-                                 state == EndpointState::leaving ? abi::MemberState::leaving
-                                 : state == EndpointState::dead  ? abi::MemberState::dead
-                                                                 : abi::MemberState::free);
+      board(at).set_subscription(index, subscription.generation, on_board(state));
       break;
     }
     default:  // free_subscription
@@ -430,15 +404,27 @@ std::optional<std::uint64_t> Registry::lowest_extent(ClientIndex client,
 
 // --- processes
 
-Result<ClientIndex> Registry::add_client(const NewClient& wanted) {
+Result<ClientPlan> Registry::plan_client() const {
   std::uint32_t index = 0;
   while (index < client_high() && tables_.client[index].state != ClientState::free) ++index;
   if (index >= capacity_.clients) return full("clients", capacity_.clients);
   AGNOCAST_CHECK(views_[index].endpoints.empty());
-  put(tables_.client[index].name, wanted.name);
-  change(Type::register_client, {index, next_generation(), wanted.uid, wanted.gid, wanted.pid,
-                                 wanted.domain, counters().clients_registered + 1});
-  return static_cast<ClientIndex>(index);
+  return ClientPlan{static_cast<ClientIndex>(index), next_generation()};
+}
+
+void Registry::add_client(const NewClient& wanted, const ClientPlan& plan) {
+  ClientRecord& record = tables_.client[number(plan.index)];
+  AGNOCAST_CHECK(record.state == ClientState::free);
+  put(record.name, wanted.name);
+  change(Type::register_client, {number(plan.index), plan.generation, wanted.uid, wanted.gid,
+                                 wanted.pid, wanted.domain, counters().clients_registered + 1});
+}
+
+Result<ClientIndex> Registry::add_client(const NewClient& wanted) {
+  const auto plan = plan_client();
+  if (!plan) return tl::unexpected(plan.error());
+  add_client(wanted, *plan);
+  return plan->index;
 }
 
 Usage Registry::usage_of(std::uint32_t uid) const {

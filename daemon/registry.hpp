@@ -50,6 +50,21 @@ struct NewClient {
   std::string_view name;
 };
 
+/// The place that a process would get.
+struct ClientPlan {
+  ClientIndex index{};
+  std::uint64_t generation = 0;
+};
+
+/// What holds for a whole incarnation.
+struct Founding {
+  std::uint64_t arena_base = 0;
+  std::uint64_t arena_bytes = 0;
+  std::uint64_t window_bytes = 0;
+  std::uint64_t now_ns = 0;
+  std::string_view bells;  // at most bells_bytes_max - 1
+};
+
 struct NewTopic {
   std::uint64_t domain = 0;
   std::string_view name;
@@ -117,14 +132,24 @@ class Registry {
 
   explicit Registry(const Memory& memory, const Capacity& capacity = {}) noexcept;
 
-  /// Fresh memory, all zero.
-  void create(std::uint64_t incarnation);
-  /// Memory that an earlier life left: completes the change under way and derives the rest. False
-  /// when it is not of this layout; then nothing was touched.
-  [[nodiscard]] bool open();
+  /// Fresh memory, all zero. Says on the board what it is.
+  void create(std::uint64_t incarnation, const Founding& founding = {});
+  /// Memory that an earlier life left: completes the change under way and derives the rest. Errors:
+  /// layout_mismatch (nothing was touched), internal (it is damaged; the detail says how).
+  [[nodiscard]] Result<void> open();
+  /// The first half of open(): whether a log can be gone on with. Touches nothing.
+  [[nodiscard]] static Result<void> check_log(const journal::RedoLog& log);
+  /// Makes the board say what the tables say; how many words it had otherwise. Then everybody looks
+  /// again.
+  std::uint64_t repair_board();
   std::uint64_t incarnation() const noexcept { return log_.incarnation(); }
+  const TableHeader& header() const noexcept { return tables_.header; }
 
   // --- processes
+  /// Errors: limit_reached.
+  [[nodiscard]] Result<ClientPlan> plan_client() const;
+  void add_client(const NewClient& client, const ClientPlan& plan);
+  /// Both at once.
   [[nodiscard]] Result<ClientIndex> add_client(const NewClient& client);
   std::uint32_t client_high() const noexcept { return tables_.header.client_high; }
   const ClientRecord& client(ClientIndex index) const noexcept {
@@ -254,6 +279,11 @@ class Registry {
   void apply_to_endpoint(const Record& record);
   void apply_to_counters(const Record& record);
   void rebuild();
+  const char* flaw_of_client(std::uint32_t index) const noexcept;
+  const char* flaw_of_topic(std::uint32_t index) const noexcept;
+  const char* flaw() const noexcept;
+  std::uint64_t repair_publisher(TopicIndex topic, std::uint32_t index);
+  std::uint64_t repair_subscription(TopicIndex topic, std::uint32_t index);
   void note_generation(std::uint64_t generation) noexcept;
   std::uint64_t next_generation() const noexcept { return tables_.header.last_generation + 1; }
   std::optional<std::uint64_t> lowest_extent(ClientIndex client, std::uint64_t bytes) const;
@@ -277,6 +307,9 @@ class Registry {
   std::vector<View> views_;
   std::unordered_map<std::string, TopicIndex> topics_;
 };
+
+/// What the board says of an endpoint in this state.
+abi::MemberState on_board(EndpointState state) noexcept;
 
 /// Key of a topic: no two (domain, name) share one.
 std::string topic_key(std::uint64_t domain, std::string_view name);

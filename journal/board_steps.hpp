@@ -114,6 +114,9 @@ class BoardSteps {
     set_publisher(index, generation, abi::MemberState::free);
   }
 
+  /// Everybody looks again.
+  void renew() noexcept { AGNOCAST_STEP(J3_epoch) bump_epoch(); }
+
  private:
   void set_publisher(std::uint64_t index, std::uint64_t generation,
                      abi::MemberState state) noexcept {

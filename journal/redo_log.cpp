@@ -16,10 +16,6 @@ constexpr std::uint64_t magic_offset = 0, fingerprint_offset = 8, incarnation_of
 constexpr std::uint64_t committed_offset = abi::cache_line_bytes,
                         applied_offset = 2 * abi::cache_line_bytes;
 
-// Another build's records are not ours, even where all that clients see is the same.
-constexpr std::uint64_t shape = RedoLog::record_count | sizeof(Record) << 32 |
-                                offsetof(Record, stamp_ns) << 48 | offsetof(Record, argument) << 56;
-
 constexpr std::array<std::uint32_t, 256> make_table() noexcept {
   std::array<std::uint32_t, 256> table{};
   for (std::uint32_t i = 0; i < 256; ++i) {
@@ -53,20 +49,34 @@ std::uint32_t crc32c(const void* data, std::size_t bytes) noexcept {
 void RedoLog::create(std::uint64_t fingerprint, std::uint64_t incarnation) noexcept {
   word(fingerprint_offset).store(fingerprint, std::memory_order_relaxed);
   word(incarnation_offset).store(incarnation, std::memory_order_relaxed);
-  word(shape_offset).store(shape, std::memory_order_relaxed);
+  word(shape_offset).store(own_shape, std::memory_order_relaxed);
   word(magic_offset)
       .store(magic_value, std::memory_order_release);  // last: a half-made log is none
 }
 
-bool RedoLog::is_valid(std::uint64_t fingerprint) const noexcept {
-  const std::uint64_t committed = committed_lsn();
-  const std::uint64_t done = applied_lsn();
-  return word(magic_offset).load(std::memory_order_acquire) == magic_value &&
-         word(fingerprint_offset).load(std::memory_order_relaxed) == fingerprint &&
-         word(shape_offset).load(std::memory_order_relaxed) == shape &&
-         (committed == done || committed == done + 1);
+RedoLog::State RedoLog::state(std::uint64_t fingerprint) const noexcept {
+  if (word(magic_offset).load(std::memory_order_acquire) != magic_value) return State::damaged;
+  if (this->fingerprint() != fingerprint || shape() != own_shape) return State::other_layout;
+  return damage() == nullptr ? State::valid : State::damaged;
 }
 
+const char* RedoLog::damage() const noexcept {
+  if (word(magic_offset).load(std::memory_order_acquire) != magic_value)
+    return "the journal does not begin like one";
+  const std::uint64_t committed = committed_lsn();
+  const std::uint64_t done = applied_lsn();
+  if (committed != done && committed != done + 1)
+    return "the journal has applied what it has not committed, or the other way round";
+  if (committed != done && !read(committed)) return "the last record of the journal is not whole";
+  return nullptr;
+}
+
+std::uint64_t RedoLog::shape() const noexcept {
+  return word(shape_offset).load(std::memory_order_relaxed);
+}
+std::uint64_t RedoLog::fingerprint() const noexcept {
+  return word(fingerprint_offset).load(std::memory_order_relaxed);
+}
 std::uint64_t RedoLog::incarnation() const noexcept {
   return word(incarnation_offset).load(std::memory_order_relaxed);
 }

@@ -41,8 +41,22 @@ class RedoLog {
 
   /// Makes a fresh log of a zeroed region.
   void create(std::uint64_t fingerprint, std::uint64_t incarnation) noexcept;
-  /// True when the region holds a log of this very layout.
-  bool is_valid(std::uint64_t fingerprint) const noexcept;
+  /// What a region that an earlier life left holds.
+  enum class State : std::uint8_t {
+    valid,         // a log of this very layout
+    other_layout,  // a log, but nothing behind its fingerprint can be read
+    damaged,       // damage() says what
+  };
+  State state(std::uint64_t fingerprint) const noexcept;
+  /// In plain words, static text; nullptr when it is a whole log.
+  const char* damage() const noexcept;
+  std::uint64_t fingerprint() const noexcept;
+  /// Sizes and places in a record: another build's records are not ours, even where all that clients
+  /// see is the same.
+  std::uint64_t shape() const noexcept;
+  static constexpr std::uint64_t own_shape = record_count | sizeof(Record) << 32 |
+                                             offsetof(Record, stamp_ns) << 48 |
+                                             offsetof(Record, argument) << 56;
   std::uint64_t incarnation() const noexcept;
 
   /// Writes and commits; from here on the change will happen. Only when nothing is pending. Returns

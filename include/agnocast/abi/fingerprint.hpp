@@ -20,7 +20,11 @@
 namespace agnocast::abi {
 
 // Raised by hand when the meaning of a word changes while its place does not.
+#ifdef AGNOCAST_OTHER_LAYOUT  // tests: what another build would be
+inline constexpr std::uint64_t layout_version = 0x7e57;
+#else
 inline constexpr std::uint64_t layout_version = 1;
+#endif
 
 // FNV-1a over numbers, each as eight bytes: two different lists collide with probability 2^-64.
 class Fingerprint {
