@@ -31,8 +31,10 @@ namespace {
 constexpr int first_passed = 3;                   // where LISTEN_FDS begins
 constexpr std::size_t datagram_bytes_max = 4096;  // as systemd takes them
 constexpr std::size_t descriptors_per_datagram_max = 253;
-constexpr int pause_first_ms = 100;
-constexpr int pause_most_ms = 5'000;
+constexpr std::uint64_t pause_first_ms = 20;
+// Whoever has been ready found nothing at its start that kills it.
+constexpr std::uint64_t pause_of_ready_ms = 100;
+constexpr std::uint64_t pause_most_ms = 5'000;
 // Who has lived so long did not die of what it found at its start.
 constexpr std::uint64_t settled_ms = 10'000;
 
@@ -145,7 +147,8 @@ class Supervisor {
   std::uint64_t started_ms_ = 0;
   std::optional<std::uint64_t> due_ms_;  // when the next worker begins
   unsigned failures_ = 0;                // in a row
-  bool was_ready_ = false;
+  bool was_ready_ = false;               // any worker
+  bool is_ready_ = false;                // this one
   bool restarts_ = false;  // the end of the worker was asked for, and another is wanted
   bool stops_ = false;
   std::optional<int> result_;
@@ -186,6 +189,7 @@ int Supervisor::run() {
 void Supervisor::start() {
   due_ms_.reset();
   restarts_ = false;
+  is_ready_ = false;
   started_ms_ = now_ms();
   const pid_t parent = ::getpid();
   const pid_t pid = ::fork();
@@ -287,9 +291,9 @@ void Supervisor::on_worker_end(int status) {
     return;
   }
   if (now_ms() - started_ms_ >= settled_ms) failures_ = 0;
-  std::uint64_t pause = 0;
-  if (failures_ > 0) pause = static_cast<std::uint64_t>(pause_first_ms) << std::min(failures_, 16U);
-  pause = std::min<std::uint64_t>(pause, pause_most_ms);
+  const std::uint64_t most = is_ready_ ? pause_of_ready_ms : pause_most_ms;
+  const std::uint64_t pause =
+      failures_ == 0 ? 0 : std::min(pause_first_ms << std::min(failures_ - 1, 16U), most);
   ++failures_;
   due_ms_ = now_ms() + pause;
   log_.write(LogLevel::error, "worker died",
@@ -362,7 +366,7 @@ void Supervisor::keep(const Notification& notification, std::vector<UniqueFd> fd
                  {{"name", notification.name}, {"why", "no descriptor left; raise LimitNOFILE"}});
   }
   if (notification.ready) {
-    was_ready_ = true;
+    was_ready_ = is_ready_ = true;
     forward("READY=1");
   }
   if (!notification.status.empty()) forward("STATUS=" + notification.status);
