@@ -15,6 +15,7 @@
 #include <client/context.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
+#include <base/step.hpp>
 
 #include <sys/epoll.h>
 
@@ -148,6 +149,7 @@ void Context::say_departure(Departure& departure, const wire::Reference& who,
   if (!departure.is_due()) return;
   // A refusal means as well that there is nothing to leave.
   const auto on_answer = [this, &departure, keeps = std::move(keeps)](const Result<Incoming*>&) {
+    AGNOCAST_CRASH_POINT(C_left);
     departure.known();
     wake_control();
     const std::lock_guard lock(departing_);
