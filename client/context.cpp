@@ -152,7 +152,8 @@ Result<void> Context::say_hello() {
     return fail_with(why.code, "connecting to " + socket_path_, why.os_errno);
   }
   AGNOCAST_CRASH_POINT(C_connect);
-  connection_ = std::make_unique<Connection>([]() noexcept { Context::instance().wake_control(); });
+  connection_ = std::make_unique<Connection>([]() noexcept { Context::instance().wake_control(); },
+                                             socket_path_);
   connection_->begin(std::move(*socket));
 
   wire::Hello hello{};
