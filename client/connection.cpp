@@ -91,10 +91,9 @@ Result<void> Connection::request_bytes(std::span<const std::byte> bytes, OnAnswe
       request->on_answer = nullptr;
       request->given_up = true;
       if (!is_open_ || request->on_late == nullptr) requests_.erase(id);
-      return is_open_
-                 ? fail(Errc::daemon_not_running, "no answer of agnocastd within 5 s")
-                 : fail(Errc::daemon_not_running,
-                        "the connection to agnocastd has ended, and it is not back within 5 s");
+      const std::string why = path_ + (is_open_ ? ": no answer within 5 s"
+                                                : ": the connection has ended, 5 s ago or more");
+      return tl::unexpected(failure_with(Errc::daemon_not_running, why.c_str()));
     }
     // The control thread is at it in this moment.
     answered_.wait(lock, [&] { return request->done; });

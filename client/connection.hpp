@@ -73,8 +73,10 @@ class Connection {
   using OnAnswer = std::function<Result<void>(Incoming&)>;
   using OnLater = std::function<void(Result<Incoming*>)>;
 
-  /// `wake`: asks the control thread to call flush(); static, any thread.
-  explicit Connection(void (*wake)() noexcept) noexcept : wake_(wake) {}
+  /// `wake`: asks the control thread to call flush(); static, any thread. `path`: of the daemon's
+  /// socket, for people.
+  Connection(void (*wake)() noexcept, std::string path) noexcept
+      : wake_(wake), path_(std::move(path)) {}
 
   // --- any thread but the control thread
 
@@ -173,6 +175,7 @@ class Connection {
   tl::unexpected<Failure> refused() const noexcept;
 
   void (*wake_)() noexcept;
+  std::string path_;
   PacketSocket socket_;     // control thread; others send on it under the mutex while it is open
   std::uint64_t seen_ = 0;  // control thread
 

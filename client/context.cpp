@@ -3,6 +3,7 @@
 #include <client/context.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
+#include <base/step.hpp>
 #include <base/text.hpp>
 #include <client/forked_child.hpp>
 #include <client/user_code.hpp>
@@ -129,6 +130,7 @@ Result<void> Context::connect() {
   if (Result<void> ends = end_user_code_at_exit(); !ends) return ends;
   socket_path_ = socket_path();
   Result<void> done = say_hello();
+  AGNOCAST_CRASH_POINT(C_thread);
   if (done) done = start_control_thread();
   if (!done) {
     connection_.reset();
@@ -149,13 +151,16 @@ Result<void> Context::say_hello() {
     const Failure& why = socket.error();
     return fail_with(why.code, "connecting to " + socket_path_, why.os_errno);
   }
-  connection_ = std::make_unique<Connection>([]() noexcept { Context::instance().wake_control(); });
+  AGNOCAST_CRASH_POINT(C_connect);
+  connection_ = std::make_unique<Connection>([]() noexcept { Context::instance().wake_control(); },
+                                             socket_path_);
   connection_->begin(std::move(*socket));
 
   wire::Hello hello{};
   hello.fingerprint = abi::fingerprint();
   hello.domain = *domain;
   write_name(hello.process_name, process_name());
+  AGNOCAST_CRASH_POINT(C_hello);
   if (Result<void> said = connection_->introduce(Opcode::hello, hello); !said) return said;
   Incoming packet;
   if (Result<void> first = connection_->receive_first(packet); !first) {
@@ -176,8 +181,10 @@ Result<void> Context::say_hello() {
 }
 
 Result<void> Context::map_regions(const wire::Welcome& welcome, std::span<UniqueFd> fds) {
+  AGNOCAST_CRASH_POINT(C_arena);
   if (Result<void> reserved = reserve_arena(welcome.arena_base, welcome.arena_bytes); !reserved)
     return reserved;
+  AGNOCAST_CRASH_POINT(C_regions);
   Result<SparseRegion> board =
       SparseRegion::make(std::move(fds[0]), abi::board_bytes, Mapping::Access::read);
   if (!board) return tl::unexpected<Failure>(board.error());
@@ -358,6 +365,7 @@ Result<wire::CreateEndpoint> describe(const EndpointRequest& request,
 
 // The topic's entry on the board, and the endpoint's own words.
 Result<void> Context::open_extents(const wire::EndpointCreated& made, std::uint64_t bytes) {
+  AGNOCAST_CRASH_POINT(C_extent_open);
   Result<void> opened = board_.open(abi::topic_offset(made.topic), abi::topic_bytes);
   return opened ? region_.open(made.extent, bytes) : opened;
 }
@@ -396,6 +404,7 @@ Result<std::shared_ptr<PublisherEndpoint>> Context::create_publisher(
             PublisherEndpoint::Identity{core, made.topic, destroy_message,
                                         []() noexcept { Context::instance().wake_control(); }});
         const std::lock_guard lock(endpoints_);
+        AGNOCAST_CRASH_POINT(C_registered);
         publishers_[{made.topic, made.index}] = publisher;
         return {};
       },
@@ -434,6 +443,7 @@ Result<std::shared_ptr<SubscriptionEndpoint>> Context::create_subscription(
                                            request.message_alignment},
             sleeper);
         const std::lock_guard lock(endpoints_);
+        AGNOCAST_CRASH_POINT(C_registered);
         subscriptions_[{made.topic, made.index}] = subscription;
         return {};
       },
@@ -487,6 +497,7 @@ Result<std::shared_ptr<Sleeper>> Context::create_sleeper() {
           return fail(Errc::protocol_violation, "a new executor");
         }
         const auto fds = packet.packet.fds();
+        AGNOCAST_CRASH_POINT(C_sleeper);
         sleeper = std::make_unique<Sleeper>(region_.base(), request.executor,
                                             DoorbellReceiver(std::move(fds[0]), std::move(fds[1])));
         return {};
@@ -530,13 +541,16 @@ void Context::destroy(const std::shared_ptr<PublisherEndpoint>& publisher) noexc
 void Context::destroy(const std::shared_ptr<SubscriptionEndpoint>& subscription) noexcept {
   if (!is_connected()) return;
   subscription->close();
+  AGNOCAST_CRASH_POINT(C_closed);
   subscription->departure().want();
   wait_for(subscription->departure());
 }
 
 void Context::release(const Received& received) noexcept {
   if (is_forked_child()) return;  // the hold is the parent's
-  if (received.link->release(received.taken.slot)) wake_control();
+  if (!received.link->release(received.taken.slot)) return;
+  AGNOCAST_CRASH_POINT(C_release_last);
+  wake_control();
 }
 
 }  // namespace agnocast

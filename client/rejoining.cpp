@@ -15,6 +15,7 @@
 #include <client/context.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
+#include <base/step.hpp>
 
 #include <sys/epoll.h>
 
@@ -27,7 +28,12 @@ using wire::Kind;
 using wire::Opcode;
 
 void Context::tell_state(ConnectionState state) noexcept {
-  state_.store(state, std::memory_order_release);
+  if (state_.exchange(state, std::memory_order_acq_rel) != state) {
+    const ConnectionInfo info{state, island_reason()};
+    const std::lock_guard lock(endpoints_);
+    for (const auto& [key, publisher] : publishers_) publisher->events().connection(info);
+    for (const auto& [key, subscription] : subscriptions_) subscription->events().connection(info);
+  }
   // Whoever waits for a departure does not wait for a daemon that is away.
   const std::lock_guard lock(departing_);
   departed_.notify_all();
@@ -148,6 +154,7 @@ void Context::say_departure(Departure& departure, const wire::Reference& who,
   if (!departure.is_due()) return;
   // A refusal means as well that there is nothing to leave.
   const auto on_answer = [this, &departure, keeps = std::move(keeps)](const Result<Incoming*>&) {
+    AGNOCAST_CRASH_POINT(C_left);
     departure.known();
     wake_control();
     const std::lock_guard lock(departing_);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <base/step.hpp>
 #include <client/forked_child.hpp>
 #include <client/subscription_endpoint.hpp>
 
@@ -32,7 +33,9 @@ bool SubscriptionEndpoint::add_publisher(const Publisher& publisher, std::shared
                                       self_.message_alignment};
   auto link = std::make_shared<Link>(identity, std::move(peer), sleeper_, self_.quota);
   links_.reserve(links_.size() + 1);
+  AGNOCAST_CRASH_POINT(C_link);
   if (!link->core_.link(publisher.from_start)) return false;
+  AGNOCAST_CRASH_POINT(C_linked);
   links_.push_back(std::move(link));
   book.linked(publisher.generation);
   events_.gained();
@@ -44,6 +47,7 @@ void SubscriptionEndpoint::orphan(std::uint64_t publisher, std::uint64_t generat
   const std::lock_guard lock(mutex_);
   for (const auto& link : links_) {
     if (link->publisher() != publisher || link->generation() != generation) continue;
+    AGNOCAST_CRASH_POINT(C_orphaned);
     link->core_.observe_publisher();
     if (!std::exchange(link->ceased_, true)) events_.ceased();
   }
@@ -70,6 +74,7 @@ std::vector<std::shared_ptr<Link>> SubscriptionEndpoint::collect_unlinked() {
     if (link->held_count() == 0) over.push_back(link);
   }
   for (const auto& link : over) {
+    AGNOCAST_CRASH_POINT(C_unlink);
     link->core_.unlink();
     books_[link->publisher()].unlinked(link->generation());
     lost_before_ += link->core_.lost();

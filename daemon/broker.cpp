@@ -512,8 +512,13 @@ Result<void> Broker::check_caller(const Peer& peer, std::uint64_t fingerprint) {
 Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
   Session& session = peer.session;
   if (auto known = check_caller(peer, hello.fingerprint); !known) return known;
+  // Room for one more connection there may be for processes that come back.
+  const auto is_same_user = [&](const Peer* other) {
+    return other != nullptr && other->session.identity().uid == session.identity().uid;
+  };
+  const auto clients = std::count_if(by_client_.begin(), by_client_.end(), is_same_user);
   if (peer.counts_as_observer ||
-      connections_[session.identity().uid].clients > options_.config.quota.clients)
+      static_cast<std::uint64_t>(clients) >= options_.config.quota.clients)
     return refusal(Errc::quota_exceeded, clients_text());
   std::string_view name;
   AGNOCAST_CHECK(text_of(hello.process_name, name));

@@ -89,9 +89,14 @@ Result<void> Membership::create_publisher(ClientIndex client, TopicIndex topic,
   }
   registry_.add_publisher(client, topic, request.qos, *plan, request.node, request.request);
 
+  // Before it can publish: whoever is to get its messages is told, whatever becomes of both.
+  const PublisherRecord& publisher = registry_.publisher(topic, plan->index);
+  registry_.for_each_subscription(topic, [&](std::uint32_t, const SubscriptionRecord& record) {
+    if (record.state == EndpointState::active && matches(publisher, record))
+      tell({Kind::publisher, topic, plan->index}, record.client);
+  });
   answer_creation({Kind::publisher, topic, plan->index}, request.request);
 
-  const PublisherRecord& publisher = registry_.publisher(topic, plan->index);
   registry_.for_each_subscription(topic, [&](std::uint32_t i, const SubscriptionRecord& record) {
     if (record.state == EndpointState::active && matches(publisher, record))
       announce_publisher(topic, plan->index, i);
@@ -116,9 +121,13 @@ Result<void> Membership::create_subscription(ClientIndex client, TopicIndex topi
   registry_.add_subscription(client, topic, request.qos, request.quota, request.executor, *plan,
                              request.node, request.request);
 
+  const SubscriptionRecord& subscription = registry_.subscription(topic, plan->index);
+  registry_.for_each_publisher(topic, [&](std::uint32_t i, const PublisherRecord& record) {
+    if (record.state == EndpointState::active && matches(record, subscription))
+      tell({Kind::publisher, topic, i}, client);
+  });
   answer_creation({Kind::subscription, topic, plan->index}, request.request);
 
-  const SubscriptionRecord& subscription = registry_.subscription(topic, plan->index);
   registry_.for_each_publisher(topic, [&](std::uint32_t i, const PublisherRecord& record) {
     if (record.state == EndpointState::active && matches(record, subscription))
       announce_publisher(topic, i, plan->index);
@@ -309,6 +318,18 @@ void Membership::announce_to_owner(const EndpointRef& ref) {
   }
 }
 
+bool Membership::is_looked_at(TopicIndex topic, const SubscriptionRecord& subscription,
+                              ClientIndex by) const {
+  if (subscription.state != EndpointState::active && subscription.state != EndpointState::leaving)
+    return false;
+  bool looks = false;
+  registry_.for_each_publisher(topic, [&](std::uint32_t, const PublisherRecord& record) {
+    looks = looks || (record.client == by && record.state != EndpointState::over &&
+                      matches(record, subscription));
+  });
+  return looks;
+}
+
 void Membership::say_own(const EndpointRef& ref) {
   auto packet = make_body<wire::Own>(wire::Opcode::own);
   packet.kind = ref.kind;
@@ -343,9 +364,7 @@ void Membership::welcome_back(ClientIndex client) {
   }
   for (const TopicIndex topic : topics) {
     registry_.for_each_subscription(topic, [&](std::uint32_t i, const SubscriptionRecord& record) {
-      const bool is_over =
-          record.state == EndpointState::over || record.state == EndpointState::dead;
-      if (is_over && record.told.contains(number(client)))
+      if (record.told.contains(number(client)) && !is_looked_at(topic, record, client))
         post_.send(client,
                    packet_of(reference_to({Kind::subscription, topic, i}, record.generation,
                                           wire::Opcode::forget)),

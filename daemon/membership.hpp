@@ -101,6 +101,8 @@ class Membership {
   void announce(const EndpointRef& ref, ClientIndex to, const wire::Announcement& packet,
                 std::vector<SharedFd> fds);
   void announce_to_owner(const EndpointRef& ref);
+  /// Has a process a publisher that still looks at this subscription?
+  bool is_looked_at(TopicIndex topic, const SubscriptionRecord& subscription, ClientIndex by) const;
   void say_own(const EndpointRef& ref);
   void say_orphaned(const EndpointRef& ref, ClientIndex to);
   void notice_mismatches(const EndpointRef& ref, bool to_all = true);

@@ -19,6 +19,12 @@ enum class ConnectionState : std::uint8_t {
   island,        ///< for good: this process reaches only those that it had reached before
 };
 
+/// What a connection callback is told (events.hpp).
+struct ConnectionInfo {
+  ConnectionState state = ConnectionState::unconnected;
+  Errc reason = Errc::ok;  ///< of an island, see island_reason()
+};
+
 /// Any thread; no system call, no allocation.
 AGNOCAST_PUBLIC ConnectionState connection_state() noexcept;
 /// Why this process is an island: started_anew, revoked, layout_mismatch or permission_denied; ok

@@ -309,6 +309,32 @@ TEST(DaemonRejoin, WhatIsOverIsForgottenAndWhatLeavesIsAnnounced) {
   EXPECT_EQ(of_kind<wire::Own>(last, Opcode::own).at(0).generation, publisher.generation);
 }
 
+TEST(DaemonRejoin, APublisherThatWasNotDrainedKeepsNoRegionTaken) {
+  DaemonProcess daemon;
+  Node node(daemon);
+  const auto publisher = node.publisher("/t");
+  auto other = std::make_unique<Node>(daemon);
+  other->subscription("/t");
+  node.wire.drain();
+  EXPECT_EQ(node.wire
+                .reference(Opcode::leave, Kind::publisher, publisher.topic, publisher.index,
+                           publisher.generation)
+                .opcode(),
+            Opcode::done);
+  other->wire.drain();
+  other->wire.unlinked(Kind::publisher, publisher.topic, publisher.index, publisher.generation);
+  other->wire.drain();
+  // Its index is free on the board; it was about to say drained, and had let go of everything.
+  node.lose_connection();
+  node.come_back();
+  const auto packets = node.wire.drain();
+  EXPECT_EQ(order_of(packets), "own forget region ");
+  const auto forgotten = of_kind<wire::Reference>(packets, Opcode::forget).at(0);
+  node.wire.unlinked(Kind::subscription, forgotten.topic, forgotten.index, forgotten.generation);
+  node.wire.unlinked(Kind::region, 0, other->welcome.client, other->welcome.client_generation);
+  EXPECT_EQ(order_of(node.wire.drain()), "") << "nothing was refused";
+}
+
 TEST(DaemonRejoin, AWindowThatCameMeanwhileComesWithTheAnnouncement) {
   DaemonProcess daemon;
   Node node(daemon), other(daemon);

@@ -76,7 +76,7 @@ struct Asker {
 };
 
 TEST(Connection, AnAnswerThatMemoryIsMissingForFailsItsRequest) {
-  Connection connection(nobody);
+  Connection connection(nobody, "/socket");
   Daemon daemon(connection);
   daemon.connect();
   Asker asks(connection, wire::Opcode::open_executor,
@@ -91,7 +91,7 @@ TEST(Connection, AnAnswerThatMemoryIsMissingForFailsItsRequest) {
 }
 
 TEST(Connection, WhatWasNotAnsweredIsAskedAgainInItsOrder) {
-  Connection connection(nobody);
+  Connection connection(nobody, "/socket");
   Daemon daemon(connection);
   daemon.connect();
   Asker first(connection, wire::Opcode::open_executor);
@@ -131,7 +131,7 @@ TEST(Connection, WhatWasNotAnsweredIsAskedAgainInItsOrder) {
 }
 
 TEST(Connection, AnAnswerThatComesTooLateIsNotGivenToWhoHasGone) {
-  Connection connection(nobody);
+  Connection connection(nobody, "/socket");
   Daemon daemon(connection);
   daemon.connect();
   int answers = 0, late = 0;
@@ -152,7 +152,7 @@ TEST(Connection, AnAnswerThatComesTooLateIsNotGivenToWhoHasGone) {
 }
 
 TEST(Connection, WhatIsRefusedForGoodIsRefusedToEverybody) {
-  Connection connection(nobody);
+  Connection connection(nobody, "/socket");
   Daemon daemon(connection);
   daemon.connect();
   Asker asks(connection, wire::Opcode::open_executor);
@@ -176,7 +176,7 @@ TEST(Connection, WhatIsRefusedForGoodIsRefusedToEverybody) {
 TEST(Connection, WhatTheSocketDoesNotTakeIsSentLaterInOrder) {
   static int wakes;
   wakes = 0;
-  Connection connection([]() noexcept { ++wakes; });
+  Connection connection([]() noexcept { ++wakes; }, "/socket");
   Daemon daemon(connection);
   daemon.connect();
   constexpr std::uint64_t count = 2000;
