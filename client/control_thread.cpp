@@ -374,15 +374,21 @@ void Context::run_errands() {
     publisher->run_errands();
     if (!publisher->is_over()) continue;
     AGNOCAST_CRASH_POINT(C_publisher_over);
-    publisher->detach_all();
+    const auto members = publisher->detach_all();
     const auto& identity = publisher->identity();
+    const std::uint32_t topic = publisher->topic_index();
     {
       const std::lock_guard lock(endpoints_);
-      publishers_.erase({publisher->topic_index(), identity.index});
+      publishers_.erase({topic, identity.index});
     }
     AGNOCAST_CRASH_POINT(C_erased);
-    connection_->post(Opcode::drained, reference(Kind::publisher, publisher->topic_index(),
-                                                 identity.index, identity.generation));
+    // Another publisher of ours on this topic may be attached to some of them, and not to others.
+    for (const auto& [index, generation] : members) {
+      if (!is_attached(topic, index, generation))
+        say_unlinked(Kind::subscription, topic, index, generation);
+    }
+    connection_->post(Opcode::drained,
+                      reference(Kind::publisher, topic, identity.index, identity.generation));
   }
   collect_subscriptions();
   collect_peers();

@@ -202,12 +202,18 @@ void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) no
   if (was_matched) events_.ceased();
 }
 
-void PublisherEndpoint::detach_all() noexcept {
+std::vector<PublisherEndpoint::Member> PublisherEndpoint::detach_all() {
   std::vector<Attached> let_go;
+  std::vector<Member> members;
   const std::lock_guard lock(mutex_);
-  for (const Attached& attached : attached_) core_->detach(attached.index, attached.generation);
+  members.reserve(attached_.size());
+  for (const Attached& attached : attached_) {
+    core_->detach(attached.index, attached.generation);
+    members.push_back({attached.index, attached.generation});
+  }
   let_go.swap(attached_);
   executors_.clear();
+  return members;
 }
 
 void PublisherEndpoint::run_errands() noexcept {

@@ -72,8 +72,13 @@ class PublisherEndpoint {
   bool is_attached(std::uint64_t index, std::uint64_t generation) const noexcept;
   /// It is over: looks at it no more and lets go of its region.
   void detach(std::uint64_t index, std::uint64_t generation) noexcept;
-  /// Lets go of every region, at the very end.
-  void detach_all() noexcept;
+  /// A subscription that it is attached to.
+  struct Member {
+    std::uint64_t index;
+    std::uint64_t generation;
+  };
+  /// Lets go of every region, at the very end; of whom.
+  std::vector<Member> detach_all();
   /// One pass, and everything that publishes have left to do.
   void run_errands() noexcept;
   /// Something outside the history is allocated: a pass may free it.

@@ -153,7 +153,8 @@ std::optional<Received> SubscriptionEndpoint::take() noexcept {
     const std::shared_ptr<Link> link = oldest();
     if (link == nullptr) return std::nullopt;
     link->windows_seen_ = link->peer().heap().window_count();
-    const auto taken = link->core_.take(link->peer().heap());
+    HeapLook windows(link->peer().heap(), link->ceased_);
+    const auto taken = link->core_.take(windows);
     note_losses(*link);
     if (taken) {
       link->held_.fetch_add(1, std::memory_order_relaxed);

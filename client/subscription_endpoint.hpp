@@ -66,8 +66,8 @@ class Link {
   friend class SubscriptionEndpoint;
   /// May take() get something from it now? False at the quota, and until a missing window is there: asking again would only turn in circles.
   bool is_ready() const noexcept {
-    return held_count() < quota_ &&
-           (!core_.is_awaiting_window() || peer_->heap().window_count() != windows_seen_);
+    return held_count() < quota_ && (!core_.is_awaiting_window() || ceased_ ||
+                                     peer_->heap().window_count() != windows_seen_);
   }
 
   Core core_;
@@ -79,7 +79,8 @@ class Link {
   std::uint64_t lost_noted_ = 0, malformed_noted_ = 0;
   std::atomic<std::uint64_t> held_{0};
   std::atomic<bool> closing_{false};
-  bool ceased_ = false;  // counted as a publisher that is gone
+  // The daemon has said that the publisher is gone, and before that each window it had by then.
+  bool ceased_ = false;
 };
 
 /// A message in the hands of this process. Whoever drops it calls link->release(taken.slot) exactly
