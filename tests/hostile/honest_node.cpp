@@ -37,7 +37,7 @@ namespace {
 
 // Deep and slow enough that a busy machine may stop the reader for seconds, and nothing is lost.
 constexpr std::uint32_t depth = 1000;
-constexpr std::chrono::milliseconds period{4};
+constexpr std::chrono::milliseconds period{3};
 
 class HonestNode {
  public:
@@ -52,10 +52,9 @@ class HonestNode {
     if (what == "create") return create(topic);
     if (what == "stop") return stop(), "ok";
     if (what == "matched")
-      return std::to_string(
-          (publisher_ != nullptr ? publisher_->get_subscription_count() : 0) +
-          (subscription_ != nullptr ? subscription_->get_publisher_count() : 0) +
-          (watched_ != nullptr ? watched_->get_publisher_count() : 0));
+      return std::to_string((publisher_ != nullptr ? publisher_->get_subscription_count() : 0) +
+                            (subscription_ != nullptr ? subscription_->get_publisher_count() : 0) +
+                            (watched_ != nullptr ? watched_->get_publisher_count() : 0));
     if (what == "state") return state();
     return "unknown " + what;
   }

@@ -19,6 +19,9 @@
 
 namespace agnocast::test {
 
+/// sizeof(Flat), checked in messages.hpp.
+inline constexpr std::uint64_t flat_bytes = 64;
+
 class HostileNode {
  public:
   using M = SharedMemory;
@@ -77,10 +80,10 @@ class HostileNode {
       bells_ = std::move(opened.fds);
       executor_ = true;
     }
-    const Incoming made = wire_.ask(kind == wire::Kind::publisher
-                                        ? wire::Opcode::create_publisher
-                                        : wire::Opcode::create_subscription,
-                                    body);
+    const Incoming made =
+        wire_.ask(kind == wire::Kind::publisher ? wire::Opcode::create_publisher
+                                                : wire::Opcode::create_subscription,
+                  body);
     EXPECT_EQ(made.opcode(), wire::Opcode::endpoint_created) << made.refused_text();
     return made.opcode() == wire::Opcode::endpoint_created ? made.as<wire::EndpointCreated>()
                                                            : wire::EndpointCreated{};

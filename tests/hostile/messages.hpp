@@ -22,6 +22,7 @@ struct Numbered : SharedMessage {
 struct Flat : SharedMessage {
   std::uint64_t word[8] = {};
 };
+static_assert(sizeof(Flat) == 64, "flat_bytes of hostile_node.hpp");
 
 constexpr std::size_t length_of(std::uint64_t number) noexcept { return 1 + number * 37 % 500; }
 constexpr std::uint64_t element_of(std::uint64_t number, std::size_t i) noexcept {
@@ -29,8 +30,7 @@ constexpr std::uint64_t element_of(std::uint64_t number, std::size_t i) noexcept
 }
 inline void fill(Numbered& message, std::uint64_t number) {
   message.number = number;
-  for (std::size_t i = 0; i < length_of(number); ++i)
-    message.data.push_back(element_of(number, i));
+  for (std::size_t i = 0; i < length_of(number); ++i) message.data.push_back(element_of(number, i));
 }
 inline bool is_intact(const Numbered& message, std::uint64_t number) noexcept {
   if (message.number != number || message.data.size() != length_of(number)) return false;

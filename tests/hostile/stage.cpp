@@ -61,6 +61,21 @@ Stage::State Stage::state() {
   return state;
 }
 
+wire::DaemonCounters Stage::counters() {
+  WireClient observer(socket_path());
+  wire::Observe observe{};
+  observe.fingerprint = abi::fingerprint();
+  EXPECT_EQ(observer.ask(wire::Opcode::observe, observe).opcode(), wire::Opcode::observed);
+  observer.send(wire::Opcode::dump, wire::Dump{});
+  wire::DaemonCounters counters{};
+  for (;;) {
+    const Incoming packet = observer.next();
+    if (packet.opcode() == wire::Opcode::dump_daemon)
+      counters = packet.as<wire::DumpDaemon>().counters;
+    if (packet.bytes.empty() || packet.opcode() == wire::Opcode::dump_end) return counters;
+  }
+}
+
 void Stage::honest_goes_on() {
   const State before = state();
   State now;

@@ -14,6 +14,7 @@
 // processes are programs of their own, because the library's hook and threads belong to a process.
 #pragma once
 
+#include <agnocast/abi/observe.hpp>
 #include <tests/support/child.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/steered_process.hpp>
@@ -73,6 +74,8 @@ class Stage {
   };
   /// Of both processes together.
   State state();
+  /// What the daemon counts.
+  abi::wire::DaemonCounters counters();
 
  private:
   DaemonProcess daemon_;
