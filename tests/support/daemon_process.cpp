@@ -58,7 +58,6 @@ struct Start {
   std::string out;  // files
   std::string err;
   bool without_peer_pidfd = false;
-  std::string program = AGNOCAST_TEST_DAEMON;
 };
 
 // getsockopt(…, SO_PEERPIDFD, …) fails with ENOPROTOOPT from here on, over exec.
@@ -190,7 +189,6 @@ void DaemonProcess::begin(const DaemonOptions& options) {
   what.arguments.insert(what.arguments.end(), options.arguments.begin(), options.arguments.end());
   what.environment = options.environment;
   what.environment.push_back("NOTIFY_SOCKET=" + notify);
-  if (!options.program.empty()) what.program = options.program;
   what.uid = options.uid;
   what.without_peer_pidfd = options.without_peer_pidfd;
   what.out = directory_ + "/out";

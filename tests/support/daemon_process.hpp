@@ -46,8 +46,6 @@ struct DaemonOptions {
   std::string program = {};
   /// As on a kernel before 6.5: SO_PEERPIDFD is not known (a seccomp filter answers).
   bool without_peer_pidfd = false;
-  /// Another build of agnocastd; empty: the ordinary one.
-  std::string program = {};
   /// NAME=value, beside the test's own.
   std::vector<std::string> environment = {};
 };
