@@ -12,6 +12,7 @@
 #include <cerrno>
 #include <charconv>
 #include <cstdio>
+#include <cstring>
 #include <string_view>
 
 namespace agnocast {
@@ -48,6 +49,36 @@ std::optional<std::uint64_t> Pidfd::inode() const noexcept {
   if (::fstatfs(fd_.get(), &filesystem) != 0 || filesystem.f_type != pidfs_magic) return {};
   if (::fstat(fd_.get(), &file) != 0) return {};
   return file.st_ino;
+}
+
+namespace {
+
+// The pid as this process sees it, from /proc/self/fdinfo; 0 or -1: none.
+std::optional<long> pid_of(const Pidfd& process) noexcept {
+  char path[64];
+  std::snprintf(path, sizeof path, "/proc/self/fdinfo/%d", process.fd());
+  const UniqueFd file(::open(path, O_RDONLY | O_CLOEXEC));
+  if (!file) return {};
+  char text[1024];
+  const ssize_t bytes = ::read(file.get(), text, sizeof text - 1);
+  if (bytes <= 0) return {};
+  text[bytes] = '\0';
+  const char* const line = std::strstr(text, "\nPid:");
+  long pid = 0;
+  if (line == nullptr || std::sscanf(line, "\nPid: %ld", &pid) != 1) return {};
+  return pid;
+}
+
+}  // namespace
+
+bool same_process(const Pidfd& known, const Pidfd& other, bool has_inodes) noexcept {
+  const auto inode = known.inode();
+  const auto other_inode = other.inode();
+  if (has_inodes && inode && other_inode) return *inode == *other_inode && !known.ended();
+  const auto pid = pid_of(known);
+  const auto other_pid = pid_of(other);
+  // The order matters: a process that has not ended after both looks pinned its number during them.
+  return pid && other_pid && *pid > 0 && *pid == *other_pid && !known.ended();
 }
 
 std::optional<std::uint64_t> start_time_of(pid_t pid) noexcept {

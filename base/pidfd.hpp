@@ -41,6 +41,11 @@ class Pidfd {
   UniqueFd fd_;
 };
 
+/// Whether both name one process. `known` must be of a process that may still be alive: false once
+/// it has ended. Opens files of /proc where pidfds have no inode; false when it cannot. Tests take
+/// the inodes away; everybody else passes nothing.
+bool same_process(const Pidfd& known, const Pidfd& other, bool has_inodes = true) noexcept;
+
 /// When the process with `pid` began, in clock ticks since boot (/proc/PID/stat): with the pid, the
 /// identity of a process where pidfds have no inode. Empty when there is none. To be believed only
 /// if a pidfd of it has not ended afterwards.

@@ -103,17 +103,89 @@ namespace agnocast {
   X(R7_unlinked, "client: the generation is unlinked")             \
   X(R8_again, "announce again to every member after a reconnect")
 
+// Places between two changes of the control plane that others see. Only the crash sweeps use them;
+// one name may stand in several places.
+#define AGNOCAST_CONTROL_STEP_TABLE(X)                                      \
+  /* client */                                                              \
+  X(C_connect, "a socket is connected")                                     \
+  X(C_hello, "say hello")                                                   \
+  X(C_arena, "reserve the arena")                                           \
+  X(C_regions, "map board and own region")                                  \
+  X(C_thread, "start the control thread")                                   \
+  X(C_ask, "ask the daemon for something")                                  \
+  X(C_answer, "an answer has been read")                                    \
+  X(C_post, "say something to the daemon")                                  \
+  X(C_packet, "the daemon has said something")                              \
+  X(C_window_described, "own region: a window's place")                     \
+  X(C_window_open, "hand a window to the hook")                             \
+  X(C_window_opened, "a window is in use")                                  \
+  X(C_extent_open, "map a new endpoint's extent")                           \
+  X(C_registered, "a new endpoint enters the table")                        \
+  X(C_sleeper, "a new executor has its bells")                              \
+  X(C_left, "leave was answered")                                           \
+  X(C_closed, "a subscription is closed")                                   \
+  X(C_release_last, "the release that a closing link waited for")           \
+  X(C_peer_map, "map a peer's region")                                      \
+  X(C_peer_window, "a peer's window becomes known")                         \
+  X(C_peer_extent, "map a peer's extent")                                   \
+  X(C_peer_open, "map what a peer's frontier shows")                        \
+  X(C_peer_opened, "remember how far a peer's window is mapped")            \
+  X(C_peer_cover, "unmap a peer's window")                                  \
+  X(C_peer_unmap, "unmap a peer")                                           \
+  X(C_link, "link a publisher")                                             \
+  X(C_linked, "a linked publisher enters the table")                        \
+  X(C_attach, "attach a subscription")                                      \
+  X(C_detach, "detach a subscription")                                      \
+  X(C_orphaned, "a publisher publishes no more")                            \
+  X(C_unlink, "unlink what is over")                                        \
+  X(C_errand_ring, "ring a sleeper that publish has left")                  \
+  X(C_publisher_over, "let go of everything that a publisher had attached") \
+  X(C_erased, "an endpoint leaves the table")                               \
+  X(C_adopt, "adoption: copy the message into the shared heap")             \
+  X(C_adopted, "adoption: the copy is made")                                \
+  X(C_original, "adoption: the original is gone")                           \
+  X(C_destroy, "destroy a message")                                         \
+  /* daemon, between its journaled changes */                               \
+  X(B_accepted, "a connection is accepted")                                 \
+  X(B_request, "a request is read")                                         \
+  X(B_send, "hand a packet to the socket")                                  \
+  X(B_sent, "a packet is handed over")                                      \
+  X(B_ended, "a connection has ended")                                      \
+  X(B_reap, "a process has died")                                           \
+  X(B_recover, "repair a dead publisher's queue")                           \
+  X(B_region_made, "a client region exists, without memory")                \
+  X(B_region_sign, "a client region says whose it is")                      \
+  X(B_window_base, "addresses of a window are taken")                       \
+  X(B_window_made, "a window exists")                                       \
+  X(B_clear, "clear an extent")                                             \
+  X(B_back, "back an extent with memory")                                   \
+  X(B_head, "write a new publisher's head")                                 \
+  X(B_bell_bind, "bind a doorbell")                                         \
+  X(B_bell_bound, "a doorbell is bound")                                    \
+  X(B_bell_remove, "remove a doorbell's name")                              \
+  X(B_bells_closed, "a dead process's doorbells are gone")                  \
+  X(B_ring, "ring a subscription of a publisher that is gone")              \
+  X(B_buried, "the daemon has let go of a dead process's memory")           \
+  X(B_settle, "free what nobody has any more")                              \
+  X(B_place_free, "give back a process's region and addresses")             \
+  /* daemon, inside a journaled change */                                   \
+  X(B_name, "tables: a name in a free place")                               \
+  X(B_table, "tables: the next number")                                     \
+  X(B_told, "tables: the next set of who was told")                         \
+  X(B_board_field, "board: the next word that is not its own step")
+
 enum class Step : std::uint16_t {
 #define AGNOCAST_STEP_ENUMERATOR(name, text) name,
   AGNOCAST_STEP_TABLE(AGNOCAST_STEP_ENUMERATOR)
+      AGNOCAST_CONTROL_STEP_TABLE(AGNOCAST_STEP_ENUMERATOR)
 #undef AGNOCAST_STEP_ENUMERATOR
-      count
+          count
 };
 
 constexpr const char* name_of(Step step) noexcept {
   constexpr const char* names[] = {
 #define AGNOCAST_STEP_NAME(name, text) #name,
-      AGNOCAST_STEP_TABLE(AGNOCAST_STEP_NAME)
+      AGNOCAST_STEP_TABLE(AGNOCAST_STEP_NAME) AGNOCAST_CONTROL_STEP_TABLE(AGNOCAST_STEP_NAME)
 #undef AGNOCAST_STEP_NAME
   };
   return step < Step::count ? names[static_cast<std::uint16_t>(step)] : "?";
@@ -122,7 +194,7 @@ constexpr const char* name_of(Step step) noexcept {
 constexpr const char* text_of(Step step) noexcept {
   constexpr const char* texts[] = {
 #define AGNOCAST_STEP_TEXT(name, text) text,
-      AGNOCAST_STEP_TABLE(AGNOCAST_STEP_TEXT)
+      AGNOCAST_STEP_TABLE(AGNOCAST_STEP_TEXT) AGNOCAST_CONTROL_STEP_TABLE(AGNOCAST_STEP_TEXT)
 #undef AGNOCAST_STEP_TEXT
   };
   return step < Step::count ? texts[static_cast<std::uint16_t>(step)] : "?";
@@ -131,6 +203,14 @@ constexpr const char* text_of(Step step) noexcept {
 #ifdef AGNOCAST_CRASH_POINTS
 /// Tests only: may end this process with SIGKILL. See journal/crash_point.cpp.
 void crash_point(Step name) noexcept;
+#endif
+
+/// In code that is no template over the memory policy: a place between two changes that others see.
+/// May stand in several places under one name. Nothing in a build without crash points.
+#ifdef AGNOCAST_CRASH_POINTS
+#define AGNOCAST_CRASH_POINT(name) ::agnocast::crash_point(::agnocast::Step::name)
+#else
+#define AGNOCAST_CRASH_POINT(name) static_cast<void>(0)
 #endif
 
 }  // namespace agnocast

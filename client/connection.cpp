@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <base/step.hpp>
 #include <client/connection.hpp>
 
 #include <poll.h>
@@ -22,95 +23,106 @@ bool write_name(abi::wire::Name& name, std::string_view text) noexcept {
   return true;
 }
 
+Failure refusal_of(const Incoming& packet) noexcept {
+  abi::wire::Refused refused{};
+  if (!packet.read(refused)) return {Errc::protocol_violation, 0, "an answer of agnocastd"};
+  char* const end = std::find(std::begin(refused.text.text), std::end(refused.text.text) - 1, '\0');
+  *end = '\0';
+  std::replace_if(
+      refused.text.text, end, [](char c) { return c < ' ' || c > '~'; }, '?');
+  return failure_with(static_cast<Errc>(refused.code), refused.text.text,
+                      static_cast<int>(refused.os_errno));
+}
+
 namespace {
 
 tl::unexpected<Failure> gone() noexcept {
   return fail(Errc::daemon_not_running, "the connection to agnocastd has ended");
 }
 
-/// Its text ends, and has nothing in it that a terminal would obey.
-bool read_refused(const Incoming& packet, abi::wire::Refused& refused) noexcept {
-  if (!packet.read(refused)) return false;
-  char* const end = std::find(std::begin(refused.text.text), std::end(refused.text.text) - 1, '\0');
-  *end = '\0';
-  std::replace_if(
-      refused.text.text, end, [](char c) { return c < ' ' || c > '~'; }, '?');
-  return true;
+void put_id(std::vector<std::byte>& bytes, std::uint64_t id) noexcept {
+  std::memcpy(bytes.data() + offsetof(Header, request), &id, sizeof id);
 }
-
-/// What the daemon refused, in its words.
-Failure refusal_of(const Incoming& packet) noexcept {
-  abi::wire::Refused refused{};
-  if (!read_refused(packet, refused))
-    return {Errc::protocol_violation, 0, "an answer of agnocastd"};
-  return failure_with(static_cast<Errc>(refused.code), refused.text.text,
-                      static_cast<int>(refused.os_errno));
-}
-
-// A failure is made in the control thread and told in the thread that waits; the detail goes with
-// it.
-Result<void> in_this_thread(const Result<void>& result, const std::string& detail) {
-  if (result || detail.empty()) return result;
-  return tl::unexpected(failure_with(result.error().code, detail.c_str(), result.error().os_errno));
+std::uint64_t id_in(std::span<const std::byte> bytes) noexcept {
+  std::uint64_t id = 0;
+  std::memcpy(&id, bytes.data() + offsetof(Header, request), sizeof id);
+  return id;
 }
 
 }  // namespace
 
-std::string refusal_text(const Incoming& packet) {
-  abi::wire::Refused refused{};
-  return read_refused(packet, refused) ? refused.text.text : "";
+// --- asking
+
+bool Connection::is_open() const noexcept {
+  const std::lock_guard lock(mutex_);
+  return is_open_;
 }
 
-Result<void> Connection::request_bytes(std::byte* bytes, std::size_t size,
-                                       std::function<Result<void>(Incoming&)> on_answer) {
+// A failure is made in the control thread and told in the thread that waits; the detail goes with
+// it.
+tl::unexpected<Failure> Connection::refused() const noexcept {
+  return tl::unexpected(failure_with(refused_, refused_detail_.c_str()));
+}
+
+void Connection::enter(std::span<const std::byte> bytes, const std::shared_ptr<Request>& request) {
+  const std::uint64_t id = next_id_++;
+  request->bytes.assign(bytes.begin(), bytes.end());
+  std::vector<std::byte> first = request->bytes;
+  put_id(first, id | (id_in(bytes) & abi::wire::asked_again));
+  put_id(request->bytes, id | abi::wire::asked_again);
+  requests_.emplace(id, request);
+  AGNOCAST_CRASH_POINT(C_ask);
+  if (is_open_) send(first);
+}
+
+Result<void> Connection::request_bytes(std::span<const std::byte> bytes, OnAnswer on_answer,
+                                       OnAnswer on_late) {
   const auto deadline = std::chrono::steady_clock::now() + answer_timeout;
-  Waiting waiting{std::move(on_answer), false, {}, {}};
-  std::uint64_t id = 0;
+  const auto request = std::make_shared<Request>();
+  request->on_answer = std::move(on_answer);
+  request->on_late = std::move(on_late);
+  std::unique_lock lock(mutex_);
+  if (refused_ != Errc::ok) return refused();
+  enter(bytes, request);
+  if (!answered_.wait_until(lock, deadline, [&] { return request->done; })) {
+    const std::uint64_t id = id_in(request->bytes) & ~abi::wire::asked_again;
+    if (requests_.count(id) != 0) {
+      // Nobody may call `on_answer` any more: what it refers to is gone with the caller.
+      request->on_answer = nullptr;
+      request->given_up = true;
+      if (!is_open_ || request->on_late == nullptr) requests_.erase(id);
+      const std::string why = path_ + (is_open_ ? ": no answer within 5 s"
+                                                : ": the connection has ended, 5 s ago or more");
+      return tl::unexpected(failure_with(Errc::daemon_not_running, why.c_str()));
+    }
+    // The control thread is at it in this moment.
+    answered_.wait(lock, [&] { return request->done; });
+  }
+  if (request->result || request->detail.empty()) return request->result;
+  const Failure& why = request->result.error();
+  return tl::unexpected(failure_with(why.code, request->detail.c_str(), why.os_errno));
+}
+
+void Connection::request_bytes_later(std::span<const std::byte> bytes, OnLater on_answer) {
   {
     const std::lock_guard lock(mutex_);
-    if (ended_) return in_this_thread(tl::unexpected(end_), end_detail_);
-    id = next_id_++;
-    waiting_[id] = &waiting;
-  }
-  std::memcpy(bytes + offsetof(Header, request), &id, sizeof id);
-  // Nobody may know `waiting` any more when this function returns; the control thread may be at it
-  // in the last moment.
-  const auto give_up = [&](tl::unexpected<Failure> why) -> Result<void> {
-    std::unique_lock lock(mutex_);
-    if (waiting_.erase(id) != 0) return why;
-    answered_.wait(lock, [&] { return waiting.done; });
-    return in_this_thread(waiting.result, waiting.detail);
-  };
-  for (;;) {
-    const Result<Sent> sent = socket_.send({bytes, size});
-    if (!sent) return give_up(tl::unexpected<Failure>(sent.error()));
-    if (*sent == Sent::sent) break;
-    if (*sent == Sent::peer_gone) return give_up(gone());
-    const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(
-        deadline - std::chrono::steady_clock::now());
-    pollfd writable{socket_.fd(), POLLOUT, 0};
-    if (left.count() <= 0 ||
-        (::poll(&writable, 1, static_cast<int>(left.count())) < 0 && errno != EINTR)) {
-      return give_up(fail(Errc::daemon_not_running, "agnocastd does not read its socket"));
+    if (refused_ == Errc::ok) {
+      const auto request = std::make_shared<Request>();
+      request->later = std::move(on_answer);
+      return enter(bytes, request);
     }
   }
-  {
-    std::unique_lock lock(mutex_);
-    if (answered_.wait_until(lock, deadline, [&] { return waiting.done; }))
-      return in_this_thread(waiting.result, waiting.detail);
-  }
-  return give_up(fail(Errc::daemon_not_running, "no answer of agnocastd within 5 s"));
+  on_answer(refused());
 }
 
-void Connection::post_bytes(std::span<const std::byte> bytes) {
-  const std::lock_guard lock(mutex_);
-  if (ended_) return;
+void Connection::send(std::span<const std::byte> bytes) {
   if (unsent_.empty()) {
     const Result<Sent> sent = socket_.send(bytes);
     if (sent && *sent != Sent::would_block)
       return;  // a peer that is gone: the control thread notices
   }
   unsent_.emplace_back(bytes.begin(), bytes.end());
+  wake_();
 }
 
 bool Connection::flush() noexcept {
@@ -123,42 +135,99 @@ bool Connection::flush() noexcept {
   return false;
 }
 
-void Connection::answer(std::uint64_t id, Incoming& packet) {
-  std::unique_lock lock(mutex_);
-  if (const auto later = later_.find(id); later != later_.end()) {
-    const auto on_answer = std::move(later->second);
-    later_.erase(later);
-    lock.unlock();
-    if (packet.header().opcode == Opcode::refused) {
-      on_answer(tl::unexpected<Failure>(refusal_of(packet)));
-    } else {
-      on_answer(&packet);
-    }
-    return;
+// --- one socket after the other
+
+void Connection::begin(PacketSocket socket) noexcept {
+  socket_ = std::move(socket);
+  seen_ = 0;
+}
+
+Result<void> Connection::introduce_bytes(std::span<const std::byte> bytes) noexcept {
+  const Result<Sent> sent = socket_.send(bytes);
+  if (!sent) return tl::unexpected<Failure>(sent.error());
+  return *sent == Sent::sent ? Result<void>() : gone();
+}
+
+void Connection::open() {
+  const std::lock_guard lock(mutex_);
+  for (const auto& [id, request] : requests_) send(request->bytes);
+  is_open_ = true;
+}
+
+void Connection::end() noexcept {
+  const std::lock_guard lock(mutex_);
+  is_open_ = false;
+  unsent_.clear();
+  // Who gave up is gone; what the daemon may have done for it, it says when we are back (`own`).
+  for (auto at = requests_.begin(); at != requests_.end();)
+    at = at->second->given_up ? requests_.erase(at) : std::next(at);
+  socket_.close();
+}
+
+void Connection::refuse(const Failure& why) noexcept {
+  end();
+  std::map<std::uint64_t, std::shared_ptr<Request>> requests;
+  {
+    const std::lock_guard lock(mutex_);
+    refused_ = why.code;
+    refused_detail_ = detail_of(why);
+    requests.swap(requests_);
   }
-  const auto found = waiting_.find(id);
-  if (found == waiting_.end())
-    return;  // given up; what came with the answer is closed with the packet
-  Waiting& waiting = *found->second;
-  waiting_.erase(found);
-  // Erased but not done: the requester waits for `done`, so `waiting` stays. Its function runs
-  // without the lock, it may post.
-  lock.unlock();
+  for (const auto& [id, request] : requests) {
+    if (request->later != nullptr) {
+      request->later(refused());
+    } else {
+      finish(*request, refused());
+    }
+  }
+}
+
+bool Connection::is_waiting(std::uint64_t id) const noexcept {
+  const std::lock_guard lock(mutex_);
+  const auto found = requests_.find(id);
+  return found != requests_.end() && !found->second->given_up;
+}
+
+// --- being answered
+
+void Connection::finish(Request& request, Result<void> result) {
+  const std::lock_guard lock(mutex_);
+  if (!result) request.detail = detail_of(result.error());
+  request.result = std::move(result);
+  request.done = true;
+  answered_.notify_all();
+}
+
+void Connection::answer(std::uint64_t id, Incoming& packet) {
+  AGNOCAST_CRASH_POINT(C_answer);
+  std::shared_ptr<Request> request;
+  {
+    const std::lock_guard lock(mutex_);
+    const auto found = requests_.find(id);
+    if (found == requests_.end())
+      return;  // given up; what came with the answer is closed with the packet
+    request = std::move(found->second);
+    requests_.erase(found);
+    // Erased but not done: the requester waits for `done`, so what its function refers to stays.
+  }
+  // Without the lock: the functions may post.
+  const bool refused = packet.header().opcode == Opcode::refused;
+  if (request->later != nullptr) {
+    if (refused) return request->later(tl::unexpected<Failure>(refusal_of(packet)));
+    return request->later(&packet);
+  }
   Result<void> result;
-  if (packet.header().opcode == Opcode::refused) {
+  if (refused) {
     result = tl::unexpected<Failure>(refusal_of(packet));
   } else {
     try {
-      result = waiting.on_answer(packet);
+      const OnAnswer& on_answer = request->given_up ? request->on_late : request->on_answer;
+      result = on_answer(packet);
     } catch (const std::bad_alloc&) {  // somebody waits for this answer
       result = fail(Errc::os_failure, "an answer of agnocastd", ENOMEM);
     }
   }
-  lock.lock();
-  if (!result) waiting.detail = detail_of(result.error());
-  waiting.result = std::move(result);
-  waiting.done = true;
-  answered_.notify_all();
+  finish(*request, std::move(result));
 }
 
 Result<bool> Connection::receive(Incoming& packet, bool& unasked) {
@@ -175,7 +244,7 @@ Result<bool> Connection::receive(Incoming& packet, bool& unasked) {
         packet.header().bytes != packet.size) {
       return fail(Errc::protocol_violation, "a packet of agnocastd");
     }
-    if (packet.header().request == 0) {
+    if (packet.header().request <= introduction_id) {
       unasked = true;
       return true;
     }
@@ -198,22 +267,6 @@ Result<void> Connection::receive_first(Incoming& packet) {
     return fail(Errc::protocol_violation, "a packet of agnocastd");
   if (packet.header().opcode == Opcode::refused) return tl::unexpected<Failure>(refusal_of(packet));
   return {};
-}
-
-void Connection::fail_all(const Failure& why) noexcept {
-  const std::lock_guard lock(mutex_);
-  ended_ = true;
-  end_ = why;
-  end_detail_ = detail_of(why);
-  for (auto& [id, waiting] : waiting_) {
-    waiting->result = tl::unexpected(end_);
-    waiting->detail = end_detail_;
-    waiting->done = true;
-  }
-  waiting_.clear();
-  later_.clear();
-  unsent_.clear();
-  answered_.notify_all();
 }
 
 }  // namespace agnocast

@@ -1,16 +1,25 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Connection: this process's one socket to the daemon.
+// Connection: this process's conversation with the daemon, over one socket after the other.
 //
-// Any thread sends; only the control thread receives, so announcements are handled in the order in
+// Any thread asks; only the control thread receives, so announcements are handled in the order in
 // which the daemon made them. A request waits for its answer; what the answer means is done by the
 // request's own function *in the control thread*, before the next packet is looked at: an endpoint
 // is registered before it can be announced anything.
+//
+//            begin()               open()                end()
+//   no socket ──────▶ introducing ────────▶ open ──────────────▶ no socket …      refuse(): for good
+//
+// A request outlives the socket it was sent on: open() sends what has no answer yet once more, in
+// the order of the ids, marked as asked again; so does it what was asked while there was no socket.
+// A statement (post) does not. It speaks of what was announced on its own connection, and the
+// daemon announces on the next one whatever it still believes: the answer to that is the statement.
 #pragma once
 
 #include <agnocast/abi/wire.hpp>
 #include <agnocast/result.hpp>
 #include <base/packet_socket.hpp>
+#include <base/step.hpp>
 
 #include <array>
 #include <chrono>
@@ -21,6 +30,7 @@
 #include <deque>
 #include <functional>
 #include <map>
+#include <memory>
 #include <mutex>
 #include <span>
 #include <string>
@@ -52,88 +62,130 @@ struct Incoming {
   }
 };
 
+/// What the daemon refused, in its words: of a packet that is shaped like `refused`.
+Failure refusal_of(const Incoming& packet) noexcept;
+
 class Connection {
  public:
   // A daemon under load answers within milliseconds; one that is restarted by its service manager
   // is back within seconds.
   static constexpr std::chrono::milliseconds answer_timeout{5000};
+  using OnAnswer = std::function<Result<void>(Incoming&)>;
+  using OnLater = std::function<void(Result<Incoming*>)>;
 
-  explicit Connection(PacketSocket socket) noexcept : socket_(std::move(socket)) {}
+  /// `wake`: asks the control thread to call flush(); static, any thread. `path`: of the daemon's
+  /// socket, for people.
+  Connection(void (*wake)() noexcept, std::string path) noexcept
+      : wake_(wake), path_(std::move(path)) {}
+
+  // --- any thread but the control thread
+
+  /// Sends `body` (a struct of abi/wire.hpp; its header is filled in here) and waits for the
+  /// answer, across connections. `on_answer` runs in the control thread and may fail the request.
+  /// `on_late` instead of it, when the answer comes after this function has given up; not for
+  /// refusals. `again`: the daemon may have done it for an earlier request. Errors: what the daemon
+  /// refused, daemon_not_running (gone, or no answer in time), what refuse() said.
+  template <class T>
+  [[nodiscard]] Result<void> request(abi::wire::Opcode opcode, T body, OnAnswer on_answer,
+                                     OnAnswer on_late = nullptr, bool again = false) {
+    body.header = {opcode, sizeof(T), again ? abi::wire::asked_again : 0};
+    return request_bytes({reinterpret_cast<const std::byte*>(&body), sizeof(T)},
+                         std::move(on_answer), std::move(on_late));
+  }
+
+  // --- any thread
+
+  bool is_open() const noexcept;
+  /// Sends `body` on the open connection, if there is one; expects no answer. `again`: as above.
+  template <class T>
+  void post(abi::wire::Opcode opcode, T body, bool again = false) {
+    body.header = {opcode, sizeof(T), again ? abi::wire::asked_again : 0};
+    const std::lock_guard lock(mutex_);
+    if (!is_open_) return;
+    AGNOCAST_CRASH_POINT(C_post);
+    send({reinterpret_cast<const std::byte*>(&body), sizeof(T)});
+  }
+  /// Sends `body` and returns; `on_answer` runs in the control thread when the answer comes, with
+  /// the refusal if it is one. For the control thread itself, which cannot wait for what only it
+  /// receives.
+  template <class T>
+  void request_later(abi::wire::Opcode opcode, T body, OnLater on_answer, bool again = false) {
+    body.header = {opcode, sizeof(T), again ? abi::wire::asked_again : 0};
+    request_bytes_later({reinterpret_cast<const std::byte*>(&body), sizeof(T)},
+                        std::move(on_answer));
+  }
+
+  // --- control thread
 
   int fd() const noexcept { return socket_.fd(); }
   /// Packets read from this connection so far, the first one included (Unlinked::seen).
   std::uint64_t seen() const noexcept { return seen_; }
 
-  /// Sends `body` (a struct of abi/wire.hpp; its header is filled in here) and waits for the
-  /// answer. `on_answer` runs in the control thread and may fail the request. Errors: what the
-  /// daemon refused, daemon_not_running (gone, or no answer in time). Not from the control thread.
+  /// A new socket. Requests and statements are not sent on it before open().
+  void begin(PacketSocket socket) noexcept;
+  /// Says who this is: hello or rejoin, the first packet. Its answer comes unasked. Errors: as
+  /// PacketSocket::send, daemon_not_running.
   template <class T>
-  [[nodiscard]] Result<void> request(abi::wire::Opcode opcode, T body,
-                                     std::function<Result<void>(Incoming&)> on_answer) {
-    body.header = {opcode, sizeof(T), 0};
-    return request_bytes(reinterpret_cast<std::byte*>(&body), sizeof(T), std::move(on_answer));
+  [[nodiscard]] Result<void> introduce(abi::wire::Opcode opcode, T body) {
+    body.header = {opcode, sizeof(T), introduction_id};
+    return introduce_bytes({reinterpret_cast<const std::byte*>(&body), sizeof(T)});
   }
-  /// Sends `body`, expects no answer (but for hello, which is answered before there is a control
-  /// thread and has `id` 1). What the socket does not take now is sent by the control thread later.
-  /// Any thread.
-  template <class T>
-  void post(abi::wire::Opcode opcode, T body, std::uint64_t id = 0) {
-    body.header = {opcode, sizeof(T), id};
-    post_bytes({reinterpret_cast<const std::byte*>(&body), sizeof(T)});
-  }
-
-  /// Sends `body` and returns; `on_answer` runs in the control thread when the answer comes, with
-  /// the refusal if it is one. For the control thread itself, which cannot wait for what only it
-  /// receives.
-  template <class T>
-  void request_later(abi::wire::Opcode opcode, T body,
-                     std::function<void(Result<Incoming*>)> on_answer) {
-    std::uint64_t id = 0;
-    {
-      const std::lock_guard lock(mutex_);
-      id = next_id_++;
-      later_[id] = std::move(on_answer);
-    }
-    post(opcode, body, id);
-  }
-
-  // --- control thread
-  // ------------------------------------------------------------------------------------------------------------
+  /// The daemon knows us: everything that waits is sent.
+  void open();
+  /// The socket is of no use any more.
+  void end() noexcept;
+  /// The descriptor is not ours any more: somebody else in this process has closed it.
+  void disown_socket() noexcept { (void)socket_.release().release(); }
+  /// Nobody will answer any more, ever: every request fails with `code`, those to come as well.
+  void refuse(const Failure& why) noexcept;
+  /// Whether somebody waits for the answer to this request.
+  bool is_waiting(std::uint64_t id) const noexcept;
 
   /// The next packet for nobody in particular, if there is one; answers are handled inside. False
   /// when the connection has ended.
   [[nodiscard]] Result<bool> receive(Incoming& packet, bool& unasked);
   /// Waits for the very first answer, before there is a control thread.
   [[nodiscard]] Result<void> receive_first(Incoming& packet);
-  /// Sends what post() could not; true while something is left.
+  /// Sends what the socket did not take; true while something is left.
   bool flush() noexcept;
-  /// Nobody will answer any more: every waiting request fails, and every one to come.
-  void fail_all(const Failure& why) noexcept;
 
  private:
-  struct Waiting {
-    std::function<Result<void>(Incoming&)> on_answer;
+  static constexpr std::uint64_t introduction_id = 1;
+
+  struct Request {
+    std::vector<std::byte> bytes;  // as it is sent when it is asked again
+    OnAnswer on_answer;            // of request()
+    OnAnswer on_late;
+    OnLater later;  // of request_later()
+    bool given_up = false;
     bool done = false;
     Result<void> result;
     std::string detail;
   };
 
-  [[nodiscard]] Result<void> request_bytes(std::byte* bytes, std::size_t size,
-                                           std::function<Result<void>(Incoming&)> on_answer);
-  void post_bytes(std::span<const std::byte> bytes);
+  [[nodiscard]] Result<void> request_bytes(std::span<const std::byte> bytes, OnAnswer on_answer,
+                                           OnAnswer on_late);
+  void request_bytes_later(std::span<const std::byte> bytes, OnLater on_answer);
+  [[nodiscard]] Result<void> introduce_bytes(std::span<const std::byte> bytes) noexcept;
+  void enter(std::span<const std::byte> bytes, const std::shared_ptr<Request>& request);
+  void send(std::span<const std::byte> bytes);
+  Result<void> give_up(Request& request);
   void answer(std::uint64_t id, Incoming& packet);
+  void finish(Request& request, Result<void> result);
+  tl::unexpected<Failure> refused() const noexcept;
 
-  PacketSocket socket_;
-  std::uint64_t seen_ = 0;
+  void (*wake_)() noexcept;
+  std::string path_;
+  PacketSocket socket_;     // control thread; others send on it under the mutex while it is open
+  std::uint64_t seen_ = 0;  // control thread
 
-  std::mutex mutex_;
+  mutable std::mutex mutex_;
   std::condition_variable answered_;
-  std::map<std::uint64_t, Waiting*> waiting_;
-  std::map<std::uint64_t, std::function<void(Result<Incoming*>)>> later_;
-  std::uint64_t next_id_ = 2;  // 1 is hello's
-  bool ended_ = false;
-  Failure end_;  // why; its detail is kept beside it
-  std::string end_detail_;
+  std::map<std::uint64_t, std::shared_ptr<Request>> requests_;
+  std::uint64_t next_id_ = introduction_id + 1;
+  bool is_open_ = false;
+  Errc refused_ = Errc::ok;
+  std::string refused_detail_;
   std::deque<std::vector<std::byte>> unsent_;
 };
 
@@ -147,8 +199,6 @@ inline abi::wire::Reference reference(abi::wire::Kind kind, std::uint32_t topic,
   body.generation = generation;
   return body;
 }
-/// The text of a Refused, for people: nothing in it that a terminal would obey. Empty for any other.
-std::string refusal_text(const Incoming& packet);
 /// Copies a name into a packet. False if it does not fit with its terminator.
 bool write_name(abi::wire::Name& name, std::string_view text) noexcept;
 

@@ -3,6 +3,7 @@
 #include <client/context.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
+#include <base/step.hpp>
 #include <base/text.hpp>
 #include <client/forked_child.hpp>
 #include <client/user_code.hpp>
@@ -111,23 +112,25 @@ bool Context::is_connected() const noexcept {
   return !is_forked_child() && is_connected_.load(std::memory_order_acquire);
 }
 
+ConnectionState Context::state() const noexcept {
+  return is_forked_child() ? ConnectionState::unconnected : state_.load(std::memory_order_acquire);
+}
+
+ConnectionState connection_state() noexcept { return Context::instance().state(); }
+Errc island_reason() noexcept { return Context::instance().island_reason(); }
+
 // --- connecting ---
 
 Result<void> Context::connect() {
   if (Result<void> refused = refuse_forked_child(); !refused) return refused;
   if (Result<void> refused = refuse_after_exit(); !refused) return refused;
-  if (is_revoked()) return fail_with(Errc::revoked, revoked_why_);
   const std::lock_guard lock(connecting_);
-  if (is_connected_.load(std::memory_order_relaxed)) {
-    if (ended_.load(std::memory_order_acquire))
-      return fail_with(Errc::daemon_not_running,
-                       "the connection to " + socket_path_ + " has ended");
-    return {};
-  }
+  if (is_connected_.load(std::memory_order_relaxed)) return {};
   if (Result<void> known = recognise_forked_children(); !known) return known;
   if (Result<void> ends = end_user_code_at_exit(); !ends) return ends;
   socket_path_ = socket_path();
   Result<void> done = say_hello();
+  AGNOCAST_CRASH_POINT(C_thread);
   if (done) done = start_control_thread();
   if (!done) {
     connection_.reset();
@@ -148,13 +151,17 @@ Result<void> Context::say_hello() {
     const Failure& why = socket.error();
     return fail_with(why.code, "connecting to " + socket_path_, why.os_errno);
   }
-  connection_ = std::make_unique<Connection>(std::move(*socket));
+  AGNOCAST_CRASH_POINT(C_connect);
+  connection_ = std::make_unique<Connection>([]() noexcept { Context::instance().wake_control(); },
+                                             socket_path_);
+  connection_->begin(std::move(*socket));
 
   wire::Hello hello{};
   hello.fingerprint = abi::fingerprint();
   hello.domain = *domain;
   write_name(hello.process_name, process_name());
-  connection_->post(Opcode::hello, hello, 1);
+  AGNOCAST_CRASH_POINT(C_hello);
+  if (Result<void> said = connection_->introduce(Opcode::hello, hello); !said) return said;
   Incoming packet;
   if (Result<void> first = connection_->receive_first(packet); !first) {
     if (first.error().code != Errc::daemon_not_running) return first;
@@ -167,14 +174,17 @@ Result<void> Context::say_hello() {
   }
   if (welcome.fingerprint != abi::fingerprint())
     return fail(Errc::layout_mismatch, "the welcome of agnocastd");
+  incarnation_ = welcome.incarnation;
   client_ = welcome.client;
   client_generation_ = welcome.client_generation;
   return map_regions(welcome, packet.packet.fds());
 }
 
 Result<void> Context::map_regions(const wire::Welcome& welcome, std::span<UniqueFd> fds) {
+  AGNOCAST_CRASH_POINT(C_arena);
   if (Result<void> reserved = reserve_arena(welcome.arena_base, welcome.arena_bytes); !reserved)
     return reserved;
+  AGNOCAST_CRASH_POINT(C_regions);
   Result<SparseRegion> board =
       SparseRegion::make(std::move(fds[0]), abi::board_bytes, Mapping::Access::read);
   if (!board) return tl::unexpected<Failure>(board.error());
@@ -192,13 +202,24 @@ Result<void> Context::start_control_thread() {
   wake_.reset(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
   if (!epoll_ || !wake_) return fail(Errc::os_failure, "preparing the control thread", errno);
   for (const int fd : {connection_->fd(), wake_.get()}) {
-    epoll_event event{};
-    event.events = EPOLLIN;
-    event.data.fd = fd;
-    if (::epoll_ctl(epoll_.get(), EPOLL_CTL_ADD, fd, &event) != 0)
-      return fail(Errc::os_failure, "preparing the control thread", errno);
+    if (Result<void> watched = watch(fd); !watched) return watched;
   }
-  return start_thread();
+  connection_->open();
+  state_.store(ConnectionState::connected, std::memory_order_release);
+  if (Result<void> started = start_thread(); !started) {
+    state_.store(ConnectionState::unconnected, std::memory_order_release);
+    return started;
+  }
+  return {};
+}
+
+Result<void> Context::watch(int fd) noexcept {
+  epoll_event event{};
+  event.events = EPOLLIN;
+  event.data.fd = fd;
+  if (::epoll_ctl(epoll_.get(), EPOLL_CTL_ADD, fd, &event) != 0)
+    return fail(Errc::os_failure, "preparing the control thread", errno);
+  return {};
 }
 
 Result<void> Context::start_thread() {
@@ -344,6 +365,7 @@ Result<wire::CreateEndpoint> describe(const EndpointRequest& request,
 
 // The topic's entry on the board, and the endpoint's own words.
 Result<void> Context::open_extents(const wire::EndpointCreated& made, std::uint64_t bytes) {
+  AGNOCAST_CRASH_POINT(C_extent_open);
   Result<void> opened = board_.open(abi::topic_offset(made.topic), abi::topic_bytes);
   return opened ? region_.open(made.extent, bytes) : opened;
 }
@@ -360,8 +382,9 @@ Result<std::shared_ptr<PublisherEndpoint>> Context::create_publisher(
   const Result<wire::CreateEndpoint> body = describe(request, 0);
   if (!body) return tl::unexpected<Failure>(body.error());
   std::shared_ptr<PublisherEndpoint> publisher;
-  Result<void> created =
-      connection_->request(Opcode::create_publisher, *body, [&](Incoming& packet) -> Result<void> {
+  Result<void> created = connection_->request(
+      Opcode::create_publisher, *body,
+      [&](Incoming& packet) -> Result<void> {
         wire::EndpointCreated made{};
         if (!packet.read(made) || made.topic >= abi::topic_count_max ||
             made.index >= abi::publisher_count_max) {
@@ -381,9 +404,11 @@ Result<std::shared_ptr<PublisherEndpoint>> Context::create_publisher(
             PublisherEndpoint::Identity{core, made.topic, destroy_message,
                                         []() noexcept { Context::instance().wake_control(); }});
         const std::lock_guard lock(endpoints_);
+        AGNOCAST_CRASH_POINT(C_registered);
         publishers_[{made.topic, made.index}] = publisher;
         return {};
-      });
+      },
+      [this](Incoming& packet) { return adopt_late(Kind::publisher, packet); });
   if (!created) return tl::unexpected<Failure>(created.error());
   return publisher;
 }
@@ -396,7 +421,8 @@ Result<std::shared_ptr<SubscriptionEndpoint>> Context::create_subscription(
   if (!body) return tl::unexpected<Failure>(body.error());
   std::shared_ptr<SubscriptionEndpoint> subscription;
   Result<void> created = connection_->request(
-      Opcode::create_subscription, *body, [&](Incoming& packet) -> Result<void> {
+      Opcode::create_subscription, *body,
+      [&](Incoming& packet) -> Result<void> {
         wire::EndpointCreated made{};
         if (!packet.read(made) || made.topic >= abi::topic_count_max ||
             made.index >= abi::subscription_count_max) {
@@ -417,9 +443,11 @@ Result<std::shared_ptr<SubscriptionEndpoint>> Context::create_subscription(
                                            request.message_alignment},
             sleeper);
         const std::lock_guard lock(endpoints_);
+        AGNOCAST_CRASH_POINT(C_registered);
         subscriptions_[{made.topic, made.index}] = subscription;
         return {};
-      });
+      },
+      [this](Incoming& packet) { return adopt_late(Kind::subscription, packet); });
   if (!created) return tl::unexpected<Failure>(created.error());
   return subscription;
 }
@@ -437,13 +465,19 @@ Result<std::shared_ptr<Sleeper>> Context::create_sleeper() {
   if (Result<void> connected = connect(); !connected)
     return tl::unexpected<Failure>(connected.error());
   wire::ExecutorRequest request{};
+  bool again = false;
   std::unique_ptr<Sleeper> sleeper;
   {
     const std::lock_guard lock(sleepers_);
     unused_sleepers_.reserve(abi::executor_count_max);
+    failed_sleepers_.reserve(abi::executor_count_max);
     if (!unused_sleepers_.empty()) {
       sleeper = std::move(unused_sleepers_.back());
       unused_sleepers_.pop_back();
+    } else if (!failed_sleepers_.empty()) {
+      request.executor = failed_sleepers_.back();
+      failed_sleepers_.pop_back();
+      again = true;
     } else if (next_sleeper_ == abi::executor_count_max) {
       static_assert(abi::executor_count_max == 56);
       return fail(
@@ -455,18 +489,26 @@ Result<std::shared_ptr<Sleeper>> Context::create_sleeper() {
     }
   }
   if (sleeper != nullptr) return lend(std::move(sleeper));
-  Result<void> opened =
-      connection_->request(Opcode::open_executor, request, [&](Incoming& packet) -> Result<void> {
+  Result<void> opened = connection_->request(
+      Opcode::open_executor, request,
+      [&](Incoming& packet) -> Result<void> {
         if (packet.header().opcode != Opcode::executor_opened ||
             packet.packet.descriptor_count != 2) {
           return fail(Errc::protocol_violation, "a new executor");
         }
         const auto fds = packet.packet.fds();
+        AGNOCAST_CRASH_POINT(C_sleeper);
         sleeper = std::make_unique<Sleeper>(region_.base(), request.executor,
                                             DoorbellReceiver(std::move(fds[0]), std::move(fds[1])));
         return {};
-      });
-  if (!opened) return tl::unexpected<Failure>(opened.error());
+      },
+      nullptr, again);
+  if (!opened) {
+    // Should the bells come late, nobody wants them; who gets the number next asks for new ones.
+    const std::lock_guard lock(sleepers_);
+    failed_sleepers_.push_back(request.executor);  // within its capacity
+    return tl::unexpected<Failure>(opened.error());
+  }
   return lend(std::move(sleeper));
 }
 
@@ -482,32 +524,33 @@ Result<std::shared_ptr<Sleeper>> Context::idle_sleeper() {
   return idle_sleeper_;
 }
 
+// The control thread says it, now or when it is connected again.
+void Context::wait_for(const Departure& departure) noexcept {
+  wake_control();
+  std::unique_lock lock(departing_);
+  departed_.wait_for(lock, Connection::answer_timeout,
+                     [&] { return departure.is_known() || !connection_->is_open(); });
+}
+
 void Context::destroy(const std::shared_ptr<PublisherEndpoint>& publisher) noexcept {
   if (!is_connected()) return;
-  const auto& identity = publisher->identity();
-  // A daemon that does not answer learns it from the end of the process.
-  (void)connection_->request(
-      Opcode::leave,
-      reference(Kind::publisher, publisher->topic_index(), identity.index, identity.generation),
-      [](Incoming&) -> Result<void> { return {}; });
-  wake_control();
+  publisher->departure().want();
+  wait_for(publisher->departure());
 }
 
 void Context::destroy(const std::shared_ptr<SubscriptionEndpoint>& subscription) noexcept {
   if (!is_connected()) return;
-  const auto& identity = subscription->identity();
-  // Closed after the daemon knows: the control thread says `drained` of what is closed.
-  (void)connection_->request(
-      Opcode::leave,
-      reference(Kind::subscription, identity.topic_index, identity.index, identity.generation),
-      [](Incoming&) -> Result<void> { return {}; });
   subscription->close();
-  wake_control();
+  AGNOCAST_CRASH_POINT(C_closed);
+  subscription->departure().want();
+  wait_for(subscription->departure());
 }
 
 void Context::release(const Received& received) noexcept {
   if (is_forked_child()) return;  // the hold is the parent's
-  if (received.link->release(received.taken.slot)) wake_control();
+  if (!received.link->release(received.taken.slot)) return;
+  AGNOCAST_CRASH_POINT(C_release_last);
+  wake_control();
 }
 
 }  // namespace agnocast

@@ -6,24 +6,28 @@
 //
 // One control thread serves it: it handles what the daemon says in order, makes the passes that
 // publishers leave to it, unlinks what is over, unmaps peers that nobody uses, and opens the next
-// heap window. User threads reach shared memory directly and the daemon only to create and destroy
-// endpoints.
+// heap window; and it comes back to the daemon when the connection was lost (rejoining.cpp). User
+// threads reach shared memory directly and the daemon only to create and destroy endpoints.
 #pragma once
 
+#include <agnocast/connection_state.hpp>
 #include <agnocast/residency.hpp>
 #include <agnocast/result.hpp>
 #include <base/doorbell.hpp>
 #include <base/mapping.hpp>
 #include <client/connection.hpp>
+#include <client/departure.hpp>
 #include <client/heap.hpp>
 #include <client/peer.hpp>
 #include <client/publisher_endpoint.hpp>
+#include <client/reconnection.hpp>
 #include <client/sleeper.hpp>
 #include <client/sparse_region.hpp>
 #include <client/subscription_endpoint.hpp>
 
 #include <atomic>
 #include <chrono>
+#include <condition_variable>
 #include <cstdint>
 #include <map>
 #include <memory>
@@ -59,10 +63,10 @@ class Context {
   /// The one of this process. Any thread.
   static Context& instance() noexcept;
 
-  /// Any of the following connects first if need be. Errors of all: daemon_not_running, revoked,
+  /// Any of the following connects first if need be. Errors of all: daemon_not_running,
   /// layout_mismatch, arena_occupied, lock_limit, address_limit, permission_denied, quota_exceeded,
-  /// limit_reached, shut_down (forked child, exit handlers), invalid_argument (ROS_DOMAIN_ID), os_failure, and
-  /// what is named.
+  /// limit_reached, shut_down (forked child, exit handlers), invalid_argument (ROS_DOMAIN_ID), os_failure,
+  /// started_anew and revoked (an island), and what is named.
 
   /// Errors also: hook_missing, hook_ineffective, type_mismatch, invalid_name, depth_refused.
   [[nodiscard]] Result<std::shared_ptr<PublisherEndpoint>> create_publisher(
@@ -76,9 +80,9 @@ class Context {
   [[nodiscard]] Result<std::shared_ptr<Sleeper>> idle_sleeper();
 
   /// The endpoint publishes no more; messages that somebody still reads stay until they are
-  /// released.
+  /// released. Returns when the daemon knows; while it is away, at once.
   void destroy(const std::shared_ptr<PublisherEndpoint>& publisher) noexcept;
-  /// The subscription takes no more; messages held stay valid.
+  /// The subscription takes no more; messages held stay valid. Returns as above.
   void destroy(const std::shared_ptr<SubscriptionEndpoint>& subscription) noexcept;
   /// The last copy of a received message is gone. No system call unless a closing link ends with
   /// it. Any thread.
@@ -94,6 +98,8 @@ class Context {
   SharedHeap shared_heap() const noexcept { return heap_->shared_heap(); }
   /// False in a forked child, and before the first endpoint.
   bool is_connected() const noexcept;
+  ConnectionState state() const noexcept;
+  Errc island_reason() const noexcept { return island_reason_.load(std::memory_order_acquire); }
   void wake_control() noexcept;
 
  private:
@@ -102,6 +108,14 @@ class Context {
     std::shared_ptr<std::atomic<std::uint64_t>> users;
   };
   using EndpointKey = std::pair<std::uint32_t, std::uint64_t>;  // topic, index
+  // An endpoint of this process that only the daemon knows: nobody waits for its creation any more,
+  // or it was over here while the daemon was away.
+  struct Stranger {
+    explicit Stranger(std::uint64_t known_generation) noexcept : generation(known_generation) {}
+    std::uint64_t generation;
+    Departure departure;
+  };
+  using StrangerKey = std::pair<abi::wire::Kind, EndpointKey>;
 
   Context() = default;
   Result<void> connect();
@@ -113,10 +127,13 @@ class Context {
   Result<void> open_heap();
   Result<void> open_extents(const abi::wire::EndpointCreated& made, std::uint64_t bytes);
   std::shared_ptr<Sleeper> lend(std::unique_ptr<Sleeper> sleeper);
+  void wait_for(const Departure& departure) noexcept;
 
   // control thread
   void serve() noexcept;
-  bool serve_once(int timeout_ms);
+  void serve_once(int timeout_ms);
+  int passes_due_ms();
+  void read_connection();
   void handle(Incoming& packet);
   void on_announce(Incoming& packet);
   void on_window(Incoming& packet);
@@ -124,7 +141,26 @@ class Context {
   void on_orphaned(Incoming& packet);
   void on_kick(Incoming& packet);
   void on_notice(Incoming& packet);
-  void on_revoked(Incoming& packet);
+
+  // control thread: coming back
+  void reconnect();
+  Result<void> introduce_again();
+  void lose_connection() noexcept;
+  void become_island(const Failure& why) noexcept;
+  void tell_state(ConnectionState state) noexcept;
+  Result<void> watch(int fd) noexcept;
+  void on_rejoined(Incoming& packet);
+  void on_refused(Incoming& packet);
+  void on_own(Incoming& packet);
+  void on_region(Incoming& packet);
+  void adopt_stranger(abi::wire::Kind kind, const EndpointKey& key, std::uint64_t generation,
+                      bool has_left);
+  Result<void> adopt_late(abi::wire::Kind kind, Incoming& packet);
+  void say_departures();
+  void say_departure(Departure& departure, const abi::wire::Reference& who,
+                     std::shared_ptr<void> keeps);
+  void see_strangers_off();
+  bool is_freed(const EndpointKey& key, std::uint64_t generation);
   std::vector<std::shared_ptr<PublisherEndpoint>> publishers() const;
   void run_errands();
   void collect_subscriptions();
@@ -136,7 +172,8 @@ class Context {
                                 std::span<UniqueFd> fds, std::size_t& used);
   void say_unlinked(abi::wire::Kind kind, std::uint32_t topic, std::uint64_t index,
                     std::uint64_t generation);
-  void connection_ended() noexcept;
+  bool is_linked(std::uint32_t topic, std::uint64_t publisher, std::uint64_t generation) const;
+  bool is_attached(std::uint32_t topic, std::uint64_t subscription, std::uint64_t generation) const;
 
   mutable std::mutex connecting_;
   std::atomic<bool> is_connected_{false};  // a forked child inherits it
@@ -144,7 +181,7 @@ class Context {
   std::unique_ptr<Connection> connection_;
   Mapping arena_;
   SparseRegion board_, region_;
-  std::uint64_t client_ = 0, client_generation_ = 0;
+  std::uint64_t incarnation_ = 0, client_ = 0, client_generation_ = 0;
   HeapScope scope_ = HeapScope::loan;
   std::optional<Heap> heap_;
   std::atomic<bool> heap_is_open_{false};
@@ -155,8 +192,14 @@ class Context {
   std::chrono::steady_clock::time_point window_again_{};    // not before
 
   UniqueFd epoll_, wake_;
-  std::atomic<bool> ended_{false};
-  std::string revoked_why_;  // written before the service ends, then only read
+  Reconnection reconnection_;  // control thread only, as the next three
+  std::map<StrangerKey, std::shared_ptr<Stranger>> strangers_;
+  int passes_pause_ = 0, link_look_ = 0;
+  bool was_reclaimable_ = false, is_output_blocked_ = false;
+  std::atomic<ConnectionState> state_{ConnectionState::unconnected};
+  std::atomic<Errc> island_reason_{Errc::ok};
+  std::mutex departing_;
+  std::condition_variable departed_;
 
   mutable std::mutex endpoints_;
   std::map<EndpointKey, std::shared_ptr<PublisherEndpoint>> publishers_;
@@ -165,6 +208,7 @@ class Context {
   std::mutex sleepers_;
   std::uint64_t next_sleeper_ = 0;
   std::vector<std::unique_ptr<Sleeper>> unused_sleepers_;
+  std::vector<std::uint64_t> failed_sleepers_;  // numbers whose bells never came
   std::mutex idle_making_;
   std::shared_ptr<Sleeper> idle_sleeper_;
 

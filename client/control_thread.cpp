@@ -3,7 +3,8 @@
 // The control thread of the context: what the daemon says, in order, and everything that user threads leave to it.
 
 #include <client/context.hpp>
-#include <client/forked_child.hpp>
+
+#include <base/step.hpp>
 
 #include <poll.h>
 #include <sys/epoll.h>
@@ -28,81 +29,81 @@ constexpr int timer_first_ms = 100;
 constexpr int timer_last_ms = 1000;
 // Looks at a subscription that has not linked yet: usually it does within a millisecond.
 constexpr int link_look_first_ms = 1;
+// Looks at a socket that the daemon has not read empty.
+constexpr int output_look_ms = 10;
 
 }  // namespace
 
 void Context::serve() noexcept {
-  int timeout = timer_last_ms;
-  int link_look = link_look_first_ms;
-  bool was_reclaimable = false;
   for (;;) {
     try {
-      if (!serve_once(timeout)) break;
-      const auto all = publishers();
-      const bool reclaimable = std::any_of(all.begin(), all.end(), [](const auto& publisher) {
-        return publisher->has_reclaimable();
-      });
-      if (!reclaimable) {
-        timeout = timer_last_ms;
-      } else {
-        timeout = was_reclaimable ? std::min(timeout * 2, timer_last_ms) : timer_first_ms;
-      }
-      was_reclaimable = reclaimable;
-      if (std::any_of(all.begin(), all.end(),
-                      [](const auto& publisher) { return publisher->awaits_link(); })) {
-        timeout = std::min(timeout, link_look);
-        link_look = std::min(link_look * 2, timer_first_ms);
-      } else {
-        link_look = link_look_first_ms;
-      }
+      serve_once(passes_due_ms());
     } catch (const std::bad_alloc&) {
-      // Out of memory in the control thread: nothing is half done that the next round would not do
-      // again.
-      timeout = timer_last_ms;
+      // A packet may be half done. After a new connection the daemon says again what counts.
+      lose_connection();
     }
   }
-  connection_ended();
 }
 
-bool Context::serve_once(int timeout_ms) {
+// In how many milliseconds somebody must look at the publishers again.
+int Context::passes_due_ms() {
+  const auto all = publishers();
+  const bool reclaimable = std::any_of(
+      all.begin(), all.end(), [](const auto& publisher) { return publisher->has_reclaimable(); });
+  if (!reclaimable) {
+    passes_pause_ = timer_last_ms;
+  } else {
+    passes_pause_ = was_reclaimable_ ? std::min(passes_pause_ * 2, timer_last_ms) : timer_first_ms;
+  }
+  was_reclaimable_ = reclaimable;
+  const bool awaits_link = std::any_of(
+      all.begin(), all.end(), [](const auto& publisher) { return publisher->awaits_link(); });
+  if (!awaits_link) {
+    link_look_ = link_look_first_ms;
+    return passes_pause_;
+  }
+  const int look = link_look_;
+  link_look_ = std::min(link_look_ * 2, timer_first_ms);
+  return std::min(passes_pause_, look);
+}
+
+void Context::serve_once(int timeout_ms) {
+  if (reconnection_.state() == Reconnection::State::waiting) {
+    const auto left = std::chrono::ceil<std::chrono::milliseconds>(reconnection_.next_try() -
+                                                                   Reconnection::Clock::now());
+    timeout_ms = std::clamp(static_cast<int>(left.count()), 0, timeout_ms);
+  }
+  if (is_output_blocked_) timeout_ms = std::min(timeout_ms, output_look_ms);
   epoll_event events[4];
   const int count = ::epoll_wait(epoll_.get(), events, 4, timeout_ms);
-  if (count < 0 && errno != EINTR) return false;
+  if (count < 0 && errno != EINTR) {
+    // Somebody has closed our descriptors; their numbers may be others' by now.
+    const Failure why{Errc::os_failure, errno, "waiting in the control thread"};
+    connection_->disown_socket();
+    become_island(why);
+    ::poll(nullptr, 0, timer_first_ms);
+  }
   for (int i = 0; i < count; ++i) {
     if (events[i].data.fd == wake_.get()) {
       std::uint64_t ignored = 0;
       [[maybe_unused]] const ssize_t got = ::read(wake_.get(), &ignored, sizeof ignored);
-      continue;
-    }
-    for (;;) {
-      Incoming packet;
-      bool unasked = false;
-      const Result<bool> alive = connection_->receive(packet, unasked);
-      if (!alive || !*alive) return false;
-      if (!unasked) break;
-      handle(packet);
+    } else {
+      read_connection();
     }
   }
+  if (reconnection_.is_due(Reconnection::Clock::now())) reconnect();
   run_errands();
-  connection_->flush();
-  return true;
+  is_output_blocked_ = connection_->flush();
 }
 
-void Context::connection_ended() noexcept {
-  ended_.store(true, std::memory_order_release);
-  connection_->fail_all(
-      is_revoked() ? failure_with(Errc::revoked, revoked_why_.c_str())
-                   : Failure{Errc::daemon_not_running, 0, "the connection to agnocastd has ended"});
-  // What is in shared memory goes on without the daemon: publishers still need their passes.
-  for (;;) {
-    pollfd wake{wake_.get(), POLLIN, 0};
-    ::poll(&wake, 1, timer_first_ms);
-    std::uint64_t ignored = 0;
-    [[maybe_unused]] const ssize_t got = ::read(wake_.get(), &ignored, sizeof ignored);
-    try {
-      for (const auto& publisher : publishers()) publisher->run_errands();
-    } catch (const std::bad_alloc&) {  // next time
-    }
+void Context::read_connection() {
+  while (connection_->fd() >= 0) {
+    Incoming packet;
+    bool unasked = false;
+    const Result<bool> alive = connection_->receive(packet, unasked);
+    if (!alive || !*alive) return lose_connection();
+    if (!unasked) return;
+    handle(packet);
   }
 }
 
@@ -116,6 +117,7 @@ std::vector<std::shared_ptr<PublisherEndpoint>> Context::publishers() const {
 }
 
 void Context::handle(Incoming& packet) {
+  AGNOCAST_CRASH_POINT(C_packet);
   switch (packet.header().opcode) {
     case Opcode::announce:
       on_announce(packet);
@@ -135,8 +137,20 @@ void Context::handle(Incoming& packet) {
     case Opcode::notice:
       on_notice(packet);
       break;
+    case Opcode::rejoined:
+      on_rejoined(packet);
+      break;
+    case Opcode::own:
+      on_own(packet);
+      break;
+    case Opcode::region:
+      on_region(packet);
+      break;
     case Opcode::revoked:
-      on_revoked(packet);
+      become_island(failure_with(Errc::revoked, detail_of(refusal_of(packet))));
+      break;
+    case Opcode::refused:
+      on_refused(packet);
       break;
     default:
       break;  // a newer daemon may say more than we know
@@ -163,6 +177,7 @@ std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
     if (own) {
       known.peer = std::make_unique<Peer>(client_, client_generation_, region_.base());
     } else {
+      AGNOCAST_CRASH_POINT(C_peer_map);
       Result<SparseRegion> region =
           SparseRegion::make(std::move(fds[0]), std::uint64_t{1} << 30, Mapping::Access::read);
       if (!region || !region->open(0, abi::page_bytes)) {
@@ -180,6 +195,7 @@ std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
     const bool inside = window.base >= arena && window.bytes <= arena_.bytes() &&
                         window.base - arena <= arena_.bytes() - window.bytes;
     if (!inside) return nullptr;
+    AGNOCAST_CRASH_POINT(C_peer_window);
     Result<void> added =
         own ? known.peer->heap().add_own(i, window.base, window.bytes)
             : known.peer->heap().add(i, window.base, window.bytes, std::move(fds[1 + i]));
@@ -187,6 +203,7 @@ std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
   }
   const std::uint64_t bytes = announcement.kind == Kind::publisher ? abi::publisher_extent_bytes
                                                                    : abi::subscription_extent_bytes;
+  AGNOCAST_CRASH_POINT(C_peer_extent);
   if (!known.peer->open(announcement.extent, bytes)) return nullptr;
   return use(known);
 }
@@ -208,13 +225,11 @@ void Context::on_announce(Incoming& packet) {
     }
     if (subscription != nullptr &&
         subscription->identity().generation == announcement.own_generation) {
-      linked =
-          subscription
-              ->add_publisher({announcement.index, announcement.generation, announcement.extent,
-                               announcement.first_sequence, abi::unpack_qos(announcement.qos),
-                               announcement.from_start != 0},
-                              std::move(peer))
-              .has_value();
+      linked = subscription->add_publisher(
+          {announcement.index, announcement.generation, announcement.extent,
+           announcement.first_sequence, abi::unpack_qos(announcement.qos),
+           announcement.from_start != 0},
+          std::move(peer));
     }
   } else if (peer != nullptr && announcement.kind == Kind::subscription &&
              announcement.doorbell_count >= 1 && announcement.doorbell_count <= 2 &&
@@ -235,9 +250,30 @@ void Context::on_announce(Incoming& packet) {
       linked = true;
     }
   }
+  // `unlinked` speaks for the whole process: not while another endpoint of ours is linked.
+  linked = linked ||
+           (announcement.kind == Kind::publisher
+                ? is_linked(announcement.topic, announcement.index, announcement.generation)
+                : is_attached(announcement.topic, announcement.index, announcement.generation));
   if (!linked)
     say_unlinked(announcement.kind, announcement.topic, announcement.index,
                  announcement.generation);
+}
+
+bool Context::is_linked(std::uint32_t topic, std::uint64_t publisher,
+                        std::uint64_t generation) const {
+  const std::lock_guard lock(endpoints_);
+  return std::any_of(subscriptions_.begin(), subscriptions_.end(), [&](const auto& entry) {
+    return entry.first.first == topic && entry.second->is_linked_to(publisher, generation);
+  });
+}
+
+bool Context::is_attached(std::uint32_t topic, std::uint64_t subscription,
+                          std::uint64_t generation) const {
+  const auto all = publishers();
+  return std::any_of(all.begin(), all.end(), [&](const auto& publisher) {
+    return publisher->topic_index() == topic && publisher->is_attached(subscription, generation);
+  });
 }
 
 void Context::on_window(Incoming& packet) {
@@ -248,6 +284,7 @@ void Context::on_window(Incoming& packet) {
     return;  // unmapped meanwhile: the next announcement brings all windows
   const bool own = announced.client == client_ && announced.client_generation == client_generation_;
   PeerHeap& heap = found->second.peer->heap();
+  AGNOCAST_CRASH_POINT(C_peer_window);
   (void)(own ? heap.add_own(announced.window, announced.base, announced.bytes)
              : heap.add(announced.window, announced.base, announced.bytes,
                         std::move(packet.packet.fds()[0])));
@@ -321,16 +358,6 @@ void Context::on_notice(Incoming& packet) {
   }
 }
 
-// The daemon ends the connection after this. Endpoints stay as they are, and so does what is held.
-void Context::on_revoked(Incoming& packet) {
-  if (service_state() != Errc::ok) return;
-  revoked_why_ = refusal_text(packet);
-  end_service();
-  const std::lock_guard lock(endpoints_);
-  for (const auto& [key, publisher] : publishers_) publisher->revoke();
-  for (const auto& [key, subscription] : subscriptions_) subscription->revoke();
-}
-
 void Context::say_unlinked(Kind kind, std::uint32_t topic, std::uint64_t index,
                            std::uint64_t generation) {
   wire::Unlinked body{};
@@ -343,20 +370,30 @@ void Context::say_unlinked(Kind kind, std::uint32_t topic, std::uint64_t index,
 }
 
 void Context::run_errands() {
+  say_departures();
   for (const auto& publisher : publishers()) {
     publisher->run_errands();
     if (!publisher->is_over()) continue;
-    publisher->detach_all();
+    AGNOCAST_CRASH_POINT(C_publisher_over);
+    const auto members = publisher->detach_all();
     const auto& identity = publisher->identity();
+    const std::uint32_t topic = publisher->topic_index();
     {
       const std::lock_guard lock(endpoints_);
-      publishers_.erase({publisher->topic_index(), identity.index});
+      publishers_.erase({topic, identity.index});
     }
-    connection_->post(Opcode::drained, reference(Kind::publisher, publisher->topic_index(),
-                                                 identity.index, identity.generation));
+    AGNOCAST_CRASH_POINT(C_erased);
+    // Another publisher of ours on this topic may be attached to some of them, and not to others.
+    for (const auto& [index, generation] : members) {
+      if (!is_attached(topic, index, generation))
+        say_unlinked(Kind::subscription, topic, index, generation);
+    }
+    connection_->post(Opcode::drained,
+                      reference(Kind::publisher, topic, identity.index, identity.generation));
   }
   collect_subscriptions();
   collect_peers();
+  see_strangers_off();
   ask_for_window();
 }
 
@@ -379,6 +416,7 @@ void Context::collect_subscriptions() {
       connection_->post(Opcode::drained,
                         reference(Kind::subscription, it->first.first, it->first.second,
                                   subscription->identity().generation));
+      AGNOCAST_CRASH_POINT(C_erased);
       it = subscriptions_.erase(it);
     } else {
       ++it;
@@ -393,6 +431,7 @@ void Context::collect_peers() {
       continue;
     }
     const auto [client, generation] = it->first;
+    AGNOCAST_CRASH_POINT(C_peer_unmap);
     it = peers_.erase(it);  // unmapped here, said after
     if (client != client_ || generation != client_generation_)
       say_unlinked(Kind::region, 0, client, generation);

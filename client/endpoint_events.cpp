@@ -32,6 +32,13 @@ void EndpointEvents::incompatible_type() noexcept {
   changed();
 }
 
+void EndpointEvents::connection(const ConnectionInfo& info) noexcept {
+  const std::lock_guard lock(mutex_);
+  ++now_.connections;
+  connection_ = info;
+  changed();
+}
+
 MatchedInfo EndpointEvents::matched_since(Counts& told) const noexcept {
   const std::uint64_t gained = now_.matched - told.matched;
   const std::uint64_t ceased = now_.ceased - told.ceased;
@@ -73,7 +80,7 @@ void EndpointEvents::wake_for(const detail::EventCallbacks& callbacks,
                               std::shared_ptr<Sleeper> sleeper) noexcept {
   const std::lock_guard lock(mutex_);
   wanted_ = {callbacks.matched != nullptr, callbacks.incompatible_qos != nullptr,
-             callbacks.incompatible_type != nullptr};
+             callbacks.incompatible_type != nullptr, callbacks.connection != nullptr};
   sleeper_ = std::move(sleeper);
   changed();
 }
@@ -81,7 +88,8 @@ void EndpointEvents::wake_for(const detail::EventCallbacks& callbacks,
 bool EndpointEvents::look_for_pending() const noexcept {
   return (wanted_.matched && matched_changed()) ||
          (wanted_.qos && now_.qos != told_by_callback_.qos) ||
-         (wanted_.types && now_.types != told_by_callback_.types);
+         (wanted_.types && now_.types != told_by_callback_.types) ||
+         (wanted_.connections && now_.connections != told_by_callback_.connections);
 }
 
 void EndpointEvents::changed() noexcept {
@@ -105,6 +113,10 @@ bool EndpointEvents::run_one(const detail::EventCallbacks& callbacks) {
     return run(callbacks.incompatible_qos, qos_since(told_by_callback_));
   if (wanted_.types && now_.types != told_by_callback_.types)
     return run(callbacks.incompatible_type, types_since(told_by_callback_));
+  if (wanted_.connections && now_.connections != told_by_callback_.connections) {
+    told_by_callback_.connections = now_.connections;
+    return run(callbacks.connection, ConnectionInfo(connection_));
+  }
   return false;
 }
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // EndpointEvents: what happened to one endpoint besides messages: matched, incompatible QoS,
-// incompatible type.
+// incompatible type, the state of the process's connection.
 //
 // The control thread counts; status getters read in any thread; callbacks are run by whoever runs
 // the callbacks of the node. Counts are cumulative, so an event that comes before anybody waits for
@@ -32,6 +32,7 @@ class EndpointEvents {
   void ceased() noexcept;
   void incompatible_qos(QosPolicyKind policy) noexcept;
   void incompatible_type() noexcept;
+  void connection(const ConnectionInfo& info) noexcept;
 
   // --- any thread
 
@@ -53,6 +54,7 @@ class EndpointEvents {
     std::uint64_t ceased = 0;
     std::uint64_t qos = 0;
     std::uint64_t types = 0;
+    std::uint64_t connections = 0;
   };
   MatchedInfo matched_since(Counts& told) const noexcept;
   IncompatibleQosInfo qos_since(Counts& told) const noexcept;
@@ -66,9 +68,10 @@ class EndpointEvents {
   mutable std::mutex mutex_;
   Counts now_, told_by_status_, told_by_callback_;
   QosPolicyKind last_policy_ = QosPolicyKind::invalid;
+  ConnectionInfo connection_;
   std::atomic<bool> pending_{false};
   struct {
-    bool matched = false, qos = false, types = false;
+    bool matched = false, qos = false, types = false, connections = false;
   } wanted_;
   std::shared_ptr<Sleeper> sleeper_;
 };

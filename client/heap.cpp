@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <base/mapping.hpp>
+#include <base/step.hpp>
 #include <base/text.hpp>
 #include <client/dataplane/windows.hpp>
 #include <client/heap.hpp>
@@ -102,7 +103,9 @@ tl::unexpected<Failure> no_hook() {
 void describe_window(std::byte* client_region, std::uint64_t window, std::uint64_t base,
                      std::uint64_t length) noexcept {
   auto& entry = reinterpret_cast<abi::ClientRegionHeader*>(client_region)->window[window];
+  AGNOCAST_CRASH_POINT(C_window_described);
   entry.length.store(length, std::memory_order_relaxed);
+  AGNOCAST_CRASH_POINT(C_window_described);
   entry.base.store(base, std::memory_order_release);
 }
 
@@ -115,11 +118,13 @@ bool lies_in_heap(const agnocast_heaphook_table& hook, Pointer block) noexcept {
 thread_local std::uint64_t pause_count = 0;
 
 std::uint64_t begin_adoption(void*) noexcept {
+  AGNOCAST_CRASH_POINT(C_adopt);
   for (std::uint64_t i = 0; i < pause_count; ++i) attached.hook->resume();
   attached.hook->enter();
   return attached.hook->spilled();
 }
 std::uint64_t end_adoption(void*) noexcept {
+  AGNOCAST_CRASH_POINT(C_adopted);
   attached.hook->leave();
   for (std::uint64_t i = 0; i < pause_count; ++i) attached.hook->pause();
   return attached.hook->spilled();
@@ -170,7 +175,9 @@ Result<void> Heap::attach(std::byte* client_region, std::uint64_t base, std::uin
       0, store_grown, &attached};
   // Asked again after it was found ineffective: the hook attaches once, and the answer is the same.
   if (attached.count.load(std::memory_order_relaxed) == 0) {
+    AGNOCAST_CRASH_POINT(C_window_open);
     if (Result<void> opened = result_of(hook_->attach(&window, &options)); !opened) return opened;
+    AGNOCAST_CRASH_POINT(C_window_opened);
     attached.base[0] = base;
     attached.count.store(1, std::memory_order_release);
   }
@@ -202,7 +209,9 @@ Result<void> Heap::add_window(std::byte* client_region, std::uint64_t window, st
   // Known before the hook hands out its first address: a message that lies there is resident.
   attached.base[window] = base;
   attached.count.store(window + 1, std::memory_order_release);
+  AGNOCAST_CRASH_POINT(C_window_open);
   Result<void> opened = result_of(hook_->add_window(&next));
+  AGNOCAST_CRASH_POINT(C_window_opened);
   if (!opened) attached.count.store(window, std::memory_order_release);
   return opened;
 }

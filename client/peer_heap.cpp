@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <base/mapping.hpp>
+#include <base/step.hpp>
 #include <client/dataplane/windows.hpp>
 #include <client/peer_heap.hpp>
 
@@ -19,6 +20,7 @@ PeerHeap::~PeerHeap() {
   for (std::uint64_t i = 0; i < window_count(); ++i) {
     const Window& window = windows_[i];
     if (!window.fd || window.opened.load(std::memory_order_relaxed) == 0) continue;
+    AGNOCAST_CRASH_POINT(C_peer_cover);
     Mapping::cover(static_cast<std::byte*>(at_address(window.base)),
                    window.opened.load(std::memory_order_relaxed));
   }
@@ -51,8 +53,10 @@ Result<void> PeerHeap::add_own(std::uint64_t window, std::uint64_t base,
   return append(window, base, length, UniqueFd(), length);
 }
 
-void PeerHeap::open() noexcept {
-  for (std::uint64_t i = 0; i < window_count(); ++i) {
+PeerHeap::Reach PeerHeap::open() noexcept {
+  // One that is added meanwhile has not been opened.
+  const std::uint64_t count = window_count();
+  for (std::uint64_t i = 0; i < count; ++i) {
     Window& window = windows_[i];
     const std::uint64_t frontier =
         dataplane::load_frontier<SharedMemory>(client_region_, i, window.length) &
@@ -62,14 +66,19 @@ void PeerHeap::open() noexcept {
     const std::uint64_t opened = window.opened.load(std::memory_order_relaxed);
     if (frontier <= opened) continue;
     void* const at = at_address(window.base + opened);
+    AGNOCAST_CRASH_POINT(C_peer_open);
     if (::mmap(at, frontier - opened, PROT_READ, MAP_SHARED | MAP_FIXED, window.fd.get(),
                static_cast<off_t>(opened)) == MAP_FAILED) {
-      return;  // what lies beyond stays closed: contains() refuses it, and the message counts as
-               // malformed
+      return Reach::refused;
     }
     ::madvise(at, frontier - opened, MADV_DONTDUMP);
+    AGNOCAST_CRASH_POINT(C_peer_opened);
     window.opened.store(frontier, std::memory_order_release);
   }
+  const auto& header = *reinterpret_cast<const abi::ClientRegionHeader*>(client_region_);
+  const bool shows_more = count < abi::window_count_max &&
+                          header.window[count].base.load(std::memory_order_acquire) != 0;
+  return shows_more ? Reach::awaits_window : Reach::whole;
 }
 
 bool PeerHeap::contains(std::uint64_t address, std::uint64_t size) const noexcept {
@@ -77,17 +86,6 @@ bool PeerHeap::contains(std::uint64_t address, std::uint64_t size) const noexcep
     const Window& window = windows_[i];
     const std::uint64_t opened = window.opened.load(std::memory_order_acquire);
     if (address >= window.base && size <= opened && address - window.base <= opened - size)
-      return true;
-  }
-  return false;
-}
-
-bool PeerHeap::is_awaited(std::uint64_t address, std::uint64_t size) const noexcept {
-  const auto& header = *reinterpret_cast<const abi::ClientRegionHeader*>(client_region_);
-  for (std::uint64_t i = window_count(); i < abi::window_count_max; ++i) {
-    const std::uint64_t base = header.window[i].base.load(std::memory_order_acquire);
-    const std::uint64_t length = header.window[i].length.load(std::memory_order_relaxed);
-    if (base != 0 && address >= base && size <= length && address - base <= length - size)
       return true;
   }
   return false;

@@ -41,14 +41,17 @@ class PeerHeap {
   [[nodiscard]] Result<void> add_own(std::uint64_t window, std::uint64_t base,
                                      std::uint64_t length) noexcept;
 
+  enum class Reach : std::uint8_t {
+    whole,          ///< every window that the owner's header shows, up to its frontier
+    awaits_window,  ///< the header shows one more that has not been added yet
+    refused,        ///< the system refuses a mapping
+  };
   /// Makes accessible what the owner has put to use since the last call. A system call only after
-  /// growth.
-  void open() noexcept;
+  /// growth. Whatever was committed before may have pointers into all of it, wherever its object
+  /// lies.
+  [[nodiscard]] Reach open() noexcept;
   /// True when [address, address + size) lies in what is open. Any values.
   bool contains(std::uint64_t address, std::uint64_t size) const noexcept;
-  /// True when it lies in a window that the owner's header shows and that has not been added here
-  /// yet. Any values; a lie delays only the liar's own messages.
-  bool is_awaited(std::uint64_t address, std::uint64_t size) const noexcept;
   std::uint64_t window_count() const noexcept { return count_.load(std::memory_order_acquire); }
 
  private:
@@ -65,6 +68,31 @@ class PeerHeap {
   std::mutex growing_;
   std::array<Window, abi::window_count_max> windows_;
   std::atomic<std::uint64_t> count_{0};
+};
+
+/// One take's look at a heap (the Windows of dataplane::LinkCore). A message is handed out only when
+/// everything that it may point to is open; until then it stays unread. A header that lies about
+/// windows delays only the liar's own messages, and those not after its end: `all_announced` says
+/// that every window these messages can lie in has been added.
+class HeapLook {
+ public:
+  HeapLook(PeerHeap& heap, bool all_announced) noexcept
+      : heap_(heap), all_announced_(all_announced) {}
+  void open() noexcept {
+    reach_ = heap_.open();
+    if (all_announced_ && reach_ == PeerHeap::Reach::awaits_window) reach_ = PeerHeap::Reach::whole;
+  }
+  bool contains(std::uint64_t address, std::uint64_t size) const noexcept {
+    return reach_ == PeerHeap::Reach::whole && heap_.contains(address, size);
+  }
+  bool is_awaited(std::uint64_t, std::uint64_t) const noexcept {
+    return reach_ == PeerHeap::Reach::awaits_window;
+  }
+
+ private:
+  PeerHeap& heap_;
+  const bool all_announced_;
+  PeerHeap::Reach reach_ = PeerHeap::Reach::refused;
 };
 
 }  // namespace agnocast

@@ -3,6 +3,7 @@
 // The untyped half of Publisher: what its template calls.
 
 #include <agnocast/publisher.hpp>
+#include <base/step.hpp>
 #include <client/context.hpp>
 #include <client/forked_child.hpp>
 #include <client/qos_words.hpp>
@@ -100,6 +101,7 @@ Errc UntypedPublisher::publish(void* message, std::size_t bytes) noexcept {
 }
 
 void UntypedPublisher::count_adoption(const Result<std::uint64_t>& adopted) noexcept {
+  AGNOCAST_CRASH_POINT(C_original);
   if (adopted) {
     endpoint_->count_adopted(*adopted);
   } else if (adopted.error().code != Errc::user_code_threw) {

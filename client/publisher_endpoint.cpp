@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <base/step.hpp>
 #include <client/forked_child.hpp>
 #include <client/publisher_endpoint.hpp>
 #include <client/user_code.hpp>
@@ -76,7 +77,10 @@ void PublisherEndpoint::with_queue(Do work, bool may_destroy) noexcept {
     const std::lock_guard lock(mutex_);
     work(left);
   }
-  for (std::size_t i = 0; i < left.destroy_count; ++i) identity_.destroy(left.destroy[i]);
+  for (std::size_t i = 0; i < left.destroy_count; ++i) {
+    AGNOCAST_CRASH_POINT(C_destroy);
+    identity_.destroy(left.destroy[i]);
+  }
   if (left.wake_control) identity_.wake_control();
 }
 
@@ -135,7 +139,9 @@ std::size_t PublisherEndpoint::executor_of(const Peer& peer, std::uint64_t execu
 
 void PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr<Peer> peer,
                                Doorbell bell) {
+  if (is_attached(subscription.index, subscription.generation)) return;
   in_control_thread([&](Work& work) {
+    AGNOCAST_CRASH_POINT(C_attach);
     attached_.reserve(attached_.size() + 1);
     const std::size_t executor = executor_of(*peer, subscription.executor, std::move(bell));
     core_->attach(subscription.index, subscription.generation, peer->region(), subscription.extent,
@@ -145,6 +151,13 @@ void PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr
     core_->pass(work);
   });
   note_links();
+}
+
+bool PublisherEndpoint::is_attached(std::uint64_t index, std::uint64_t generation) const noexcept {
+  const std::lock_guard lock(mutex_);
+  return std::any_of(attached_.begin(), attached_.end(), [&](const Attached& attached) {
+    return attached.index == index && attached.generation == generation;
+  });
 }
 
 bool PublisherEndpoint::is_linked(const Attached& attached) const noexcept {
@@ -180,6 +193,7 @@ void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) no
         });
     if (found == attached_.end()) return;
     core_->pass(work);  // learns that it is over while its line can still be read
+    AGNOCAST_CRASH_POINT(C_detach);
     core_->detach(index, generation);
     if (--executors_[found->executor].users == 0) executors_[found->executor] = {};
     let_go = std::move(found->peer);
@@ -200,12 +214,18 @@ void PublisherEndpoint::revoke() noexcept {
   for (; matched > 0; --matched) events_.ceased();
 }
 
-void PublisherEndpoint::detach_all() noexcept {
+std::vector<PublisherEndpoint::Member> PublisherEndpoint::detach_all() {
   std::vector<Attached> let_go;
+  std::vector<Member> members;
   const std::lock_guard lock(mutex_);
-  for (const Attached& attached : attached_) core_->detach(attached.index, attached.generation);
+  members.reserve(attached_.size());
+  for (const Attached& attached : attached_) {
+    core_->detach(attached.index, attached.generation);
+    members.push_back({attached.index, attached.generation});
+  }
   let_go.swap(attached_);
   executors_.clear();
+  return members;
 }
 
 void PublisherEndpoint::run_errands() noexcept {
@@ -214,6 +234,7 @@ void PublisherEndpoint::run_errands() noexcept {
     for (Executor& sleeper : executors_) {
       const std::uint64_t owed = std::exchange(sleeper.owed, 0);
       if (owed == 0 || sleeper.users == 0) continue;
+      AGNOCAST_CRASH_POINT(C_errand_ring);
       // Another generation: it was awake meanwhile and has looked for itself.
       if (SharedMemory::word(sleeper.region, armed_offset(sleeper.executor))
               .load(std::memory_order_relaxed) == owed)

@@ -11,6 +11,7 @@
 
 #include <base/doorbell.hpp>
 #include <client/dataplane/publisher_core.hpp>
+#include <client/departure.hpp>
 #include <client/endpoint_events.hpp>
 #include <client/peer.hpp>
 
@@ -65,14 +66,21 @@ class PublisherEndpoint {
   // --- control thread
   // ------------------------------------------------------------------------------------------------------------
 
-  /// An announced subscription; `bell` may be empty if the executor is known already. Allocates.
+  /// An announced subscription; `bell` may be empty if the executor is known already. Nothing when
+  /// it is attached. Allocates.
   void attach(const Subscription& subscription, std::shared_ptr<Peer> peer, Doorbell bell);
+  bool is_attached(std::uint64_t index, std::uint64_t generation) const noexcept;
   /// It is over: looks at it no more and lets go of its region.
   void detach(std::uint64_t index, std::uint64_t generation) noexcept;
   /// The membership of the process was revoked: nobody is matched any more.
   void revoke() noexcept;
-  /// Lets go of every region, at the very end.
-  void detach_all() noexcept;
+  /// A subscription that it is attached to.
+  struct Member {
+    std::uint64_t index;
+    std::uint64_t generation;
+  };
+  /// Lets go of every region, at the very end; of whom.
+  std::vector<Member> detach_all();
   /// One pass, and everything that publishes have left to do.
   void run_errands() noexcept;
   /// Something outside the history is allocated: a pass may free it.
@@ -86,6 +94,7 @@ class PublisherEndpoint {
   /// nobody rings when it has.
   bool awaits_link() const noexcept;
   EndpointEvents& events() noexcept { return events_; }
+  Departure& departure() noexcept { return departure_; }
 
  private:
   // Destroyed by one publish at most; what is more waits for the next ones, or for the timer of the
@@ -130,6 +139,7 @@ class PublisherEndpoint {
   std::vector<Attached> attached_;
   std::vector<void*> doomed_;  // to be destroyed later; capacity for every slot from the start
   EndpointEvents events_;
+  Departure departure_;
 };
 
 }  // namespace agnocast

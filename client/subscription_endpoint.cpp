@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <base/step.hpp>
 #include <client/forked_child.hpp>
 #include <client/subscription_endpoint.hpp>
 
@@ -8,10 +9,18 @@
 
 namespace agnocast {
 
-Result<void> SubscriptionEndpoint::add_publisher(const Publisher& publisher,
-                                                 std::shared_ptr<Peer> peer) {
+bool SubscriptionEndpoint::add_publisher(const Publisher& publisher, std::shared_ptr<Peer> peer) {
+  if (publisher.index >= abi::publisher_count_max) return false;
   const std::lock_guard lock(mutex_);
-  if (closed_) return fail(Errc::invalid_argument, "linking a subscription that is closed");
+  if (publisher.index >= books_.size()) books_.resize(publisher.index + 1);
+  Book& book = books_[publisher.index];
+  const Book::Action action = book.on_announce(publisher.generation);
+  if (action == Book::Action::nothing) {
+    sleeper_->wake();  // a message may have waited for a window that came with the announcement
+    return true;
+  }
+  // The line is another link's: rule RU excludes that.
+  if (action == Book::Action::say_unlinked || book.current() != 0 || closed_) return false;
   const Link::Core::Identity identity{self_.topic,
                                       {peer->region(), publisher.extent},
                                       {self_.region, self_.extent, publisher.index},
@@ -23,12 +32,15 @@ Result<void> SubscriptionEndpoint::add_publisher(const Publisher& publisher,
                                       self_.message_bytes,
                                       self_.message_alignment};
   auto link = std::make_shared<Link>(identity, std::move(peer), sleeper_, self_.quota);
-  if (!link->core_.link(publisher.from_start))
-    return fail(Errc::protocol_violation, "an announced publisher is not on the board");
+  links_.reserve(links_.size() + 1);
+  AGNOCAST_CRASH_POINT(C_link);
+  if (!link->core_.link(publisher.from_start)) return false;
+  AGNOCAST_CRASH_POINT(C_linked);
   links_.push_back(std::move(link));
+  book.linked(publisher.generation);
   events_.gained();
   sleeper_->wake();  // what was committed before the link existed could not ring for it
-  return {};
+  return true;
 }
 
 void SubscriptionEndpoint::orphan(std::uint64_t publisher, std::uint64_t generation,
@@ -36,6 +48,7 @@ void SubscriptionEndpoint::orphan(std::uint64_t publisher, std::uint64_t generat
   const std::lock_guard lock(mutex_);
   for (const auto& link : links_) {
     if (link->publisher() != publisher || link->generation() != generation) continue;
+    AGNOCAST_CRASH_POINT(C_orphaned);
     link->core_.observe_publisher();
     if (!std::exchange(link->ceased_, true)) events_.ceased();
     if (!give_up) continue;
@@ -65,12 +78,16 @@ std::vector<std::shared_ptr<Link>> SubscriptionEndpoint::collect_unlinked() {
   const std::lock_guard lock(mutex_);
   std::vector<std::shared_ptr<Link>> over;
   for (const auto& link : links_) {
-    if (!closed_ && !link->core_.drained()) continue;
+    // Of a line that is not linked publishers know less than of one that stands still: what they
+    // keep for it they keep until the daemon says that the subscription has left.
+    if (!departure_.is_known() && !link->core_.drained()) continue;
     link->closing_.store(true, std::memory_order_release);
     if (link->held_count() == 0) over.push_back(link);
   }
   for (const auto& link : over) {
+    AGNOCAST_CRASH_POINT(C_unlink);
     link->core_.unlink();
+    books_[link->publisher()].unlinked(link->generation());
     lost_before_ += link->core_.lost();
     malformed_before_ += link->core_.malformed();
     links_.erase(std::find(links_.begin(), links_.end(), link));
@@ -88,7 +105,7 @@ bool SubscriptionEndpoint::is_linked_to(std::uint64_t publisher,
 
 bool SubscriptionEndpoint::is_empty() const noexcept {
   const std::lock_guard lock(mutex_);
-  return closed_ && links_.empty();
+  return closed_ && departure_.is_known() && links_.empty();
 }
 
 std::shared_ptr<Link> SubscriptionEndpoint::oldest() const noexcept {
@@ -155,7 +172,8 @@ std::optional<Received> SubscriptionEndpoint::take() noexcept {
     const std::shared_ptr<Link> link = oldest();
     if (link == nullptr) return std::nullopt;
     link->windows_seen_ = link->peer().heap().window_count();
-    const auto taken = link->core_.take(link->peer().heap());
+    HeapLook windows(link->peer().heap(), link->ceased_);
+    const auto taken = link->core_.take(windows);
     note_losses(*link);
     if (taken) {
       link->held_.fetch_add(1, std::memory_order_relaxed);

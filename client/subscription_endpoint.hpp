@@ -9,14 +9,19 @@
 //
 //   announced → linked → (publisher gone) orphaned → drained → (nothing held) unlinked → UNLINKED
 //   to the daemon
-//                      → (subscription closed)     → (nothing held) unlinked
+//                      → (subscription closed, and the daemon knows) → (nothing held) unlinked
+//
+// After a new connection everything is announced once more. A book per publisher index remembers
+// what was linked and unlinked last: to link a generation again would deliver its messages twice.
 #pragma once
 
 #include <agnocast/result.hpp>
 #include <client/dataplane/subscription_core.hpp>
+#include <client/departure.hpp>
 #include <client/endpoint_events.hpp>
 #include <client/peer.hpp>
 #include <client/sleeper.hpp>
+#include <journal/announce_set.hpp>
 
 #include <atomic>
 #include <cstdint>
@@ -61,8 +66,8 @@ class Link {
   friend class SubscriptionEndpoint;
   /// May take() get something from it now? False at the quota, and until a missing window is there: asking again would only turn in circles.
   bool is_ready() const noexcept {
-    return held_count() < quota_ &&
-           (!core_.is_awaiting_window() || peer_->heap().window_count() != windows_seen_);
+    return held_count() < quota_ && (!core_.is_awaiting_window() || ceased_ ||
+                                     peer_->heap().window_count() != windows_seen_);
   }
 
   Core core_;
@@ -74,7 +79,8 @@ class Link {
   std::uint64_t lost_noted_ = 0, malformed_noted_ = 0;
   std::atomic<std::uint64_t> held_{0};
   std::atomic<bool> closing_{false};
-  bool ceased_ = false;  // counted as a publisher that is gone
+  // The daemon has said that the publisher is gone, and before that each window it had by then.
+  bool ceased_ = false;
 };
 
 /// A message in the hands of this process. Whoever drops it calls link->release(taken.slot) exactly
@@ -118,20 +124,18 @@ class SubscriptionEndpoint {
   // --- control thread
   // ------------------------------------------------------------------------------------------------------------
 
-  /// An announced publisher. Errors: protocol_violation (it is not on the board; nothing is
-  /// linked).
-  [[nodiscard]] Result<void> add_publisher(const Publisher& publisher, std::shared_ptr<Peer> peer);
+  /// An announced publisher; announced again, it only may have new windows. False when it is not
+  /// linked: it was before, this subscription is closed, or it is not on the board.
+  [[nodiscard]] bool add_publisher(const Publisher& publisher, std::shared_ptr<Peer> peer);
   /// The daemon says that this publisher is gone: what it committed is still delivered, unless it is
   /// to be given up. Then what is unread is lost.
   void orphan(std::uint64_t publisher, std::uint64_t generation, bool give_up) noexcept;
   /// The membership of the process was revoked: nobody is matched any more.
   void revoke() noexcept;
-  /// The subscription takes no more.
-  void close() noexcept;
   /// Links that are over and of which nothing is held: unlinked here; the caller tells the daemon.
   std::vector<std::shared_ptr<Link>> collect_unlinked();
   bool is_linked_to(std::uint64_t publisher, std::uint64_t generation) const noexcept;
-  /// True when close() was called and no link is left.
+  /// True when it has left and no link is left.
   bool is_empty() const noexcept;
 
   // --- user threads
@@ -141,6 +145,8 @@ class SubscriptionEndpoint {
   /// stamp), or nothing. Counts what falls out of the subscription's depth as lost. No system call
   /// except after a publisher's heap has grown.
   std::optional<Received> take() noexcept;
+  /// The subscription takes no more.
+  void close() noexcept;
   /// Is there anything to take? For the look between arming and sleeping.
   bool has_news() const noexcept;
   std::uint64_t lost() const noexcept;
@@ -150,9 +156,11 @@ class SubscriptionEndpoint {
   /// Those that are gone and still have something here count as well.
   std::size_t link_count() const noexcept;
   EndpointEvents& events() noexcept { return events_; }
+  Departure& departure() noexcept { return departure_; }
 
  private:
   bool is_member() const noexcept;
+  using Book = journal::AnnouncementBook<SharedMemory>;
   void drop_beyond_depth() noexcept;
   void note_losses(Link& link) noexcept;
   std::shared_ptr<Link> oldest() const noexcept;
@@ -161,10 +169,12 @@ class SubscriptionEndpoint {
   std::shared_ptr<Sleeper> sleeper_;
   mutable std::mutex mutex_;
   std::vector<std::shared_ptr<Link>> links_;
+  std::vector<Book> books_;        // by publisher index, as far as any was announced
   std::uint64_t lost_before_ = 0;  // of links that are over
   std::uint64_t malformed_before_ = 0;
   bool closed_ = false;
   EndpointEvents events_;
+  Departure departure_;
 };
 
 }  // namespace agnocast

@@ -29,6 +29,10 @@ Sums sums_of(const System& system) {
   return sums;
 }
 
+std::uint64_t reaped_of(const wire::DaemonCounters& counters) noexcept {
+  return counters.clients_died + counters.clients_let_go + counters.clients_revoked;
+}
+
 std::string version_of(const wire::DumpDaemon& daemon) {
   return std::to_string(daemon.version_major) + '.' + std::to_string(daemon.version_minor) + '.' +
          std::to_string(daemon.version_patch);
@@ -81,10 +85,17 @@ Object object_of(const System& system, const std::string& socket) {
             {"window_bytes", daemon.window_bytes}}},
           {"counters",
            {{"processes_registered", counters.clients_registered},
-            {"processes_reaped", counters.clients_reaped},
+            {"processes_reaped", reaped_of(counters)},
+            {"processes_died", counters.clients_died},
+            {"processes_let_go", counters.clients_let_go},
+            {"processes_revoked", counters.clients_revoked},
+            {"processes_rejoined", counters.clients_rejoined},
             {"intents_rolled_back", counters.intents_rolled_back},
             {"intents_rolled_forward", counters.intents_rolled_forward},
             {"intents_corrupt", counters.intents_corrupt},
+            {"restarts", counters.restarts},
+            {"processes_died_meanwhile", counters.clients_died_meanwhile},
+            {"requests_answered_again", counters.requests_answered_again},
             {"requests_refused", counters.requests_refused},
             {"connections_refused", counters.connections_refused}}},
           {"limits",
@@ -131,10 +142,17 @@ void print(const System& system, const std::string& socket, Console& console) {
                 daemon.window_bytes == 0 ? 0 : daemon.arena_bytes / daemon.window_bytes) +
            ", each " + bytes_for_people(daemon.window_bytes) + ", from " +
            hexadecimal(daemon.arena_base));
-  line("deaths", counted(counters.clients_reaped, "process", "processes") + ", " +
-                     std::to_string(counters.intents_rolled_back) + " rolled back, " +
-                     std::to_string(counters.intents_rolled_forward) + " rolled forward, " +
-                     std::to_string(counters.intents_corrupt) + " corrupt");
+  line("deaths", counted(reaped_of(counters), "process", "processes") + ": " +
+                     std::to_string(counters.clients_died) + " died, " +
+                     std::to_string(counters.clients_let_go) + " let go, " +
+                     std::to_string(counters.clients_revoked) + " revoked");
+  line("intents", std::to_string(counters.intents_rolled_back) + " rolled back, " +
+                      std::to_string(counters.intents_rolled_forward) + " rolled forward, " +
+                      std::to_string(counters.intents_corrupt) + " corrupt");
+  line("restarts", std::to_string(counters.restarts) + " of the daemon; meanwhile " +
+                       std::to_string(counters.clients_died_meanwhile) + " died; afterwards " +
+                       counted(counters.clients_rejoined, "process", "processes") + " came back, " +
+                       counted(counters.requests_answered_again, "request") + " answered again");
   line("refused", counted(counters.requests_refused, "request") + ", " +
                       counted(counters.connections_refused, "connection"));
   console.line("");

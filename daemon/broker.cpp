@@ -5,20 +5,25 @@
 #include <agnocast/abi/fingerprint.hpp>
 #include <agnocast/version.hpp>
 #include <base/check.hpp>
+#include <base/clock.hpp>
 #include <base/names.hpp>
+#include <base/step.hpp>
 
 #include <fcntl.h>
 #include <sys/epoll.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
-#include <ctime>
 #include <type_traits>
 #include <utility>
 
 namespace agnocast::daemon {
+
+using journal::DeathReason;
+
 namespace {
 
 // Packets of one connection handled in a row; the others must not wait for a flood.
@@ -31,13 +36,7 @@ constexpr int watch_interval_ms = 1'000;
 // A dump that an observer has not read by then is thrown away, and the observer with it.
 constexpr std::uint64_t observer_patience_ms = 5'000;
 
-std::uint64_t now_ns() noexcept {
-  timespec now{};
-  ::clock_gettime(CLOCK_MONOTONIC, &now);
-  return static_cast<std::uint64_t>(now.tv_sec) * 1'000'000'000 +
-         static_cast<std::uint64_t>(now.tv_nsec);
-}
-std::uint64_t now_ms() noexcept { return now_ns() / 1'000'000; }
+std::uint64_t now_ms() noexcept { return monotonic_ns() / 1'000'000; }
 
 // The enumerator's own word: what explain and the documentation list.
 const char* word_of(Errc code) noexcept {
@@ -68,27 +67,32 @@ const char* name_of_kind(Kind kind) noexcept {
 }  // namespace
 
 Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, Listener& listener,
-               Regions regions, std::uint64_t incarnation)
+               Regions regions, DescriptorStore& store)
     : options_(options),
       log_(log),
       dispatcher_(dispatcher),
       listener_(listener),
+      store_(store),
       regions_(std::move(regions)),
       registry_(regions_.memory(), {options.config.limits.clients, options.config.limits.topics,
                                     options.config.limits.publishers_per_topic,
                                     options.config.limits.subscriptions_per_topic,
                                     options.config.limits.slots_per_publisher}),
       plan_(options.arena),
-      doorbells_(listener.bells_directory()),
+      doorbells_(listener.bells_directory(), store),
       membership_(registry_, regions_, doorbells_, *this),
       hold_watch_(registry_, regions_),
       by_client_(abi::client_count_max, nullptr),
-      since_ns_(abi::client_count_max, 0),
-      started_ns_(now_ns()),
       spare_(::open("/dev/null", O_RDONLY | O_CLOEXEC)) {
-  registry_.create(incarnation);
-  regions_.sign_board(incarnation);
   membership_.on_ended = [this](ClientIndex client) { on_ended(client); };
+}
+
+Result<void> Broker::found(std::uint64_t incarnation) {
+  const Arena& arena = options_.arena;
+  registry_.create(incarnation, {arena.base, arena.bytes, arena.window_bytes, monotonic_ns(),
+                                 listener_.bells_directory()});
+  if (auto kept = regions_.keep(); !kept) return kept;
+  return listener_.keep(store_);
 }
 
 Broker::~Broker() {
@@ -127,7 +131,7 @@ void Broker::accept_all() {
 }
 
 void Broker::turn_away() {
-  ++counters_.connections_refused;
+  ++registry_.counters().connections_refused;
   spare_.reset();
   {
     auto socket = listener_.socket().accept();
@@ -147,12 +151,14 @@ void Broker::accept(PacketSocket socket) {
     send_refused(socket, identity.error().code, identity.error().what);
     return;
   }
+  AGNOCAST_CRASH_POINT(B_accepted);
   const std::uint32_t uid = identity->uid;
   Connections& used = connections_[uid];
   // Who has all the clients he may have can still look at them: such a connection can only observe.
-  const bool only_observes = used.clients >= options_.config.quota.clients;
+  // Processes that have lost their connection may come back.
+  const bool only_observes = used.clients >= options_.config.quota.clients + used.detached;
   if (only_observes && used.observers >= abi::observer_count_max) {
-    ++counters_.connections_refused;
+    ++registry_.counters().connections_refused;
     send_refused(socket, Errc::quota_exceeded, clients_text());
     log_.write_limited("connections uid=" + std::to_string(uid), LogLevel::warning,
                        "connection refused",
@@ -165,7 +171,8 @@ void Broker::accept(PacketSocket socket) {
   const PeerId id = ++last_peer_;
   auto peer = std::make_unique<Peer>(Peer{id, Session(std::move(socket), std::move(*identity))});
   if (peer->session.identity().pid > 0) {
-    peer->session.user_namespace = user_namespace_of(peer->session.identity().pid).value_or(0);
+    peer->session.user_namespace =
+        agnocast::user_namespace_of(peer->session.identity().pid).value_or(0);
   }
   const auto connection = dispatcher_.add(peer->session.socket().fd(), EPOLLIN,
                                           [this, id](std::uint32_t) { on_readable(id); });
@@ -218,6 +225,7 @@ void Broker::on_readable(PeerId id) {
       disconnect(peer, "an observer asks before it has read");
       return;
     }
+    AGNOCAST_CRASH_POINT(B_request);
     const Envelope envelope{packet->descriptor_count, packet->truncated, packet->descriptors_lost};
     serve(peer, decode({buffer.data(), packet->bytes}, envelope, peer.session.role()));
   }
@@ -226,7 +234,7 @@ void Broker::on_readable(PeerId id) {
 void Broker::on_process_end(PeerId id) {
   const auto found = peers_.find(id);
   if (found == peers_.end()) return;
-  reap_peer(*found->second, EndReason::died, "process ended");
+  reap_peer(*found->second, DeathReason::died, "process ended");
 }
 
 void Broker::flush(Peer& peer) {
@@ -261,6 +269,7 @@ void Broker::flush(Peer& peer) {
 }
 
 void Broker::disconnect(Peer& peer, std::string_view why) {
+  AGNOCAST_CRASH_POINT(B_ended);
   dispatcher_.remove(peer.connection);
   peer.connection = 0;
   peer.session.close();
@@ -276,37 +285,40 @@ void Broker::disconnect(Peer& peer, std::string_view why) {
              {{"client", number(client)}, {"pid", peer.session.identity().pid}, {"why", why}});
   // After exec, or when the library was shut down, nothing of the region is left in the process.
   if (!maps_file(peer.session.identity().pid, regions_.region_file(client))) {
-    reap_peer(peer, EndReason::let_go, "process let go of its region");
+    reap_peer(peer, DeathReason::let_go, "process let go of its region");
     return;
   }
   peer.detached = true;
   ++detached_count_;
+  ++connections_[peer.session.identity().uid].detached;
 }
 
-void Broker::reap_peer(Peer& peer, EndReason reason, std::string_view how) {
+void Broker::reap_peer(Peer& peer, DeathReason reason, std::string_view how) {
+  AGNOCAST_CRASH_POINT(B_reap);
   const PeerId id = peer.id;
   if (!peer.session.greeted()) {
     drop(id);
     return;
   }
   const ClientIndex client = *peer.session.client();
-  if (peer.detached) --detached_count_;
-  const pid_t pid = peer.session.identity().pid;
-  const std::uint32_t uid = peer.session.identity().uid;
-  if (peer.revoked) {
+  const bool revoked = peer.revoked;
+  by_client_[number(client)] = nullptr;
+  drop(id);
+  if (revoked) {
     // The rest was done when it was revoked; now its place may be used again.
-    drop(id);
     registry_.client_died(client, reason);
+    store_.remove(DescriptorStore::process(client));
     membership_.settle_client(client);
     return;
   }
-  by_client_[number(client)] = nullptr;
-  drop(id);
+  repair(client, reason, how);
+}
+
+void Broker::repair(ClientIndex client, DeathReason reason, std::string_view how) {
+  const std::uint32_t uid = registry_.client(client).uid;
+  const std::uint32_t pid = registry_.client(client).pid;
   const Reaped reaped = reap(client, reason, registry_, regions_, doorbells_, membership_);
-  ++counters_.clients_reaped;
-  counters_.intents_rolled_back += reaped.rolled_back;
-  counters_.intents_rolled_forward += reaped.rolled_forward;
-  counters_.intents_corrupt += reaped.corrupt;
+  if (!registry_.is_revoked(client)) store_.remove(DescriptorStore::process(client));
   note(reaped.corrupt == 0 ? LogLevel::info : LogLevel::warning, uid, "client gone",
        {{"client", number(client)},
         {"pid", pid},
@@ -325,10 +337,12 @@ void Broker::revoke(Peer& peer, const std::string& why) {
   const ClientIndex client = *peer.session.client();
   by_client_[number(client)] = nullptr;
   peer.revoked = true;
-  if (!std::exchange(peer.detached, true)) ++detached_count_;
+  if (!std::exchange(peer.detached, true)) {
+    ++detached_count_;
+    ++connections_[peer.session.identity().uid].detached;
+  }
   const Reaped reaped =
-      reap(client, EndReason::revoked, registry_, regions_, doorbells_, membership_);
-  ++counters_.clients_reaped;
+      reap(client, DeathReason::revoked, registry_, regions_, doorbells_, membership_);
   log_.write(LogLevel::warning, "client revoked",
              {{"client", number(client)},
               {"pid", peer.session.identity().pid},
@@ -384,6 +398,10 @@ void Broker::drop(PeerId id) {
   std::uint64_t& count = peer.counts_as_observer ? user->second.observers : user->second.clients;
   AGNOCAST_CHECK(count > 0);
   --count;
+  if (peer.detached) {
+    --detached_count_;
+    --user->second.detached;
+  }
   if (user->second.clients + user->second.observers == 0) connections_.erase(user);
   if (peer.session.role() == Role::observer) --observer_count_;
   peers_.erase(found);
@@ -407,7 +425,7 @@ void Broker::tick() {
         gone.push_back(id);
     }
     for (const PeerId id : gone)
-      reap_peer(*peers_.at(id), EndReason::let_go, "process let go of its region");
+      reap_peer(*peers_.at(id), DeathReason::let_go, "process let go of its region");
   }
   drop_slow_observers(now);
   watch_holds(now);
@@ -450,6 +468,11 @@ Session* Broker::session_of(ClientIndex client) {
   return peer == nullptr || peer->session.closed() ? nullptr : &peer->session;
 }
 
+std::uint64_t Broker::user_namespace_of(ClientIndex client) {
+  const Peer* const peer = by_client_[number(client)];
+  return peer == nullptr ? 0 : peer->session.user_namespace;
+}
+
 void Broker::send(ClientIndex client, std::span<const std::byte> packet,
                   std::vector<SharedFd> fds) {
   Peer* const peer = by_client_[number(client)];
@@ -458,10 +481,12 @@ void Broker::send(ClientIndex client, std::span<const std::byte> packet,
 }
 
 void Broker::reply(Peer& peer, std::span<const std::byte> packet, std::vector<SharedFd> fds) {
+  AGNOCAST_CRASH_POINT(B_send);
   const bool waiting = peer.session.has_output();
   peer.session.push(packet, std::move(fds));
   // While something waits for the socket there is nothing to gain from another try.
   if (!waiting || peer.session.queued_count() > Session::queue_count_max) flush(peer);
+  AGNOCAST_CRASH_POINT(B_sent);
 }
 
 void Broker::note(LogLevel level, std::uint32_t uid, std::string_view event, Log::Fields fields) {
@@ -498,7 +523,7 @@ void Broker::refuse(Peer& peer, std::uint64_t request, Errc code, int os_errno,
   packet.os_errno = static_cast<std::uint32_t>(os_errno);
   packet.text = name_of(text);
   const std::uint32_t uid = peer.session.identity().uid;
-  ++counters_.requests_refused;
+  ++registry_.counters().requests_refused;
   log_.write_limited("refused uid=" + std::to_string(uid), LogLevel::warning, "request refused",
                      {{"pid", peer.session.identity().pid},
                       {"uid", uid},
@@ -516,21 +541,24 @@ void Broker::serve(Peer& peer, const Request& request) {
     if constexpr (std::is_same_v<Body, wire::Hello>) {
       id = body.header.request;
       served = hello(peer, body);
+    } else if constexpr (std::is_same_v<Body, wire::Rejoin>) {
+      id = body.header.request;
+      served = rejoin(peer, body);
     } else if constexpr (std::is_same_v<Body, wire::WindowRequest>) {
       id = body.header.request;
       served = open_window(peer, body);
-    } else if constexpr (std::is_same_v<Body, wire::ExecutorRequest>) {
-      id = body.header.request;
+    } else if constexpr (std::is_same_v<Body, ExecutorRequest>) {
+      id = body.request;
       served = open_executor(peer, body);
     } else if constexpr (std::is_same_v<Body, CreateRequest>) {
       id = body.request;
       served = create(peer, body);
     } else if constexpr (std::is_same_v<Body, LeaveRequest>) {
       id = body.reference.header.request;
-      served = membership_.leave(*peer.session.client(), body.reference);
+      served = membership_.leave(*peer.session.client(), body);
     } else if constexpr (std::is_same_v<Body, DrainedRequest>) {
       id = body.reference.header.request;
-      served = membership_.drained(*peer.session.client(), body.reference);
+      served = membership_.drained(*peer.session.client(), body);
     } else if constexpr (std::is_same_v<Body, wire::Unlinked>) {
       id = body.header.request;
       served = membership_.unlinked(*peer.session.client(), body);
@@ -572,43 +600,91 @@ Result<void> Broker::check_caller(const Peer& peer, std::uint64_t fingerprint) {
 Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
   Session& session = peer.session;
   if (auto known = check_caller(peer, hello.fingerprint); !known) return known;
-  if (peer.counts_as_observer) return refusal(Errc::quota_exceeded, clients_text());
+  // Room for one more connection there may be for processes that come back.
+  const auto is_client_of_user = [&](const auto& entry) {
+    const Session& other = entry.second->session;
+    return other.greeted() && other.identity().uid == session.identity().uid;
+  };
+  const auto clients = std::count_if(peers_.begin(), peers_.end(), is_client_of_user);
+  if (peer.counts_as_observer ||
+      static_cast<std::uint64_t>(clients) >= options_.config.quota.clients)
+    return refusal(Errc::quota_exceeded, clients_text());
   if (was_revoked(peer))
     return refusal(Errc::revoked, "the membership of this process was revoked");
   std::string_view name;
   AGNOCAST_CHECK(text_of(hello.process_name, name));
-  const auto client = registry_.add_client({session.identity().uid, session.identity().gid,
-                                            static_cast<std::uint32_t>(session.identity().pid),
-                                            hello.domain, name});
-  if (!client) return tl::unexpected(client.error());
-  const ClientRecord& record = registry_.client(*client);
-  if (auto opened = regions_.open_client(*client, record.generation); !opened) {
-    registry_.client_died(*client);
-    registry_.end_client(*client);
-    return opened;
+  const auto plan = registry_.plan_client();
+  if (!plan) return tl::unexpected(plan.error());
+  const ClientIndex client = plan->index;
+  if (auto opened = regions_.open_client(client, plan->generation); !opened) return opened;
+  if (auto kept = store_.put(DescriptorStore::process(client), session.identity().process.fd());
+      !kept) {
+    regions_.close_client(client);
+    return kept;
   }
-  session.greet(*client);
-  by_client_[number(*client)] = &peer;
-  since_ns_[number(*client)] = now_ns();
-  ++counters_.clients_registered;
+  registry_.add_client({session.identity().uid, session.identity().gid,
+                        static_cast<std::uint32_t>(session.identity().pid), hello.domain, name},
+                       *plan);
+  const ClientRecord& record = registry_.client(client);
+  session.greet(client);
+  by_client_[number(client)] = &peer;
   auto packet = make_body<wire::Welcome>(wire::Opcode::welcome, hello.header.request);
   packet.fingerprint = abi::fingerprint();
   packet.incarnation = registry_.incarnation();
-  packet.client = number(*client);
+  packet.client = number(client);
   packet.client_generation = record.generation;
   packet.arena_base = options_.arena.base;
   packet.arena_bytes = options_.arena.bytes;
   packet.client_region_bytes = Registry::client_region_bytes;
-  reply(peer, packet_of(packet), {regions_.board_reader(), regions_.region_writer(*client)});
+  reply(peer, packet_of(packet), {regions_.board_reader(), regions_.region_writer(client)});
   if (regions_.unlocked_count() > 0 && !std::exchange(said_unlocked_, true))
     log_.write(LogLevel::info, "memory not locked", {{"why", "limit of locked memory"}});
   log_.write(LogLevel::debug, "client registered",
-             {{"client", number(*client)},
+             {{"client", number(client)},
               {"generation", record.generation},
               {"pid", session.identity().pid},
               {"uid", session.identity().uid},
               {"domain", hello.domain},
               {"name", name}});
+  return {};
+}
+
+// The connection that the process had before.
+Result<Broker::Peer*> Broker::lost_peer(const Peer& peer, const wire::Rejoin& request) {
+  const ClientIndex client{static_cast<std::uint32_t>(request.client)};
+  if (request.incarnation != registry_.incarnation() || number(client) >= registry_.client_high() ||
+      registry_.client(client).state == ClientState::free ||
+      registry_.client(client).generation != request.client_generation)
+    return refusal(Errc::started_anew, "the daemon does not know this process");
+  Peer* const before = by_client_[number(client)];
+  if (!registry_.is_alive(client) || before == nullptr)
+    return refusal(Errc::revoked, "the membership of this process is over");
+  if (!same_process(before->session.identity().process, peer.session.identity().process))
+    return refusal(Errc::permission_denied, "that is the place of another process");
+  return before;
+}
+
+Result<void> Broker::rejoin(Peer& peer, const wire::Rejoin& request) {
+  if (auto known = check_caller(peer, request.fingerprint); !known) return known;
+  const auto before = lost_peer(peer, request);
+  if (!before) return tl::unexpected(before.error());
+  const ClientIndex client{static_cast<std::uint32_t>(request.client)};
+  if (std::exchange(peer.counts_as_observer, false)) {
+    // It was taken for one more because the daemon had not seen yet that the old one had ended.
+    Connections& used = connections_[peer.session.identity().uid];
+    --used.observers;
+    ++used.clients;
+  }
+  peer.session.greet(client);
+  by_client_[number(client)] = &peer;
+  drop((*before)->id);
+  registry_.note_rejoined(client);
+  auto packet = make_body<wire::Rejoined>(wire::Opcode::rejoined, request.header.request);
+  packet.incarnation = registry_.incarnation();
+  reply(peer, packet_of(packet));
+  membership_.welcome_back(client);
+  log_.write(LogLevel::debug, "client is back",
+             {{"client", number(client)}, {"pid", peer.session.identity().pid}});
   return {};
 }
 
@@ -637,11 +713,13 @@ Result<void> Broker::open_window(Peer& peer, const wire::WindowRequest& request)
       return refusal(Errc::limit_reached,
                      "[heap] arena_bytes has room for " + std::to_string(plan_.window_count()) +
                          " windows of " + std::to_string(bytes) + " bytes, all are given out");
+    AGNOCAST_CRASH_POINT(B_window_base);
     writer = regions_.open_window(client, bytes);
     if (!writer) {
       plan_.give_back(*base);
       return tl::unexpected(writer.error());
     }
+    AGNOCAST_CRASH_POINT(B_window_made);
     registry_.open_window(client, {*base, bytes});
     // Before the answer: the announcement is in a subscriber's socket before the first message lies
     // in the window.
@@ -661,19 +739,29 @@ Result<void> Broker::open_window(Peer& peer, const wire::WindowRequest& request)
   return {};
 }
 
-Result<void> Broker::open_executor(Peer& peer, const wire::ExecutorRequest& request) {
+Result<void> Broker::admit_executor(ClientIndex client, const ExecutorRequest& request) {
+  if (!doorbells_.is_open(client, request.executor))
+    return check_limit(registry_.usage_of(registry_.client(client).uid).executors, 1,
+                       options_.config.quota.executors, "[quota] executors");
+  const auto& endpoints = registry_.endpoints_of(client);
+  const bool in_use = std::any_of(endpoints.begin(), endpoints.end(), [&](const EndpointRef& ref) {
+    return ref.kind == Kind::subscription &&
+           registry_.subscription(ref.topic, ref.index).executor == request.executor;
+  });
+  if (!request.again || in_use) return refusal(Errc::protocol_violation, "the executor is open");
+  // The bells were lost with the answer.
+  doorbells_.close(client, request.executor);
+  return {};
+}
+
+Result<void> Broker::open_executor(Peer& peer, const ExecutorRequest& request) {
   const ClientIndex client = *peer.session.client();
-  if (doorbells_.is_open(client, request.executor))
-    return refusal(Errc::protocol_violation, "the executor is open");
-  const std::uint32_t uid = registry_.client(client).uid;
-  if (auto allowed = check_limit(registry_.usage_of(uid).executors, 1,
-                                 options_.config.quota.executors, "[quota] executors");
-      !allowed)
-    return allowed;
+  if (auto admitted = admit_executor(client, request); !admitted) return admitted;
   auto bells = doorbells_.open(client, request.executor);
   if (!bells) return tl::unexpected(bells.error());
+  AGNOCAST_CRASH_POINT(B_bell_bound);
   registry_.open_executor(client, static_cast<std::uint32_t>(request.executor));
-  const auto packet = make_body<wire::Done>(wire::Opcode::executor_opened, request.header.request);
+  const auto packet = make_body<wire::Done>(wire::Opcode::executor_opened, request.request);
   reply(peer, packet_of(packet), std::move(*bells));
   return {};
 }
@@ -681,6 +769,7 @@ Result<void> Broker::open_executor(Peer& peer, const wire::ExecutorRequest& requ
 Result<void> Broker::create(Peer& peer, const CreateRequest& request) {
   const ClientIndex client = *peer.session.client();
   const ClientRecord& record = registry_.client(client);
+  if (request.again && membership_.answer_again(client, request)) return {};
   if (const auto problem = check_topic_name(request.topic))
     return refusal(Errc::invalid_name,
                    "topic " + printable(request.topic) + ": " + problem->text());
@@ -777,7 +866,7 @@ Result<void> Broker::revoke(Peer& peer, const wire::Revoke& request) {
 }
 
 DumpFacts Broker::facts() const {
-  const std::uint64_t now = now_ns();
+  const std::uint64_t now = monotonic_ns();
   DumpFacts facts;
   wire::DumpDaemon& daemon = facts.daemon;
   daemon.version_major = AGNOCAST_VERSION_MAJOR;
@@ -786,13 +875,13 @@ DumpFacts Broker::facts() const {
   daemon.pid = static_cast<std::uint32_t>(::getpid());
   daemon.uid = ::geteuid();
   daemon.incarnation = registry_.incarnation();
-  daemon.uptime_ns = now - started_ns_;
+  daemon.uptime_ns = now - registry_.header().began_ns;
   daemon.arena_base = options_.arena.base;
   daemon.arena_bytes = options_.arena.bytes;
   daemon.window_bytes = options_.arena.window_bytes;
   daemon.windows_used = plan_.used_count();
   daemon.unlocked_count = regions_.unlocked_count();
-  daemon.counters = counters_;
+  daemon.counters = registry_.counters();
   const Config::Limits& limits = options_.config.limits;
   daemon.limits = {limits.clients,
                    limits.topics,
@@ -815,7 +904,7 @@ DumpFacts Broker::facts() const {
     if (peer != nullptr)
       process.state = peer->detached ? wire::ProcessState::orphaned : wire::ProcessState::connected;
     if (registry_.is_revoked(client)) process.state = wire::ProcessState::revoked;
-    process.age_ns = now - since_ns_[number(client)];
+    process.age_ns = now - registry_.client(client).since_ns;
     process.region = regions_.region_reader(client);
     return process;
   };
@@ -823,6 +912,7 @@ DumpFacts Broker::facts() const {
 }
 
 void Broker::on_ended(ClientIndex client) {
+  AGNOCAST_CRASH_POINT(B_place_free);
   regions_.close_client(client);
   const ClientRecord& record = registry_.client(client);
   for (std::uint64_t w = 0; w < record.window_count; ++w)

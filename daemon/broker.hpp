@@ -5,8 +5,10 @@
 //   listener readable     accept, identify, watch connection and process
 //   connection readable   decode, check rights and quotas, membership
 //   connection ended      keep (the process lives), or reap (it has no trace of its region)
+//   rejoin                the new connection takes the place of the one that the process lost
 //   pidfd readable        reap
 //   observer says revoke  reap although it lives; it is told, and its pidfd stays watched
+//   started again         broker_resume.cpp
 //
 // One thread. The order of things inside one event is the protocol's; between events everything is
 // consistent, so the daemon may be killed at any time.
@@ -15,6 +17,7 @@
 #include <daemon/access.hpp>
 #include <daemon/address_plan.hpp>
 #include <daemon/config.hpp>
+#include <daemon/descriptor_store.hpp>
 #include <daemon/dispatcher.hpp>
 #include <daemon/doorbells.hpp>
 #include <daemon/dump.hpp>
@@ -45,16 +48,23 @@ struct BrokerOptions {
 class Broker final : private Post {
  public:
   Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, Listener& listener,
-         Regions regions, std::uint64_t incarnation);
+         Regions regions, DescriptorStore& store);
   ~Broker() override;
   Broker(const Broker&) = delete;
   Broker& operator=(const Broker&) = delete;
 
+  /// A new life, in memory that is all zero. Errors: as DescriptorStore::put.
+  [[nodiscard]] Result<void> found(std::uint64_t incarnation);
+  /// Goes on with a former life: see broker_resume.cpp. Errors: layout_mismatch, internal (the memory
+  /// is damaged), os_failure.
+  [[nodiscard]] Result<void> resume();
   /// Begins to serve. Errors: os_failure.
   [[nodiscard]] Result<void> start();
   /// What is to be done now and then; call it after at most due_ms() (-1: nothing is due).
   void tick();
   int due_ms() const noexcept;
+  /// The one in force: a former life's, whatever the options say.
+  const Arena& arena() const noexcept { return options_.arena; }
 
  private:
   using PeerId = std::uint64_t;
@@ -73,10 +83,12 @@ class Broker final : private Post {
   struct Connections {
     std::uint64_t clients = 0;
     std::uint64_t observers = 0;
+    std::uint64_t detached = 0;  // of the clients: processes without a connection
   };
 
   // Post
   Session* session_of(ClientIndex client) override;
+  std::uint64_t user_namespace_of(ClientIndex client) override;
   void send(ClientIndex client, std::span<const std::byte> packet,
             std::vector<SharedFd> fds) override;
 
@@ -90,19 +102,28 @@ class Broker final : private Post {
   /// The connection is over; the process may live.
   void disconnect(Peer& peer, std::string_view why);
   void drop(PeerId id);
-  void reap_peer(Peer& peer, EndReason reason, std::string_view how);
+  void reap_peer(Peer& peer, journal::DeathReason reason, std::string_view how);
+  void repair(ClientIndex client, journal::DeathReason reason, std::string_view how);
   /// Ends the membership of a process that lives. `why` is for it and for the log.
   void revoke(Peer& peer, const std::string& why);
   /// Sends what a revoked process is to hear last, then shuts its connection.
   void say_farewell(Peer& peer);
   /// Is the process at the other end one that was revoked?
   bool was_revoked(const Peer& peer) const;
+  // --- resume
+  [[nodiscard]] Result<void> adopt_client(ClientIndex client, std::uint64_t& lost);
+  void back_endpoints(ClientIndex client);
+  [[nodiscard]] Result<void> watch(ClientIndex client, UniqueFd process);
+  std::uint64_t reap_while_away(const std::vector<ClientIndex>& ended);
 
   void serve(Peer& peer, const Request& request);
   [[nodiscard]] Result<void> check_caller(const Peer& peer, std::uint64_t fingerprint);
   [[nodiscard]] Result<void> hello(Peer& peer, const wire::Hello& hello);
+  [[nodiscard]] Result<void> rejoin(Peer& peer, const wire::Rejoin& request);
+  [[nodiscard]] Result<Peer*> lost_peer(const Peer& peer, const wire::Rejoin& request);
   [[nodiscard]] Result<void> open_window(Peer& peer, const wire::WindowRequest& request);
-  [[nodiscard]] Result<void> open_executor(Peer& peer, const wire::ExecutorRequest& request);
+  [[nodiscard]] Result<void> open_executor(Peer& peer, const ExecutorRequest& request);
+  [[nodiscard]] Result<void> admit_executor(ClientIndex client, const ExecutorRequest& request);
   [[nodiscard]] Result<void> create(Peer& peer, const CreateRequest& request);
   [[nodiscard]] Result<void> observe(Peer& peer, const wire::Observe& request);
   [[nodiscard]] Result<void> dump(Peer& peer, const wire::Dump& request);
@@ -126,6 +147,7 @@ class Broker final : private Post {
   Log& log_;
   Dispatcher& dispatcher_;
   Listener& listener_;
+  DescriptorStore& store_;
   Regions regions_;
   Registry registry_;
   AddressPlan plan_;
@@ -135,10 +157,7 @@ class Broker final : private Post {
   std::unordered_map<PeerId, std::unique_ptr<Peer>> peers_;
   std::vector<Peer*> by_client_;
   std::unordered_map<std::uint32_t, Connections> connections_;  // by uid
-  std::vector<std::uint64_t> since_ns_;                         // when each client said hello
-  std::uint64_t started_ns_;
   std::uint64_t observer_count_ = 0;
-  wire::DaemonCounters counters_{};
   PeerId last_peer_ = 0;
   std::uint64_t detached_count_ = 0;  // processes without a connection
   bool flush_later_ = false;

@@ -2,7 +2,7 @@
 //
 // Doorbells: the bells of all executors, as their maker keeps them.
 //
-// Of every executor the daemon keeps the eventfd, to pass it on to publishers of the same user, and
+// Of every executor the daemon keeps the eventfd (the descriptor store does as well), to pass it on to publishers of the same user, and
 // one datagram sender of its own. It rings by datagram only: an eventfd whose O_NONBLOCK its holder
 // has cleared would block whoever writes to it, and the daemon must not wait for anybody. For every
 // publisher process a sender of its own is connected when it is announced to, and not kept.
@@ -10,6 +10,7 @@
 
 #include <agnocast/result.hpp>
 #include <base/doorbell.hpp>
+#include <daemon/descriptor_store.hpp>
 #include <daemon/shared_fd.hpp>
 #include <daemon/tables.hpp>
 
@@ -24,14 +25,18 @@ namespace agnocast::daemon {
 class Doorbells {
  public:
   /// `directory` exists and only this process's user may enter it.
-  explicit Doorbells(std::string directory) : directory_(std::move(directory)) {}
-  /// Removes the bells' names; the directory is its maker's to remove.
-  ~Doorbells();
+  Doorbells(std::string directory, DescriptorStore& store)
+      : directory_(std::move(directory)), store_(store) {}
   Doorbells(const Doorbells&) = delete;
   Doorbells& operator=(const Doorbells&) = delete;
 
   /// New bells: eventfd and bound socket, for the executor's process. Errors: os_failure.
   [[nodiscard]] Result<std::vector<SharedFd>> open(ClientIndex client, std::uint64_t executor);
+  /// Bells of a former life, out of the store; their names are in the directory still. A bell
+  /// whose receiver is gone is silent.
+  void restore(ClientIndex client, std::uint64_t executor);
+  /// Removes the names that belong to no bell.
+  void clear_strangers() noexcept;
   bool is_open(ClientIndex client, std::uint64_t executor) const {
     return bells_.count({number(client), executor}) != 0;
   }
@@ -39,6 +44,9 @@ class Doorbells {
   /// any more.
   std::vector<SharedFd> for_publisher(ClientIndex client, std::uint64_t executor, bool same_user);
   void ring(ClientIndex client, std::uint64_t executor) noexcept;
+  void ring_all() noexcept;
+  /// The executor's process never got them; it asks for new ones.
+  void close(ClientIndex client, std::uint64_t executor) noexcept;
   /// The process is dead.
   void close_client(ClientIndex client) noexcept;
 
@@ -53,6 +61,7 @@ class Doorbells {
   }
 
   std::string directory_;
+  DescriptorStore& store_;
   std::map<Key, Bell> bells_;
 };
 

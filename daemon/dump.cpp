@@ -12,24 +12,6 @@ namespace {
 
 using wire::Opcode;
 
-// What the board says of an endpoint in this state (registry.cpp writes it).
-abi::MemberState on_board(EndpointState state) noexcept {
-  switch (state) {
-    case EndpointState::active:
-      return abi::MemberState::active;
-    case EndpointState::leaving:
-      return abi::MemberState::leaving;
-    case EndpointState::orphan:
-      return abi::MemberState::orphan;
-    case EndpointState::dead:
-      return abi::MemberState::dead;
-    case EndpointState::free:
-    case EndpointState::over:
-      break;
-  }
-  return abi::MemberState::free;
-}
-
 wire::Name copy_of(const char (&text)[wire::name_bytes]) noexcept {
   wire::Name name{};
   std::memcpy(name.text, text, sizeof name.text - 1);

@@ -2,6 +2,8 @@
 
 #include <daemon/listener.hpp>
 
+#include <base/unix_address.hpp>
+
 #include <dirent.h>
 #include <fcntl.h>
 #include <sys/file.h>
@@ -122,6 +124,13 @@ tl::expected<Listener, Complaint> Listener::open(const ListenerOptions& options)
   if (auto cleared = clear_socket(path); !cleared) return tl::unexpected(cleared.error());
   if (auto made = make_bells(listener.bells_); !made) return tl::unexpected(made.error());
 
+  if (auto listening = listener.listen(options); !listening)
+    return tl::unexpected(listening.error());
+  return listener;
+}
+
+tl::expected<void, Complaint> Listener::listen(const ListenerOptions& options) {
+  const std::string& path = options.path;
   auto socket = PacketListener::listen(path);
   if (!socket) {
     if (socket.error().code == Errc::already_running)
@@ -129,9 +138,9 @@ tl::expected<Listener, Complaint> Listener::open(const ListenerOptions& options)
     return complain(socket.error().code,
                     "cannot listen at " + path + ": " + reason(socket.error().os_errno));
   }
-  listener.path_ = path;  // from here on there is something to remove
-  listener.socket_ = std::move(*socket);
-  if (auto wanted = listener.socket_.want_credentials(true); !wanted)
+  path_ = path;  // from here on there is something to remove
+  socket_ = std::move(*socket);
+  if (auto wanted = socket_.want_credentials(true); !wanted)
     return complain(Errc::os_failure,
                     "cannot listen at " + path + ": " + reason(wanted.error().os_errno));
   if (options.group && ::lchown(path.c_str(), static_cast<uid_t>(-1), *options.group) != 0)
@@ -140,11 +149,47 @@ tl::expected<Listener, Complaint> Listener::open(const ListenerOptions& options)
                                                  reason(errno));
   if (::chmod(path.c_str(), options.mode) != 0)
     return complain(Errc::os_failure, "cannot set the mode of " + path + ": " + reason(errno));
+  return {};
+}
+
+tl::expected<Listener, Complaint> Listener::adopt(const ListenerOptions& options, UniqueFd socket,
+                                                  UniqueFd lock, const std::string& bells) {
+  UnixAddress address;
+  socklen_t bytes = UnixAddress::size();
+  int listens = 0;
+  socklen_t listens_bytes = sizeof listens;
+  if (::getsockname(socket.get(), reinterpret_cast<sockaddr*>(&address.address), &bytes) != 0 ||
+      ::getsockopt(socket.get(), SOL_SOCKET, SO_ACCEPTCONN, &listens, &listens_bytes) != 0 ||
+      listens == 0)
+    return complain(Errc::internal, "what was kept as the socket is none that listens");
+  if (::flock(lock.get(), LOCK_EX | LOCK_NB) != 0)
+    return complain(Errc::already_running, "another agnocastd has the lock that was kept");
+  ::fcntl(socket.get(), F_SETFL, ::fcntl(socket.get(), F_GETFL) | O_NONBLOCK);
+  Listener listener;
+  listener.removes_ = false;
+  listener.bells_ = bells;
+  listener.lock_ = std::move(lock);
+  const std::string path = address.address.sun_path;
+  if (::mkdir(bells.c_str(), 0700) == 0) ::chmod(bells.c_str(), 0700);
+  if (::access(path.c_str(), F_OK) == 0) {
+    listener.socket_ = PacketListener(std::move(socket));
+    listener.path_ = path;
+    return listener;
+  }
+  listener.renewed_ = true;
+  ListenerOptions again = options;
+  again.path = path;
+  if (auto listening = listener.listen(again); !listening) return tl::unexpected(listening.error());
   return listener;
 }
 
+Result<void> Listener::keep(DescriptorStore& store) const {
+  if (auto kept = store.put("lock", lock_.get()); !kept) return kept;
+  return store.put("listen", socket_.fd());
+}
+
 Listener::~Listener() {
-  if (path_.empty()) return;
+  if (path_.empty() || !removes_) return;
   ::unlink(path_.c_str());
   clear_bells(bells_);
   ::rmdir(bells_.c_str());

@@ -12,12 +12,16 @@
 // nobody has the lock belongs to somebody else and is left alone. A clean end removes socket and
 // bells; the lock file stays (removing it would let two others each lock a file of that name).
 //
+// All three outlive the process when a manager keeps descriptors: connections that come meanwhile
+// wait in the socket's queue, the lock stays taken, and bells keep their names.
+//
 // Every complaint is one sentence for people, with the path in it.
 #pragma once
 
 #include <agnocast/error.hpp>
 #include <base/packet_socket.hpp>
 #include <base/unique_fd.hpp>
+#include <daemon/descriptor_store.hpp>
 
 #include <tl/expected.hpp>
 
@@ -45,24 +49,40 @@ class Listener {
  public:
   [[nodiscard]] static tl::expected<Listener, Complaint> open(const ListenerOptions& options);
 
+  /// Socket and lock of a former life, with its directory of bells; nothing is cleared. A socket
+  /// whose name was removed meanwhile gets a new one, at the same place: renewed().
+  [[nodiscard]] static tl::expected<Listener, Complaint> adopt(const ListenerOptions& options,
+                                                               UniqueFd socket, UniqueFd lock,
+                                                               const std::string& bells);
+
   Listener(Listener&& other) noexcept
       : path_(std::exchange(other.path_, {})),
         bells_(std::exchange(other.bells_, {})),
+        removes_(other.removes_),
+        renewed_(other.renewed_),
         lock_(std::move(other.lock_)),
         socket_(std::move(other.socket_)) {}
   Listener& operator=(Listener&&) = delete;
-  /// Removes socket and bells.
+  /// Removes socket and bells, if it is to.
   ~Listener();
 
   const PacketListener& socket() const noexcept { return socket_; }
   const std::string& path() const noexcept { return path_; }
   const std::string& bells_directory() const noexcept { return bells_; }
+  bool renewed() const noexcept { return renewed_; }
+  /// Lock and socket go into the store, the socket last. Errors: as DescriptorStore::put.
+  [[nodiscard]] Result<void> keep(DescriptorStore& store) const;
+  /// Whether socket and bells are removed at the end; if not, the next life goes on with them.
+  void remove_names(bool removes) noexcept { removes_ = removes; }
 
  private:
   Listener() = default;
+  [[nodiscard]] tl::expected<void, Complaint> listen(const ListenerOptions& options);
 
   std::string path_;  // empty: nothing to remove
   std::string bells_;
+  bool removes_ = true;
+  bool renewed_ = false;
   UniqueFd lock_;
   PacketListener socket_;
 };

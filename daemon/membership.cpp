@@ -3,6 +3,7 @@
 #include <daemon/membership.hpp>
 
 #include <base/check.hpp>
+#include <base/step.hpp>
 
 #include <algorithm>
 #include <iterator>
@@ -76,6 +77,7 @@ Result<void> Membership::create_publisher(ClientIndex client, TopicIndex topic,
   if (!ready) return ready;
   // Nobody looks there yet; the add that follows publishes it.
   const dataplane::PublisherWords<SharedMemory> words{regions_.region(client), plan->extent};
+  AGNOCAST_CRASH_POINT(B_head);
   words.head().store(abi::pack_entry(plan->first_sequence, 0), std::memory_order_release);
   if (plan->slot_count > abi::near_slot_count) {
     // Its readers will use the hold words behind their link lines.
@@ -86,21 +88,19 @@ Result<void> Membership::create_publisher(ClientIndex client, TopicIndex topic,
     });
     if (!backed) return backed;
   }
-  registry_.add_publisher(client, topic, request.qos, *plan, request.node);
+  registry_.add_publisher(client, topic, request.qos, *plan, request.node, request.request);
 
-  auto answer = make_body<wire::EndpointCreated>(wire::Opcode::endpoint_created, request.request);
-  answer.topic = number(topic);
-  answer.index = plan->index;
-  answer.generation = plan->generation;
-  answer.extent = plan->extent;
-  answer.slot_count = plan->slot_count;
-  answer.first_sequence = plan->first_sequence;
-  post_.send(client, packet_of(answer), {});
-
+  // Before it can publish: whoever is to get its messages is told, whatever becomes of both.
   const PublisherRecord& publisher = registry_.publisher(topic, plan->index);
+  registry_.for_each_subscription(topic, [&](std::uint32_t, const SubscriptionRecord& record) {
+    if (record.state == EndpointState::active && matches(publisher, record))
+      tell({Kind::publisher, topic, plan->index}, record.client);
+  });
+  answer_creation({Kind::publisher, topic, plan->index}, request.request);
+
   registry_.for_each_subscription(topic, [&](std::uint32_t i, const SubscriptionRecord& record) {
     if (record.state == EndpointState::active && matches(publisher, record))
-      announce_publisher(topic, plan->index, i, true);
+      announce_publisher(topic, plan->index, i);
   });
   registry_.for_each_subscription(topic, [&](std::uint32_t i, const SubscriptionRecord& record) {
     if (record.state == EndpointState::active && matches(publisher, record))
@@ -120,19 +120,18 @@ Result<void> Membership::create_subscription(ClientIndex client, TopicIndex topi
   // Publishers can keep what this one may ask for before it is a member (docs/protocol.md, slots).
   for (const SlotRaise& raise : plan->raises) registry_.raise_slots(topic, raise);
   registry_.add_subscription(client, topic, request.qos, request.quota, request.executor, *plan,
-                             request.node);
-
-  auto answer = make_body<wire::EndpointCreated>(wire::Opcode::endpoint_created, request.request);
-  answer.topic = number(topic);
-  answer.index = plan->index;
-  answer.generation = plan->generation;
-  answer.extent = plan->extent;
-  post_.send(client, packet_of(answer), {});
+                             request.node, request.request);
 
   const SubscriptionRecord& subscription = registry_.subscription(topic, plan->index);
   registry_.for_each_publisher(topic, [&](std::uint32_t i, const PublisherRecord& record) {
     if (record.state == EndpointState::active && matches(record, subscription))
-      announce_publisher(topic, i, plan->index, false);
+      tell({Kind::publisher, topic, i}, client);
+  });
+  answer_creation({Kind::subscription, topic, plan->index}, request.request);
+
+  registry_.for_each_publisher(topic, [&](std::uint32_t i, const PublisherRecord& record) {
+    if (record.state == EndpointState::active && matches(record, subscription))
+      announce_publisher(topic, i, plan->index);
   });
   registry_.for_each_publisher(topic, [&](std::uint32_t i, const PublisherRecord& record) {
     if (record.state == EndpointState::active && matches(record, subscription))
@@ -140,6 +139,32 @@ Result<void> Membership::create_subscription(ClientIndex client, TopicIndex topi
   });
   notice_mismatches({Kind::subscription, topic, plan->index});
   return {};
+}
+
+void Membership::answer_creation(const EndpointRef& ref, std::uint64_t request) {
+  auto answer = make_body<wire::EndpointCreated>(wire::Opcode::endpoint_created, request);
+  answer.topic = number(ref.topic);
+  answer.index = ref.index;
+  answer.generation = registry_.generation_of(ref);
+  if (ref.kind == Kind::publisher) {
+    const PublisherRecord& record = registry_.publisher(ref.topic, ref.index);
+    answer.extent = record.extent;
+    answer.slot_count = record.slot_count;
+    answer.first_sequence = abi::first_sequence_of(record.generation);
+  } else {
+    answer.extent = registry_.subscription(ref.topic, ref.index).extent;
+  }
+  post_.send(registry_.owner_of(ref), packet_of(answer), {});
+}
+
+bool Membership::answer_again(ClientIndex client, const CreateRequest& request) {
+  const auto ref = registry_.find_creation(client, request.kind, request.request);
+  if (!ref) return false;
+  answer_creation(*ref, request.request);
+  // What was announced before this answer was for an endpoint that the process did not know yet.
+  announce_to_owner(*ref);
+  notice_mismatches(*ref, false);
+  return true;
 }
 
 Result<void> Membership::make_ready(TopicIndex topic, const SubscriptionPlan& plan,
@@ -166,10 +191,20 @@ Result<void> Membership::make_ready(TopicIndex topic, const SubscriptionPlan& pl
 
 // --- announcements
 
+// Whoever is told has to let go before the place is used again. No session: it has no connection,
+// and is announced this when it is back.
+Session* Membership::tell(const EndpointRef& ref, ClientIndex to) {
+  if (!registry_.is_alive(to) || regions_.region_reader(registry_.owner_of(ref)) == nullptr)
+    return nullptr;
+  registry_.tell(ref, to);
+  return post_.session_of(to);
+}
+
 void Membership::announce_publisher(TopicIndex topic, std::uint32_t index,
-                                    std::uint32_t subscription, bool from_start) {
+                                    std::uint32_t subscription) {
   const PublisherRecord& publisher = registry_.publisher(topic, index);
   const SubscriptionRecord& member = registry_.subscription(topic, subscription);
+  if (tell({Kind::publisher, topic, index}, member.client) == nullptr) return;
   auto packet = make_body<wire::Announcement>(wire::Opcode::announce);
   packet.kind = Kind::publisher;
   packet.topic = number(topic);
@@ -182,7 +217,8 @@ void Membership::announce_publisher(TopicIndex topic, std::uint32_t index,
   packet.extent = publisher.extent;
   packet.qos = publisher.qos;
   packet.first_sequence = abi::first_sequence_of(publisher.generation);
-  packet.from_start = from_start ? 1 : 0;
+  // One counter for all generations: the publisher joined later.
+  packet.from_start = publisher.generation > member.generation ? 1 : 0;
   std::vector<SharedFd> fds{regions_.region_reader(publisher.client)};
   const ClientRecord& owner = registry_.client(publisher.client);
   for (const SharedFd& reader : regions_.window_readers(publisher.client)) {
@@ -197,8 +233,7 @@ void Membership::announce_subscription(TopicIndex topic, std::uint32_t index,
                                        std::uint32_t publisher) {
   const SubscriptionRecord& subscription = registry_.subscription(topic, index);
   const PublisherRecord& member = registry_.publisher(topic, publisher);
-  Session* const to = post_.session_of(member.client);
-  if (to == nullptr) return;
+  if (tell({Kind::subscription, topic, index}, member.client) == nullptr) return;
   auto packet = make_body<wire::Announcement>(wire::Opcode::announce);
   packet.kind = Kind::subscription;
   packet.topic = number(topic);
@@ -211,10 +246,10 @@ void Membership::announce_subscription(TopicIndex topic, std::uint32_t index,
   packet.extent = subscription.extent;
   packet.qos = subscription.qos;
   packet.executor = subscription.executor;
-  const Session* const owner = post_.session_of(subscription.client);
+  const std::uint64_t user_namespace = post_.user_namespace_of(subscription.client);
   const bool same_user =
       registry_.client(subscription.client).uid == registry_.client(member.client).uid &&
-      owner != nullptr && owner->user_namespace != 0 && owner->user_namespace == to->user_namespace;
+      user_namespace != 0 && user_namespace == post_.user_namespace_of(member.client);
   const auto bells =
       doorbells_.for_publisher(subscription.client, subscription.executor, same_user);
   packet.doorbell_count = static_cast<std::uint32_t>(bells.size());
@@ -226,8 +261,7 @@ void Membership::announce_subscription(TopicIndex topic, std::uint32_t index,
 void Membership::announce(const EndpointRef& ref, ClientIndex to, const wire::Announcement& packet,
                           std::vector<SharedFd> fds) {
   Session* const session = post_.session_of(to);
-  if (session == nullptr || !regions_.is_open(registry_.owner_of(ref))) return;
-  registry_.tell(ref, to);
+  AGNOCAST_CHECK(session != nullptr);
   // The number of the packet that is about to be handed in.
   session->announcements().announced(subject_of(ref), session->packet_count() + 1);
   session->announcements().announced(region_of(registry_.owner_of(ref)),
@@ -252,6 +286,103 @@ void Membership::announce_window(ClientIndex owner) {
   });
 }
 
+// --- after a new connection
+
+// An endpoint's own process is told whom it is connected with: what is there now, and what it was
+// told of and has not let go of yet, be it gone or not. Repetitions are the client's to recognise.
+void Membership::announce_to_owner(const EndpointRef& ref) {
+  const std::uint64_t owner = number(registry_.owner_of(ref));
+  if (ref.kind == Kind::subscription) {
+    const SubscriptionRecord& own = registry_.subscription(ref.topic, ref.index);
+    if (own.state != EndpointState::active && own.state != EndpointState::leaving) return;
+    registry_.for_each_publisher(ref.topic, [&](std::uint32_t p, const PublisherRecord& other) {
+      if (!matches(other, own)) return;
+      // Nobody joins an orphan.
+      const bool drains =
+          other.state == EndpointState::orphan && own.generation <= other.last_joined;
+      const bool known =
+          other.told.contains(owner) && (other.state == EndpointState::active || drains);
+      const bool meets = other.state == EndpointState::active && own.state == EndpointState::active;
+      if (known || meets) announce_publisher(ref.topic, p, ref.index);
+    });
+  } else {
+    const PublisherRecord& own = registry_.publisher(ref.topic, ref.index);
+    if (own.state != EndpointState::active && own.state != EndpointState::orphan) return;
+    registry_.for_each_subscription(ref.topic, [&](std::uint32_t s,
+                                                   const SubscriptionRecord& other) {
+      if (!matches(own, other)) return;
+      const bool known = other.told.contains(owner) && (other.state == EndpointState::active ||
+                                                        other.state == EndpointState::leaving);
+      const bool meets = other.state == EndpointState::active && own.state == EndpointState::active;
+      if (known || meets) announce_subscription(ref.topic, s, ref.index);
+    });
+  }
+}
+
+bool Membership::is_looked_at(TopicIndex topic, const SubscriptionRecord& subscription,
+                              ClientIndex by) const {
+  if (subscription.state != EndpointState::active && subscription.state != EndpointState::leaving)
+    return false;
+  bool looks = false;
+  registry_.for_each_publisher(topic, [&](std::uint32_t, const PublisherRecord& record) {
+    looks = looks || (record.client == by && record.state != EndpointState::over &&
+                      matches(record, subscription));
+  });
+  return looks;
+}
+
+void Membership::say_own(const EndpointRef& ref) {
+  auto packet = make_body<wire::Own>(wire::Opcode::own);
+  packet.kind = ref.kind;
+  packet.topic = number(ref.topic);
+  packet.index = ref.index;
+  packet.generation = registry_.generation_of(ref);
+  if (ref.kind == Kind::publisher) {
+    const PublisherRecord& record = registry_.publisher(ref.topic, ref.index);
+    packet.creation = record.creation;
+    packet.active = record.state == EndpointState::active ? 1 : 0;
+  } else {
+    const SubscriptionRecord& record = registry_.subscription(ref.topic, ref.index);
+    packet.creation = record.creation;
+    packet.active = record.state == EndpointState::active ? 1 : 0;
+  }
+  post_.send(registry_.owner_of(ref), packet_of(packet), {});
+}
+
+void Membership::welcome_back(ClientIndex client) {
+  const std::vector<EndpointRef>& endpoints = registry_.endpoints_of(client);
+  for (const EndpointRef& ref : endpoints) say_own(ref);
+  for (const EndpointRef& ref : endpoints) announce_to_owner(ref);
+  // Nothing is told of a topic in which a process has no endpoint, and with the last one it has let
+  // go of everything there.
+  std::set<TopicIndex> topics;
+  for (const EndpointRef& ref : endpoints) topics.insert(ref.topic);
+  for (const TopicIndex topic : topics) {
+    registry_.for_each_publisher(topic, [&](std::uint32_t i, const PublisherRecord& record) {
+      if (record.state == EndpointState::orphan && record.told.contains(number(client)))
+        say_orphaned({Kind::publisher, topic, i}, client);
+    });
+  }
+  for (const TopicIndex topic : topics) {
+    registry_.for_each_subscription(topic, [&](std::uint32_t i, const SubscriptionRecord& record) {
+      if (record.told.contains(number(client)) && !is_looked_at(topic, record, client))
+        post_.send(client,
+                   packet_of(reference_to({Kind::subscription, topic, i}, record.generation,
+                                          wire::Opcode::forget)),
+                   {});
+    });
+  }
+  for (std::uint32_t i = 0; i < registry_.client_high(); ++i) {
+    const ClientRecord& record = registry_.client(static_cast<ClientIndex>(i));
+    if (record.state == ClientState::free || !record.told.contains(number(client))) continue;
+    auto packet = make_body<wire::Reference>(wire::Opcode::region);
+    packet.kind = Kind::region;
+    packet.index = i;
+    packet.generation = record.generation;
+    post_.send(client, packet_of(packet), {});
+  }
+}
+
 // --- notices
 
 void Membership::notice(const EndpointRef& ref, Errc code, const std::string& text,
@@ -267,7 +398,7 @@ void Membership::notice(const EndpointRef& ref, Errc code, const std::string& te
   post_.send(registry_.owner_of(ref), packet_of(packet), {});
 }
 
-void Membership::notice_mismatches(const EndpointRef& ref) {
+void Membership::notice_mismatches(const EndpointRef& ref, bool to_all) {
   const auto compare = [&](std::uint32_t p, std::uint32_t s) {
     const PublisherRecord& publisher = registry_.publisher(ref.topic, p);
     const SubscriptionRecord& subscription = registry_.subscription(ref.topic, s);
@@ -279,8 +410,10 @@ void Membership::notice_mismatches(const EndpointRef& ref) {
     const std::string text = policy == abi::QosPolicy::reliability
                                  ? "reliable is requested, best effort is offered"
                                  : "transient_local is requested, volatile is offered";
-    notice({Kind::publisher, ref.topic, p}, Errc::qos_incompatible, text, policy);
-    notice({Kind::subscription, ref.topic, s}, Errc::qos_incompatible, text, policy);
+    if (to_all || ref.kind == Kind::publisher)
+      notice({Kind::publisher, ref.topic, p}, Errc::qos_incompatible, text, policy);
+    if (to_all || ref.kind == Kind::subscription)
+      notice({Kind::subscription, ref.topic, s}, Errc::qos_incompatible, text, policy);
   };
   if (ref.kind == Kind::publisher) {
     registry_.for_each_subscription(
@@ -325,7 +458,24 @@ bool Membership::is_own(ClientIndex client, const wire::Reference& reference) co
          registry_.generation_of(ref) == reference.generation;
 }
 
-Result<void> Membership::leave(ClientIndex client, const wire::Reference& reference) {
+bool Membership::is_active(ClientIndex client, const wire::Reference& reference) const {
+  if (!is_own(client, reference)) return false;
+  const EndpointRef ref = ref_of(reference);
+  return EndpointState::active == (ref.kind == Kind::publisher
+                                       ? registry_.publisher(ref.topic, ref.index).state
+                                       : registry_.subscription(ref.topic, ref.index).state);
+}
+
+bool Membership::is_drained(ClientIndex client, const wire::Reference& reference) const {
+  if (!is_own(client, reference)) return true;
+  const EndpointRef ref = ref_of(reference);
+  return ref.kind == Kind::subscription &&
+         registry_.subscription(ref.topic, ref.index).state == EndpointState::over;
+}
+
+Result<void> Membership::leave(ClientIndex client, const LeaveRequest& request) {
+  const wire::Reference& reference = request.reference;
+  if (request.again && !is_active(client, reference)) return say_done(client, reference);
   if (!is_own(client, reference))
     return fail(Errc::protocol_violation, "this is not an endpoint of the process");
   const EndpointRef ref = ref_of(reference);
@@ -335,20 +485,21 @@ Result<void> Membership::leave(ClientIndex client, const wire::Reference& refere
       return fail(Errc::protocol_violation, "the publisher has left before");
     const dataplane::PublisherWords<SharedMemory> words{regions_.region(client), record.extent};
     // What the process wrote; readers check it like any other value of a publisher.
-    orphan(ref, words.head().load(std::memory_order_acquire));
+    orphan(ref, words.head().load(std::memory_order_acquire), journal::LeaveCause::left);
   } else {
     if (registry_.subscription(ref.topic, ref.index).state != EndpointState::active)
       return fail(Errc::protocol_violation, "the subscription has left before");
     registry_.change_subscription(ref.topic, ref.index, EndpointState::leaving);
     kick_publishers_of(ref);
   }
-  const auto answer = make_body<wire::Done>(wire::Opcode::done, reference.header.request);
-  post_.send(client, packet_of(answer), {});
+  const auto done = say_done(client, reference);
   settle(ref);
-  return {};
+  return done;
 }
 
-Result<void> Membership::drained(ClientIndex client, const wire::Reference& reference) {
+Result<void> Membership::drained(ClientIndex client, const DrainedRequest& request) {
+  const wire::Reference& reference = request.reference;
+  if (request.again && is_drained(client, reference)) return say_done(client, reference);
   if (!is_own(client, reference))
     return fail(Errc::protocol_violation, "this is not an endpoint of the process");
   const EndpointRef ref = ref_of(reference);
@@ -359,10 +510,10 @@ Result<void> Membership::drained(ClientIndex client, const wire::Reference& refe
   if (state != expected)
     return fail(Errc::protocol_violation, publisher ? "the publisher's word is not free yet"
                                                     : "the subscription has not left");
-  const auto answer = make_body<wire::Done>(wire::Opcode::done, reference.header.request);
+  Result<void> done;
   if (publisher) {
     registry_.end_publisher(ref.topic, ref.index, EndpointState::free);
-    post_.send(client, packet_of(answer), {});
+    done = say_done(client, reference);
     bool last = true;
     registry_.for_each_publisher(ref.topic, [&](std::uint32_t, const PublisherRecord& record) {
       last = last && record.client != client;
@@ -375,7 +526,7 @@ Result<void> Membership::drained(ClientIndex client, const wire::Reference& refe
     }
   } else {
     registry_.change_subscription(ref.topic, ref.index, EndpointState::over);
-    post_.send(client, packet_of(answer), {});
+    done = say_done(client, reference);
     registry_.for_each_publisher(ref.topic, [&](std::uint32_t p, const PublisherRecord& record) {
       bool other = false;
       registry_.for_each_subscription(
@@ -391,6 +542,12 @@ Result<void> Membership::drained(ClientIndex client, const wire::Reference& refe
     settle(ref);
   }
   settle_topic(ref.topic);
+  return done;
+}
+
+Result<void> Membership::say_done(ClientIndex client, const wire::Reference& reference) {
+  const auto answer = make_body<wire::Done>(wire::Opcode::done, reference.header.request);
+  post_.send(client, packet_of(answer), {});
   return {};
 }
 
@@ -427,24 +584,26 @@ Result<void> Membership::unlinked(ClientIndex client, const wire::Unlinked& stat
 
 // --- what happens to others
 
-void Membership::orphan(const EndpointRef& ref, std::uint64_t final_head) {
-  registry_.orphan_publisher(ref.topic, ref.index, final_head);
-  const wire::Orphaned packet = about_orphan(ref, final_head);
+void Membership::orphan(const EndpointRef& ref, std::uint64_t final_head,
+                        journal::LeaveCause cause) {
+  registry_.orphan_publisher(ref.topic, ref.index, final_head, cause);
   registry_.for_each_subscription(ref.topic, [&](std::uint32_t, const SubscriptionRecord& record) {
-    if (record.state == EndpointState::active) doorbells_.ring(record.client, record.executor);
+    if (record.state != EndpointState::active) return;
+    AGNOCAST_CRASH_POINT(B_ring);
+    doorbells_.ring(record.client, record.executor);
   });
-  for_each_told(registry_.told_of(ref),
-                [&](ClientIndex to) { post_.send(to, packet_of(packet), {}); });
+  for_each_told(registry_.told_of(ref), [&](ClientIndex to) { say_orphaned(ref, to); });
   limit_orphans(ref.topic);
 }
 
-wire::Orphaned Membership::about_orphan(const EndpointRef& ref, std::uint64_t final_head) const {
+void Membership::say_orphaned(const EndpointRef& ref, ClientIndex to) {
   auto packet = make_body<wire::Orphaned>(wire::Opcode::orphaned);
   packet.topic = number(ref.topic);
   packet.index = ref.index;
   packet.generation = registry_.generation_of(ref);
-  packet.final_head = given_up_.contains(packet.generation) ? 0 : final_head;
-  return packet;
+  packet.final_head =
+      given_up_.contains(packet.generation) ? 0 : registry_.final_head_of(ref.topic, ref.index);
+  post_.send(to, packet_of(packet), {});
 }
 
 // Only asked for: an index is free when everybody has said `unlinked`, as ever.
@@ -461,9 +620,7 @@ void Membership::limit_orphans(TopicIndex topic) {
   for (const auto& [generation, index] : orphans) {
     if (!given_up_.insert(generation).second) continue;
     const EndpointRef ref{Kind::publisher, topic, index};
-    const wire::Orphaned packet = about_orphan(ref, 0);
-    for_each_told(registry_.told_of(ref),
-                  [&](ClientIndex to) { post_.send(to, packet_of(packet), {}); });
+    for_each_told(registry_.told_of(ref), [&](ClientIndex to) { say_orphaned(ref, to); });
   }
 }
 
@@ -523,6 +680,7 @@ void Membership::let_go(const EndpointRef& ref, ClientIndex by) {
 
 void Membership::settle(const EndpointRef& ref) {
   if (!registry_.told_of(ref).reusable()) return;
+  AGNOCAST_CRASH_POINT(B_settle);
   const ClientIndex owner = registry_.owner_of(ref);
   const bool owner_dead = !registry_.is_alive(owner);
   if (ref.kind == Kind::publisher) {
@@ -563,6 +721,52 @@ void Membership::forget_client(ClientIndex client) {
   std::erase_if(type_notices_, [&](const auto& entry) { return entry.first == number(client); });
 }
 
+// drained() has two halves: its own record, and one for each thing that its process has let go of
+// with it. The second half follows from what the tables say then.
+void Membership::finish() {
+  const auto lets_go = [&](const EndpointRef& ref, auto has_use) {
+    std::vector<ClientIndex> gone;
+    for_each_told(registry_.told_of(ref), [&](ClientIndex to) {
+      if (registry_.is_alive(to) && !has_use(to)) gone.push_back(to);
+    });
+    for (const ClientIndex client : gone) let_go(ref, client);
+  };
+  for (std::uint32_t t = 0; t < registry_.topic_high(); ++t) {
+    const TopicIndex topic{t};
+    // The topic goes with its last endpoint, in the middle of this.
+    const auto is_used = [&] { return registry_.topic(topic).state == TopicState::used; };
+    for (std::uint32_t p = 0; is_used() && p < registry_.topic(topic).publisher_high; ++p) {
+      const PublisherRecord& publisher = registry_.publisher(topic, p);
+      if (publisher.state == EndpointState::free) continue;
+      lets_go({Kind::publisher, topic, p}, [&](ClientIndex to) {
+        bool uses = false;
+        registry_.for_each_subscription(topic, [&](std::uint32_t, const SubscriptionRecord& own) {
+          uses = uses ||
+                 (own.client == to &&
+                  (own.state == EndpointState::active || own.state == EndpointState::leaving) &&
+                  matches(publisher, own));
+        });
+        return uses;
+      });
+    }
+    for (std::uint32_t s = 0; is_used() && s < registry_.topic(topic).subscription_high; ++s) {
+      if (registry_.subscription(topic, s).state == EndpointState::free) continue;
+      lets_go({Kind::subscription, topic, s}, [&](ClientIndex to) {
+        bool uses = false;
+        registry_.for_each_publisher(topic, [&](std::uint32_t, const PublisherRecord& own) {
+          uses = uses || own.client == to;
+        });
+        return uses;
+      });
+    }
+  }
+  settle_all();
+  // Who comes back is told at once whom to let go of.
+  for (std::uint32_t t = 0; t < registry_.topic_high(); ++t) {
+    if (registry_.topic(TopicIndex{t}).state == TopicState::used) limit_orphans(TopicIndex{t});
+  }
+}
+
 void Membership::settle_all() {
   for (std::uint32_t t = 0; t < registry_.topic_high(); ++t) {
     const TopicIndex topic{t};
@@ -572,6 +776,7 @@ void Membership::settle_all() {
     for (std::uint32_t i = 0; i < registry_.topic(topic).subscription_high; ++i) {
       if (registry_.topic(topic).state == TopicState::used) settle({Kind::subscription, topic, i});
     }
+    settle_topic(topic);
   }
   for (std::uint32_t c = 0; c < registry_.client_high(); ++c)
     settle_client(static_cast<ClientIndex>(c));

@@ -3,9 +3,11 @@
 // Membership: who joins and leaves which topic, and who has to hear of it. docs/control-plane.md.
 //
 // Every operation has the same shape: check what the sender may say, let the registry decide and
-// journal, then answer, then announce. An announcement is journaled before it is sent (rule RU, a),
-// and only processes that are connected are told: to whom nothing was sent, nothing must be
-// unlinked.
+// journal, then answer, then announce. An announcement is journaled before it is sent (rule RU, a).
+// Who has no connection at the time is journaled all the same: it is to get the first and the last
+// message of whoever comes and goes meanwhile. welcome_back() sends a process that has come back
+// all that its announce sets say; so nothing that was sent on an earlier connection needs to be
+// known to have arrived.
 //
 // settle() is the other half of rule RU: called for whatever somebody has let go of, it frees what
 // nobody has any more, and then what that made free: endpoint, topic, process.
@@ -32,6 +34,8 @@ class Post {
  public:
   virtual ~Post() = default;
   virtual Session* session_of(ClientIndex client) = 0;
+  /// 0 when unknown. Needs no connection.
+  virtual std::uint64_t user_namespace_of(ClientIndex client) = 0;
   virtual void send(ClientIndex client, std::span<const std::byte> packet,
                     std::vector<SharedFd> fds) = 0;
 };
@@ -58,25 +62,32 @@ class Membership {
   /// Creates an endpoint, answers and announces. Rights and quotas were checked. A failure is
   /// answered by the caller: type_mismatch, limit_reached, invalid_argument, os_failure.
   [[nodiscard]] Result<void> create(ClientIndex client, const CreateRequest& request);
+  /// A creation that is asked for again: answers and announces as before, if it was carried out.
+  bool answer_again(ClientIndex client, const CreateRequest& request);
   /// Errors: protocol_violation.
-  [[nodiscard]] Result<void> leave(ClientIndex client, const wire::Reference& reference);
-  [[nodiscard]] Result<void> drained(ClientIndex client, const wire::Reference& reference);
+  [[nodiscard]] Result<void> leave(ClientIndex client, const LeaveRequest& request);
+  [[nodiscard]] Result<void> drained(ClientIndex client, const DrainedRequest& request);
   [[nodiscard]] Result<void> unlinked(ClientIndex client, const wire::Unlinked& statement);
   /// Tells every process that has the region of `owner` about its newest window.
   void announce_window(ClientIndex owner);
+  /// Tells a process on a new connection what it has and whom it knows.
+  void welcome_back(ClientIndex client);
 
   // --- for the reaper
   /// A subscription whose process is no member any more.
   void bury_subscription(const EndpointRef& ref);
   /// Nobody publishes there any more: board, then everybody is rung and told.
-  void orphan(const EndpointRef& ref, std::uint64_t final_head);
-  /// What a subscriber's process is told of an orphan, now or when it has come back.
-  wire::Orphaned about_orphan(const EndpointRef& ref, std::uint64_t final_head) const;
+  void orphan(const EndpointRef& ref, std::uint64_t final_head, journal::LeaveCause cause);
   /// Frees what nobody has any more, everywhere: after a process was forgotten.
   void settle_all();
   void forget_client(ClientIndex client);
   /// Frees the place of a process if nobody has anything of it any more.
   void settle_client(ClientIndex client);
+
+  // --- for a daemon that goes on
+  /// Carries out what follows from the records of the former life and has no record yet: who has
+  /// drained has let go as well, and what nobody has any more is free.
+  void finish();
 
  private:
   [[nodiscard]] Result<void> create_publisher(ClientIndex client, TopicIndex topic,
@@ -85,12 +96,18 @@ class Membership {
                                                  const CreateRequest& request);
   [[nodiscard]] Result<void> make_ready(TopicIndex topic, const SubscriptionPlan& plan,
                                         ClientIndex client, std::uint64_t extent);
-  void announce_publisher(TopicIndex topic, std::uint32_t index, std::uint32_t subscription,
-                          bool from_start);
+  void announce_publisher(TopicIndex topic, std::uint32_t index, std::uint32_t subscription);
   void announce_subscription(TopicIndex topic, std::uint32_t index, std::uint32_t publisher);
+  void answer_creation(const EndpointRef& ref, std::uint64_t request);
+  Session* tell(const EndpointRef& ref, ClientIndex to);
   void announce(const EndpointRef& ref, ClientIndex to, const wire::Announcement& packet,
                 std::vector<SharedFd> fds);
-  void notice_mismatches(const EndpointRef& ref);
+  void announce_to_owner(const EndpointRef& ref);
+  /// Has a process a publisher that still looks at this subscription?
+  bool is_looked_at(TopicIndex topic, const SubscriptionRecord& subscription, ClientIndex by) const;
+  void say_own(const EndpointRef& ref);
+  void say_orphaned(const EndpointRef& ref, ClientIndex to);
+  void notice_mismatches(const EndpointRef& ref, bool to_all = true);
   void notice(const EndpointRef& ref, Errc code, const std::string& text,
               abi::QosPolicy policy = abi::QosPolicy::none);
   std::string type_mismatch_text(ClientIndex client, TopicIndex topic,
@@ -104,7 +121,11 @@ class Membership {
   void let_go(const EndpointRef& ref, ClientIndex by);
   void settle(const EndpointRef& ref);
   void settle_topic(TopicIndex topic);
+  Result<void> say_done(ClientIndex client, const wire::Reference& reference);
   bool is_own(ClientIndex client, const wire::Reference& reference) const;
+  bool is_active(ClientIndex client, const wire::Reference& reference) const;
+  /// Nothing is left to be drained.
+  bool is_drained(ClientIndex client, const wire::Reference& reference) const;
   template <class Function>
   void for_each_told(const AnnounceSet& set, Function function) const;
 

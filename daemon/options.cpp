@@ -19,7 +19,7 @@ namespace {
 
 constexpr std::string_view known_options[] = {"--socket",    "--config",       "--foreground",
                                               "--log-level", "--check-config", "--print-config",
-                                              "--version",   "--help"};
+                                              "--fd-store",  "--version",      "--help"};
 constexpr const char* help_hint = "agnocastd --help";
 
 Exit wrong_usage(std::string what, std::string why, std::string hint) {
@@ -59,6 +59,7 @@ std::variant<Options, Exit> parse_options(int argc, const char* const* argv) {
   std::string socket;
   std::string config;
   std::string level;
+  std::string fd_store;
   bool wants_version = false;
 
   CLI::App app("The daemon of agnocast: who publishes what, and repair after those who die.",
@@ -71,6 +72,11 @@ std::variant<Options, Exit> parse_options(int argc, const char* const* argv) {
   app.add_flag("--foreground", options.foreground,
                "stay in the foreground; it always does, so this changes nothing");
   app.add_option("--log-level", level, std::string(log_level_names))->type_name("LEVEL");
+  app.add_option("--fd-store", fd_store,
+                 "who keeps memory and identities over the daemon's death: own (a supervisor, the "
+                 "default), manager (systemd; the default where it sets $FDSTORE), none")
+      ->type_name("WHO")
+      ->take_last();
   app.add_flag("--check-config", options.check_config,
                "look for mistakes in the configuration and end");
   app.add_flag("--print-config", options.print_config, "print the configuration in force and end");
@@ -119,6 +125,19 @@ std::variant<Options, Exit> parse_options(int argc, const char* const* argv) {
           in_quotes(level) + " is no level; known: " + std::string(log_level_names);
       return wrong_usage("--log-level", why, "agnocastd --log-level info");
     }
+  }
+  if (app.count("--fd-store") == 0) {
+    options.fd_store = environment("FDSTORE") ? FdStore::manager : FdStore::own;
+  } else if (fd_store == "own") {
+    options.fd_store = FdStore::own;
+  } else if (fd_store == "manager") {
+    options.fd_store = FdStore::manager;
+  } else if (fd_store == "none") {
+    options.fd_store = FdStore::none;
+  } else {
+    const std::string why =
+        in_quotes(fd_store) + " is nobody; known: " + std::string(fd_store_names);
+    return wrong_usage("--fd-store", why, "agnocastd --fd-store=own");
   }
   return options;
 }

@@ -4,7 +4,7 @@
 // configuration, which socket, which runtime directory.
 //
 //   agnocastd [--socket PATH] [--config FILE] [--foreground] [--log-level LEVEL]
-//             [--check-config] [--print-config] [--version] [--help]
+//             [--fd-store=own|manager|none] [--check-config] [--print-config] [--version] [--help]
 //
 // Nothing here prints or exits: what to print and the status are values, main() does the rest.
 #pragma once
@@ -15,6 +15,7 @@
 
 #include <sys/types.h>
 
+#include <cstdint>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -22,10 +23,19 @@
 
 namespace agnocast::daemon {
 
+/// Who keeps descriptors over the daemon's death.
+enum class FdStore : std::uint8_t {
+  own,      // our supervisor, which this process is to become
+  manager,  // whoever started this process: systemd, or our supervisor
+  none,     // nobody
+};
+inline constexpr std::string_view fd_store_names = "own, manager, none";
+
 struct Options {
   std::optional<std::string> socket;
   std::optional<std::string> config;
   std::optional<LogLevel> log_level;
+  FdStore fd_store = FdStore::own;
   bool foreground = false;
   bool check_config = false;
   bool print_config = false;

@@ -3,6 +3,7 @@
 #include <daemon/reaper.hpp>
 
 #include <base/check.hpp>
+#include <base/step.hpp>
 #include <journal/recovery.hpp>
 
 #include <sys/sysmacros.h>
@@ -15,28 +16,29 @@
 namespace agnocast::daemon {
 namespace {
 
-void count(journal::IntentDecision decision, Reaped& reaped) noexcept {
+journal::LeaveCause count(journal::IntentDecision decision, Reaped& reaped) noexcept {
   switch (decision) {
     case journal::IntentDecision::nothing:
       break;
     case journal::IntentDecision::roll_back:
       ++reaped.rolled_back;
-      break;
+      return journal::LeaveCause::rolled_back;
     case journal::IntentDecision::roll_forward:
       ++reaped.rolled_forward;
-      break;
+      return journal::LeaveCause::rolled_forward;
     case journal::IntentDecision::corrupt:
       ++reaped.corrupt;
-      break;
+      return journal::LeaveCause::corrupt;
   }
+  return journal::LeaveCause::nothing_open;
 }
 
 }  // namespace
 
-Reaped reap(ClientIndex client, EndReason reason, Registry& registry, Regions& regions,
+Reaped reap(ClientIndex client, journal::DeathReason reason, Registry& registry, Regions& regions,
             Doorbells& doorbells, Membership& membership) {
   Reaped reaped;
-  registry.client_died(client, reason);
+  if (registry.is_alive(client)) registry.client_died(client, reason);
   const std::vector<EndpointRef> endpoints = registry.endpoints_of(client);  // they go one by one
   for (const EndpointRef& ref : endpoints) {
     if (ref.kind != Kind::subscription) continue;
@@ -49,22 +51,57 @@ Reaped reap(ClientIndex client, EndReason reason, Registry& registry, Regions& r
     if (ref.kind != Kind::publisher) continue;
     const PublisherRecord& record = registry.publisher(ref.topic, ref.index);
     if (record.state != EndpointState::active) continue;
+    std::uint64_t final_head = abi::pack_entry(abi::first_sequence_of(record.generation), 0);
+    if (!regions.is_open(client)) {
+      membership.orphan(ref, final_head, journal::LeaveCause::nothing_open);
+      ++reaped.publishers;
+      continue;
+    }
     const dataplane::PublisherWords<SharedMemory> words{regions.region(client), record.extent};
-    std::uint64_t final_head = 0;
-    if (reason == EndReason::revoked) {
+    AGNOCAST_CRASH_POINT(B_recover);
+    journal::LeaveCause cause = journal::LeaveCause::left;
+    if (reason == journal::DeathReason::revoked) {
       final_head = words.head().load(std::memory_order_acquire);
     } else {
-      count(journal::recover_queue(words, record.slot_count, final_head), reaped);
+      cause = count(journal::recover_queue(words, record.slot_count, final_head), reaped);
     }
-    membership.orphan(ref, final_head);
+    membership.orphan(ref, final_head, cause);
     ++reaped.publishers;
   }
   membership.forget_client(client);
   doorbells.close_client(client);
+  AGNOCAST_CRASH_POINT(B_bells_closed);
   // Others keep what they map; nobody new is told of it.
   regions.bury_client(client);
+  AGNOCAST_CRASH_POINT(B_buried);
   membership.settle_all();
   return reaped;
+}
+
+bool is_reaped(ClientIndex client, const Registry& registry) {
+  for (const EndpointRef& ref : registry.endpoints_of(client)) {
+    const EndpointState state = ref.kind == Kind::publisher
+                                    ? registry.publisher(ref.topic, ref.index).state
+                                    : registry.subscription(ref.topic, ref.index).state;
+    if (state == EndpointState::active || state == EndpointState::leaving) return false;
+  }
+  const auto is_told = [&](const AnnounceSet& told) { return told.contains(number(client)); };
+  bool forgotten = true;
+  for (std::uint32_t i = 0; i < registry.client_high(); ++i) {
+    const ClientRecord& other = registry.client(static_cast<ClientIndex>(i));
+    forgotten = forgotten && (other.state == ClientState::free || !is_told(other.told));
+  }
+  for (std::uint32_t t = 0; t < registry.topic_high(); ++t) {
+    const TopicIndex topic{t};
+    if (registry.topic(topic).state == TopicState::free) continue;
+    registry.for_each_publisher(topic, [&](std::uint32_t, const PublisherRecord& record) {
+      forgotten = forgotten && !is_told(record.told);
+    });
+    registry.for_each_subscription(topic, [&](std::uint32_t, const SubscriptionRecord& record) {
+      forgotten = forgotten && !is_told(record.told);
+    });
+  }
+  return forgotten;
 }
 
 bool maps_file(pid_t pid, const Regions::FileId& file) noexcept {

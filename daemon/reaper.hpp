@@ -35,9 +35,14 @@ struct Reaped {
   std::uint64_t corrupt = 0;
 };
 
-/// `client` is alive in the tables; its process stores no more, unless the reason is `revoked`.
-Reaped reap(ClientIndex client, EndReason reason, Registry& registry, Regions& regions,
+/// `client` is alive in the tables, or was being reaped when the daemon died, and its process stores
+/// no more, unless the reason is `revoked`. A process whose region was lost has no queues to repair:
+/// its publishers end as they are.
+Reaped reap(ClientIndex client, journal::DeathReason reason, Registry& registry, Regions& regions,
             Doorbells& doorbells, Membership& membership);
+
+/// Whether reap() has done for a dead process whatever nobody else has to let go of first.
+bool is_reaped(ClientIndex client, const Registry& registry);
 
 /// Whether the process has a mapping of this file. True as well when it cannot be known.
 bool maps_file(pid_t pid, const Regions::FileId& file) noexcept;

@@ -4,12 +4,15 @@
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/memfd.hpp>
+#include <base/step.hpp>
 
 #include <fcntl.h>
 #include <sys/mman.h>
 #include <sys/stat.h>
+#include <unistd.h>
 
 #include <cerrno>
+#include <memory>
 #include <string>
 
 namespace agnocast::daemon {
@@ -18,72 +21,122 @@ namespace {
 constexpr std::uint64_t journal_bytes = journal::RedoLog::bytes + tables_bytes;
 static_assert(journal::RedoLog::bytes % abi::page_bytes == 0, "the tables begin with a page");
 
+std::uint64_t bytes_of(int fd) noexcept {
+  struct stat file {};
+  return ::fstat(fd, &file) == 0 ? static_cast<std::uint64_t>(file.st_size) : 0;
+}
+
 }  // namespace
 
-Result<Regions> Regions::create() {
-  Regions regions;
-  auto board = make_memfd("agnocast-board", abi::board_bytes);
-  if (!board) return tl::unexpected(board.error());
-  auto reader = reopen_read_only(board->get());
+Result<Regions> Regions::map(DescriptorStore& store, UniqueFd board, UniqueFd journal) {
+  auto reader = reopen_read_only(board.get());
   if (!reader) return tl::unexpected(reader.error());
-  auto board_mapping = Mapping::map(board->get(), abi::board_bytes, Mapping::Access::read_write);
+  auto board_mapping = Mapping::map(board.get(), abi::board_bytes, Mapping::Access::read_write);
   if (!board_mapping) return tl::unexpected(board_mapping.error());
-  auto journal = make_memfd("agnocast-journal", journal_bytes);
-  if (!journal) return tl::unexpected(journal.error());
-  auto journal_mapping = Mapping::map(journal->get(), journal_bytes, Mapping::Access::read_write);
+  auto journal_mapping = Mapping::map(journal.get(), journal_bytes, Mapping::Access::read_write);
   if (!journal_mapping) return tl::unexpected(journal_mapping.error());
-  regions.board_fd_ = std::move(*board);
+  Regions regions(store);
+  regions.board_fd_ = std::move(board);
   regions.board_reader_ = share(std::move(*reader));
   regions.board_ = std::move(*board_mapping);
-  regions.journal_fd_ = std::move(*journal);
+  regions.journal_fd_ = std::move(journal);
   regions.journal_ = std::move(*journal_mapping);
+  regions.lock(regions.board_.base(), abi::page_bytes);
   return regions;
+}
+
+Result<Regions> Regions::create(DescriptorStore& store) {
+  auto board = make_memfd("agnocast-board", abi::board_bytes);
+  if (!board) return tl::unexpected(board.error());
+  auto journal = make_memfd("agnocast-journal", journal_bytes);
+  if (!journal) return tl::unexpected(journal.error());
+  return map(store, std::move(*board), std::move(*journal));
+}
+
+Result<Regions> Regions::adopt(DescriptorStore& store, UniqueFd board, UniqueFd journal) {
+  if (bytes_of(board.get()) == abi::board_bytes && bytes_of(journal.get()) == journal_bytes)
+    return map(store, std::move(board), std::move(journal));
+  // Another build has other sizes. Its log begins like ours and says which build it is.
+  struct alignas(abi::page_bytes) Copy {
+    std::byte bytes[journal::RedoLog::bytes];
+  };
+  const auto copy = std::make_unique<Copy>();
+  static_cast<void>(::pread(journal.get(), copy->bytes, sizeof copy->bytes, 0));
+  if (auto checked = Registry::check_log(journal::RedoLog(copy->bytes)); !checked)
+    return tl::unexpected(checked.error());
+  return fail_with(Errc::internal, "what the former agnocastd left has the wrong sizes");
+}
+
+Result<void> Regions::keep() const {
+  if (auto kept = store_->put("board", board_fd_.get()); !kept) return kept;
+  return store_->put("journal", journal_fd_.get());
 }
 
 Registry::Memory Regions::memory() const noexcept {
   return {journal_.base(), journal_.base() + journal::RedoLog::bytes, board_.base()};
 }
 
-void Regions::sign_board(std::uint64_t incarnation) noexcept {
-  auto* const header = reinterpret_cast<abi::BoardHeader*>(board_.base());
-  header->fingerprint.store(abi::fingerprint(), std::memory_order_relaxed);
-  header->incarnation.store(incarnation, std::memory_order_relaxed);
-  header->magic.store(abi::board_magic, std::memory_order_release);
-  lock(board_.base(), abi::page_bytes);
+Result<void> Regions::map_region(ClientMemory& memory, UniqueFd writer) const {
+  auto reader = reopen_read_only(writer.get());
+  if (!reader) return tl::unexpected(reader.error());
+  auto mapping =
+      Mapping::map(writer.get(), Registry::client_region_bytes, Mapping::Access::read_write);
+  if (!mapping) return tl::unexpected(mapping.error());
+  // A writable mapping is not left out of core dumps by Mapping; this one is other people's memory.
+  ::madvise(mapping->base(), mapping->bytes(), MADV_DONTDUMP);
+  AGNOCAST_CRASH_POINT(B_region_made);
+  struct stat file {};
+  if (::fstat(writer.get(), &file) != 0) return fail(Errc::os_failure, "looking at a memfd", errno);
+  memory.file = {file.st_dev, file.st_ino};
+  memory.region = std::move(*mapping);
+  memory.region_writer = share(std::move(writer));
+  memory.region_reader = share(std::move(*reader));
+  return {};
 }
 
 Result<void> Regions::open_client(ClientIndex client, std::uint64_t generation) {
   close_client(client);
   auto writer = make_memfd("agnocast-region", Registry::client_region_bytes);
   if (!writer) return tl::unexpected(writer.error());
-  auto reader = reopen_read_only(writer->get());
-  if (!reader) return tl::unexpected(reader.error());
-  auto mapping =
-      Mapping::map(writer->get(), Registry::client_region_bytes, Mapping::Access::read_write);
-  if (!mapping) return tl::unexpected(mapping.error());
-  // A writable mapping is not left out of core dumps by Mapping; this one is other people's memory.
-  ::madvise(mapping->base(), mapping->bytes(), MADV_DONTDUMP);
-  struct stat file {};
-  if (::fstat(writer->get(), &file) != 0)
-    return fail(Errc::os_failure, "looking at a memfd", errno);
+  const int fd = writer->get();
   ClientMemory& memory = clients_[number(client)];
-  memory.file = {file.st_dev, file.st_ino};
-  memory.region = std::move(*mapping);
-  memory.region_writer = share(std::move(*writer));
-  memory.region_reader = share(std::move(*reader));
-  if (auto backed = back(client, 0, abi::page_bytes); !backed) {
+  auto opened = map_region(memory, std::move(*writer));
+  if (opened) opened = back(client, 0, abi::page_bytes);
+  if (opened) opened = store_->put(DescriptorStore::region(client), fd);
+  if (!opened) {
     close_client(client);
-    return backed;
+    return opened;
   }
   auto* const header = reinterpret_cast<abi::ClientRegionHeader*>(memory.region.base());
+  AGNOCAST_CRASH_POINT(B_region_sign);
   header->fingerprint.store(abi::fingerprint(), std::memory_order_relaxed);
+  AGNOCAST_CRASH_POINT(B_region_sign);
   header->generation.store(generation, std::memory_order_relaxed);
+  AGNOCAST_CRASH_POINT(B_region_sign);
   header->magic.store(abi::client_region_magic, std::memory_order_release);
+  return {};
+}
+
+Result<void> Regions::adopt_client(ClientIndex client, std::uint64_t window_count) {
+  ClientMemory& memory = clients_[number(client)];
+  bool whole = true;
+  for (std::uint64_t w = 0; w < window_count; ++w) {
+    UniqueFd reader = store_->take(DescriptorStore::window(client, w));
+    whole = whole && reader;
+    if (whole) memory.window_readers.push_back(share(std::move(reader)));
+  }
+  UniqueFd writer = store_->take(DescriptorStore::region(client));
+  if (!writer || bytes_of(writer.get()) != Registry::client_region_bytes)
+    return fail(Errc::endpoint_gone, "the region of a process was not kept");
+  if (auto mapped = map_region(memory, std::move(writer)); !mapped) return mapped;
+  lock(memory.region.base(), abi::page_bytes);
+  if (!whole) return fail(Errc::endpoint_gone, "a window of a process was not kept");
   return {};
 }
 
 Result<void> Regions::back(ClientIndex client, std::uint64_t offset, std::uint64_t bytes) {
   const ClientMemory& memory = of(client);
+  AGNOCAST_CRASH_POINT(B_back);
   int status = 0;
   do {
     status = ::fallocate(memory.region_writer->get(), 0, static_cast<off_t>(offset),
@@ -96,6 +149,7 @@ Result<void> Regions::back(ClientIndex client, std::uint64_t offset, std::uint64
 
 Result<void> Regions::renew(ClientIndex client, std::uint64_t offset, std::uint64_t extent_bytes,
                             std::uint64_t backed_bytes) {
+  AGNOCAST_CRASH_POINT(B_clear);
   // A hole reads as zero, whatever kind of endpoint was here, and the parts that are backed later
   // are zero then.
   if (::fallocate(of(client).region_writer->get(), FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE,
@@ -109,7 +163,11 @@ Result<SharedFd> Regions::open_window(ClientIndex client, std::uint64_t bytes) {
   if (!writer) return tl::unexpected(writer.error());
   auto reader = reopen_read_only(writer->get());
   if (!reader) return tl::unexpected(reader.error());
-  clients_[number(client)].window_readers.push_back(share(std::move(*reader)));
+  std::vector<SharedFd>& readers = clients_[number(client)].window_readers;
+  if (auto kept = store_->put(DescriptorStore::window(client, readers.size()), reader->get());
+      !kept)
+    return tl::unexpected(kept.error());
+  readers.push_back(share(std::move(*reader)));
   return share(std::move(*writer));
 }
 
@@ -122,15 +180,17 @@ Result<SharedFd> Regions::window_writer(ClientIndex client, std::uint64_t window
 }
 
 void Regions::bury_client(ClientIndex client) noexcept {
-  SharedFd reader = region_reader(client);
-  const FileId file = region_file(client);
-  close_client(client);
-  clients_[number(client)].region_reader = std::move(reader);
-  clients_[number(client)].file = file;
+  ClientMemory& memory = clients_[number(client)];
+  memory.region.reset();
+  memory.region_writer.reset();
 }
 
 void Regions::close_client(ClientIndex client) noexcept {
-  clients_[number(client)] = ClientMemory();
+  ClientMemory& memory = clients_[number(client)];
+  if (memory.region_reader) store_->remove(DescriptorStore::region(client));
+  for (std::size_t w = 0; w < memory.window_readers.size(); ++w)
+    store_->remove(DescriptorStore::window(client, w));
+  memory = ClientMemory();
 }
 
 void Regions::lock(std::byte* at, std::uint64_t bytes) noexcept {

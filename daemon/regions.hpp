@@ -9,11 +9,15 @@
 // by memory before they are used and locked where the limit allows, so that nobody meets SIGBUS or
 // a page fault from disk; what the limit refuses is counted, not reported.
 //
+// Every memfd is put into the descriptor store before anybody is told of it, and removed when its
+// process is over; so a restarted daemon has the same memory again.
+//
 // Whose region it is and when it goes is the registry's business; nothing here decides.
 #pragma once
 
 #include <agnocast/result.hpp>
 #include <base/mapping.hpp>
+#include <daemon/descriptor_store.hpp>
 #include <daemon/registry.hpp>
 #include <daemon/shared_fd.hpp>
 
@@ -25,17 +29,24 @@ namespace agnocast::daemon {
 
 class Regions {
  public:
-  /// Board and tables, empty. Errors: os_failure with errno.
-  [[nodiscard]] static Result<Regions> create();
+  /// Board and tables, empty and not in the store yet: see keep(). Errors: os_failure with errno.
+  [[nodiscard]] static Result<Regions> create(DescriptorStore& store);
+  /// Board and journal of a former life. Errors: layout_mismatch, internal (they have the wrong
+  /// sizes), os_failure.
+  [[nodiscard]] static Result<Regions> adopt(DescriptorStore& store, UniqueFd board,
+                                             UniqueFd journal);
+  /// Puts board and journal into the store. Errors: as DescriptorStore::put.
+  [[nodiscard]] Result<void> keep() const;
 
   Registry::Memory memory() const noexcept;
-  /// Says on the board what it is. Once, before anybody is given it.
-  void sign_board(std::uint64_t incarnation) noexcept;
   const SharedFd& board_reader() const noexcept { return board_reader_; }
 
   /// A fresh region for the process in this place; what was there before is gone. Errors:
   /// os_failure.
   [[nodiscard]] Result<void> open_client(ClientIndex client, std::uint64_t generation);
+  /// Region and windows of a process, out of the store. Errors: endpoint_gone (something of it is
+  /// not there; what is there is held), os_failure.
+  [[nodiscard]] Result<void> adopt_client(ClientIndex client, std::uint64_t window_count);
   const SharedFd& region_writer(ClientIndex client) const noexcept {
     return of(client).region_writer;
   }
@@ -59,7 +70,7 @@ class Regions {
   [[nodiscard]] Result<void> renew(ClientIndex client, std::uint64_t offset,
                                    std::uint64_t extent_bytes, std::uint64_t backed_bytes);
 
-  /// A heap window; keeps what readers need. Yields the writable descriptor, which is its owner's
+  /// A heap window, in the store; keeps what readers need. Yields the writable descriptor, which is its owner's
   /// alone. Errors: os_failure.
   [[nodiscard]] Result<SharedFd> open_window(ClientIndex client, std::uint64_t bytes);
   /// The writable descriptor once more: its owner did not get the answer. Errors: os_failure.
@@ -68,8 +79,9 @@ class Regions {
     return of(client).window_readers;
   }
 
-  /// The process is no member any more, and recovered: drops every descriptor and mapping but one for
-  /// reading, for observers; others may have the memory for a while.
+  /// The process is dead and recovered: drops what can write. What readers need stays for as long
+  /// as its place is taken: who was without a connection when it died is still to be announced its
+  /// last messages, and observers look at it.
   void bury_client(ClientIndex client) noexcept;
   /// The process is over, or never came to life: nothing is kept.
   void close_client(ClientIndex client) noexcept;
@@ -86,10 +98,14 @@ class Regions {
     std::vector<SharedFd> window_readers;
   };
 
-  Regions() : clients_(abi::client_count_max) {}
+  explicit Regions(DescriptorStore& store) : store_(&store), clients_(abi::client_count_max) {}
+  [[nodiscard]] static Result<Regions> map(DescriptorStore& store, UniqueFd board,
+                                           UniqueFd journal);
+  [[nodiscard]] Result<void> map_region(ClientMemory& memory, UniqueFd writer) const;
   const ClientMemory& of(ClientIndex client) const noexcept { return clients_[number(client)]; }
   void lock(std::byte* at, std::uint64_t bytes) noexcept;
 
+  DescriptorStore* store_;
   UniqueFd board_fd_, journal_fd_;
   SharedFd board_reader_;
   Mapping board_, journal_;

@@ -4,6 +4,7 @@
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/check.hpp>
+#include <base/step.hpp>
 
 #include <algorithm>
 #include <bit>
@@ -11,11 +12,6 @@
 
 namespace agnocast::daemon {
 namespace {
-
-constexpr std::uint64_t magic_value = 0x6c6261742e6f6761;  // "ago.tabl" in memory order
-constexpr std::uint64_t layout_of_tables = sizeof(ClientRecord) << 48 | sizeof(TopicRecord) << 32 |
-                                           sizeof(PublisherRecord) << 16 |
-                                           sizeof(SubscriptionRecord);
 
 // A pass may be left out so many times (docs/protocol.md, lazy pass); what these publishes would
 // have freed needs a slot each.
@@ -33,8 +29,22 @@ constexpr std::uint64_t round_up(std::uint64_t value, std::uint64_t unit) noexce
 template <std::size_t size>
 void put(char (&to)[size], std::string_view text) noexcept {
   const std::size_t count = std::min(text.size(), size - 1);
+  AGNOCAST_CRASH_POINT(B_name);
   std::memcpy(to, text.data(), count);
+  AGNOCAST_CRASH_POINT(B_name);
   std::memset(to + count, 0, size - count);
+}
+
+/// Every number of the tables is stored here: one place where the sweep may kill before each.
+template <class Field>
+void store(Field& field, const std::type_identity_t<Field>& value) noexcept {
+  AGNOCAST_CRASH_POINT(B_table);
+  field = value;
+}
+
+void forget(AnnounceSet& told, std::uint64_t gone) noexcept {
+  AGNOCAST_CRASH_POINT(B_told);
+  told.died(gone);
 }
 
 tl::unexpected<Failure> full(const char* key, std::uint64_t limit) {
@@ -44,6 +54,36 @@ tl::unexpected<Failure> full(const char* key, std::uint64_t limit) {
 
 bool counts_as_member(EndpointState state) noexcept {
   return state == EndpointState::active || state == EndpointState::leaving;
+}
+
+using journal::DeathReason;
+using journal::LeaveCause;
+
+std::uint64_t& death_counter(abi::wire::DaemonCounters& counters, DeathReason reason) noexcept {
+  switch (reason) {
+    case DeathReason::let_go:
+      return counters.clients_let_go;
+    case DeathReason::revoked:
+      return counters.clients_revoked;
+    case DeathReason::died:
+      break;
+  }
+  return counters.clients_died;
+}
+
+std::uint64_t* intent_counter(abi::wire::DaemonCounters& counters, LeaveCause cause) noexcept {
+  switch (cause) {
+    case LeaveCause::rolled_back:
+      return &counters.intents_rolled_back;
+    case LeaveCause::rolled_forward:
+      return &counters.intents_rolled_forward;
+    case LeaveCause::corrupt:
+      return &counters.intents_corrupt;
+    case LeaveCause::left:
+    case LeaveCause::nothing_open:
+      break;
+  }
+  return nullptr;
 }
 
 TopicIndex topic_of(const journal::Record& record) noexcept {
@@ -65,24 +105,6 @@ Registry::Registry(const Memory& memory, const Capacity& capacity) noexcept
       tables_(*reinterpret_cast<Tables*>(memory.tables)),
       board_(memory.board),
       views_(abi::client_count_max) {}
-
-void Registry::create(std::uint64_t incarnation) {
-  log_.create(abi::fingerprint(), incarnation);
-  tables_.header.magic = magic_value;
-  tables_.header.layout = layout_of_tables;
-}
-
-bool Registry::open() {
-  if (!log_.is_valid(abi::fingerprint()) || tables_.header.magic != magic_value ||
-      tables_.header.layout != layout_of_tables)
-    return false;
-  if (const auto record = log_.pending()) {
-    apply(*record);
-    log_.applied();
-  }
-  rebuild();
-  return true;
-}
 
 void Registry::rebuild() {
   topics_.clear();
@@ -113,8 +135,10 @@ void Registry::change(Type type, std::initializer_list<std::uint64_t> arguments)
 void Registry::apply(const Record& record) {
   switch (record.type) {
     case Type::none:
-    case Type::revoke_subscription:
-    case Type::free_window:
+      break;
+    case Type::recovered:
+    case Type::rejoined:
+      apply_to_counters(record);
       break;
     case Type::register_client:
     case Type::open_window:
@@ -127,16 +151,18 @@ void Registry::apply(const Record& record) {
     case Type::add_topic: {
       const TopicIndex at = topic_of(record);
       TopicRecord& topic = tables_.topic[number(at)];
-      topic.generation = record.argument[1];
-      topic.domain = record.argument[2];
-      topic.layout_hash = record.argument[3];
-      topic.publisher_high = 0;
-      topic.subscription_high = 0;
-      topic.state = TopicState::used;
-      tables_.header.topic_high = std::max(tables_.header.topic_high, number(at) + 1);
+      store(topic.generation, record.argument[1]);
+      store(topic.domain, record.argument[2]);
+      store(topic.layout_hash, record.argument[3]);
+      store(topic.publisher_high, 0);
+      store(topic.subscription_high, 0);
+      store(topic.state, TopicState::used);
+      store(tables_.header.topic_high, std::max(tables_.header.topic_high, number(at) + 1));
       note_generation(topic.generation);
       const auto line = words(at);
+      AGNOCAST_CRASH_POINT(B_board_field);
       line.publisher_high().store(0, std::memory_order_relaxed);
+      AGNOCAST_CRASH_POINT(B_board_field);
       line.subscription_high().store(0, std::memory_order_relaxed);
       topics_.insert_or_assign(topic_key(topic.domain, topic.name), at);
       break;
@@ -144,7 +170,7 @@ void Registry::apply(const Record& record) {
     case Type::free_topic: {
       TopicRecord& topic = tables_.topic[number(topic_of(record))];
       topics_.erase(topic_key(topic.domain, topic.name));
-      topic.state = TopicState::free;
+      store(topic.state, TopicState::free);
       break;
     }
     case Type::add_publisher:
@@ -160,9 +186,12 @@ void Registry::apply(const Record& record) {
       const EndpointRef ref{static_cast<Kind>(record.argument[3]), topic_of(record),
                             index_of(record)};
       const std::uint64_t to = record.argument[2];
+      AGNOCAST_CRASH_POINT(B_told);
       told(ref).tell(to);
       const ClientIndex owner = owner_of(ref);
-      if (number(owner) != to) tables_.client[number(owner)].told.tell(to);
+      if (number(owner) == to) break;
+      AGNOCAST_CRASH_POINT(B_told);
+      tables_.client[number(owner)].told.tell(to);
       break;
     }
     case Type::unlinked: {
@@ -170,6 +199,7 @@ void Registry::apply(const Record& record) {
       const std::uint64_t by = record.argument[2];
       AnnounceSet& set = kind == Kind::region ? tables_.client[record.argument[0]].told
                                               : told({kind, topic_of(record), index_of(record)});
+      AGNOCAST_CRASH_POINT(B_told);
       set.let_go(by, set.generation());
       break;
     }
@@ -180,48 +210,53 @@ void Registry::apply_to_client(const Record& record) {
   ClientRecord& client = tables_.client[record.argument[0]];
   switch (record.type) {
     case Type::register_client:
-      client.generation = record.argument[1];
-      client.uid = static_cast<std::uint32_t>(record.argument[2]);
-      client.gid = static_cast<std::uint32_t>(record.argument[3]);
-      client.pid = static_cast<std::uint32_t>(record.argument[4]);
-      client.domain = record.argument[5];
-      client.reason = EndReason::none;
-      client.executors = 0;
-      client.window_count = 0;
+      store(client.generation, record.argument[1]);
+      store(client.uid, static_cast<std::uint32_t>(record.argument[2]));
+      store(client.gid, static_cast<std::uint32_t>(record.argument[3]));
+      store(client.pid, static_cast<std::uint32_t>(record.argument[4]));
+      store(client.domain, record.argument[5]);
+      store(client.since_ns, record.stamp_ns);
+      store(client.executors, 0);
+      store(client.window_count, 0);
+      AGNOCAST_CRASH_POINT(B_told);
       client.told.begin(client.generation);
-      client.state = ClientState::alive;
-      tables_.header.client_high =
-          std::max(tables_.header.client_high, static_cast<std::uint32_t>(record.argument[0]) + 1);
+      store(client.state, ClientState::alive);
+      store(tables_.header.counters.clients_registered, record.argument[6]);
+      store(
+          tables_.header.client_high,
+          std::max(tables_.header.client_high, static_cast<std::uint32_t>(record.argument[0]) + 1));
       note_generation(client.generation);
       break;
     case Type::open_window:
-      client.window[record.argument[1]] = {record.argument[2], record.argument[3]};
-      client.window_count = std::max(client.window_count, record.argument[1] + 1);
+      store(client.window[record.argument[1]], {record.argument[2], record.argument[3]});
+      store(client.window_count, std::max(client.window_count, record.argument[1] + 1));
       break;
     case Type::open_executor:
-      client.executors |= std::uint64_t{1} << record.argument[1];
+      store(client.executors, client.executors | std::uint64_t{1} << record.argument[1]);
       break;
     case Type::client_dead:
-      client.reason = static_cast<EndReason>(record.argument[1]);
-      client.state = ClientState::dead;
+      store(client.reason, static_cast<DeathReason>(record.argument[2]));
+      store(client.state, ClientState::dead);
+      store(death_counter(tables_.header.counters, static_cast<DeathReason>(record.argument[2])),
+            record.argument[3]);
       break;
     case Type::client_forgotten: {
       const std::uint64_t gone = record.argument[0];
       for (std::uint32_t i = 0; i < tables_.header.client_high; ++i) {
-        if (tables_.client[i].state != ClientState::free) tables_.client[i].told.died(gone);
+        if (tables_.client[i].state != ClientState::free) forget(tables_.client[i].told, gone);
       }
       for (std::uint32_t t = 0; t < tables_.header.topic_high; ++t) {
         const TopicRecord& topic = tables_.topic[t];
         if (topic.state == TopicState::free) continue;
         for (std::uint32_t i = 0; i < topic.publisher_high; ++i)
-          tables_.publisher[t][i].told.died(gone);
+          forget(tables_.publisher[t][i].told, gone);
         for (std::uint32_t i = 0; i < topic.subscription_high; ++i)
-          tables_.subscription[t][i].told.died(gone);
+          forget(tables_.subscription[t][i].told, gone);
       }
       break;
     }
     default:  // client_end
-      client.state = ClientState::free;
+      store(client.state, ClientState::free);
       break;
   }
 }
@@ -236,14 +271,18 @@ void Registry::apply_to_endpoint(const Record& record) {
   const std::uint64_t* const argument = record.argument;
   switch (record.type) {
     case Type::add_publisher:
-      publisher.generation = argument[2];
-      publisher.client = static_cast<ClientIndex>(argument[3]);
-      publisher.qos = argument[4];
-      publisher.extent = argument[5];
-      publisher.slot_count = argument[6];
+      store(publisher.generation, argument[2]);
+      store(publisher.client, static_cast<ClientIndex>(argument[3]));
+      store(publisher.qos, argument[4]);
+      store(publisher.extent, argument[5]);
+      store(publisher.slot_count, argument[6]);
+      store(publisher.final_head, 0);
+      store(publisher.creation, argument[7]);
+      store(publisher.last_joined, 0);
+      AGNOCAST_CRASH_POINT(B_told);
       publisher.told.begin(publisher.generation);
-      publisher.state = EndpointState::active;
-      topic.publisher_high = std::max(topic.publisher_high, index + 1);
+      store(publisher.state, EndpointState::active);
+      store(topic.publisher_high, std::max(topic.publisher_high, index + 1));
       note_generation(publisher.generation);
       track({Kind::publisher, at, index});
       board(at).add_publisher(
@@ -252,32 +291,40 @@ void Registry::apply_to_endpoint(const Record& record) {
            publisher.slot_count, abi::first_sequence_of(publisher.generation)});
       break;
     case Type::raise_slots:
-      publisher.slot_count = std::max(publisher.slot_count, argument[2]);
+      store(publisher.slot_count, std::max(publisher.slot_count, argument[2]));
+      AGNOCAST_CRASH_POINT(B_board_field);
       words(at)
           .publisher(index, offsetof(abi::PublisherEntry, slot_count))
           .store(publisher.slot_count, std::memory_order_release);
       break;
     case Type::leave_publisher:
-      publisher.state = EndpointState::orphan;
+      store(publisher.final_head, argument[2]);
+      store(publisher.state, EndpointState::orphan);
+      store(publisher.last_joined, argument[7]);
+      if (std::uint64_t* const counter =
+              intent_counter(tables_.header.counters, static_cast<LeaveCause>(argument[5])))
+        store(*counter, argument[6]);
       board(at).orphan_publisher(index, publisher.generation, argument[2]);
       break;
     case Type::free_publisher: {
       const auto state = static_cast<EndpointState>(argument[2]);
-      publisher.state = state;
+      store(publisher.state, state);
       board(at).free_publisher(index, publisher.generation);
       if (state == EndpointState::free) untrack({Kind::publisher, at, index});
       break;
     }
     case Type::add_subscription:
-      subscription.generation = argument[2];
-      subscription.client = static_cast<ClientIndex>(argument[3]);
-      subscription.qos = argument[4];
-      subscription.extent = argument[5];
-      subscription.quota = argument[6];
-      subscription.executor = argument[7];
+      store(subscription.generation, argument[2]);
+      store(subscription.client, static_cast<ClientIndex>(argument[3]));
+      store(subscription.qos, argument[4]);
+      store(subscription.extent, argument[5]);
+      store(subscription.quota, argument[6]);
+      store(subscription.executor, argument[7]);
+      store(subscription.creation, argument[8]);
+      AGNOCAST_CRASH_POINT(B_told);
       subscription.told.begin(subscription.generation);
-      subscription.state = EndpointState::active;
-      topic.subscription_high = std::max(topic.subscription_high, index + 1);
+      store(subscription.state, EndpointState::active);
+      store(topic.subscription_high, std::max(topic.subscription_high, index + 1));
       note_generation(subscription.generation);
       track({Kind::subscription, at, index});
       board(at).add_subscription(index, subscription.generation,
@@ -286,23 +333,41 @@ void Registry::apply_to_endpoint(const Record& record) {
       break;
     case Type::leave_subscription: {
       const auto state = static_cast<EndpointState>(argument[2]);
-      subscription.state = state;
-      board(at).set_subscription(index, subscription.generation,
-                                 state == EndpointState::leaving ? abi::MemberState::leaving
-                                 : state == EndpointState::dead  ? abi::MemberState::dead
-                                                                 : abi::MemberState::free);
+      store(subscription.state, state);
+      board(at).set_subscription(index, subscription.generation, on_board(state));
       break;
     }
     default:  // free_subscription
-      subscription.state = EndpointState::free;
+      store(subscription.state, EndpointState::free);
       board(at).set_subscription(index, subscription.generation, abi::MemberState::free);
       untrack({Kind::subscription, at, index});
       break;
   }
 }
 
+void Registry::apply_to_counters(const Record& record) {
+  abi::wire::DaemonCounters& counters = tables_.header.counters;
+  if (record.type == Type::recovered) {
+    store(counters.restarts, record.argument[5]);
+    store(counters.clients_died_meanwhile, record.argument[6]);
+  } else {
+    store(counters.clients_rejoined, record.argument[2]);
+  }
+}
+
+void Registry::note_recovered(const Recovered& facts) {
+  change(Type::recovered,
+         {facts.pid, facts.away_ns, redone_lsn_, facts.dead_count, facts.board_word_count,
+          counters().restarts + 1, counters().clients_died_meanwhile + facts.dead_count});
+}
+
+void Registry::note_rejoined(ClientIndex index) {
+  change(Type::rejoined,
+         {number(index), client(index).generation, counters().clients_rejoined + 1});
+}
+
 void Registry::note_generation(std::uint64_t generation) noexcept {
-  tables_.header.last_generation = std::max(tables_.header.last_generation, generation);
+  store(tables_.header.last_generation, std::max(tables_.header.last_generation, generation));
 }
 
 // --- derived
@@ -340,15 +405,27 @@ std::optional<std::uint64_t> Registry::lowest_extent(ClientIndex client,
 
 // --- processes
 
-Result<ClientIndex> Registry::add_client(const NewClient& wanted) {
+Result<ClientPlan> Registry::plan_client() const {
   std::uint32_t index = 0;
   while (index < client_high() && tables_.client[index].state != ClientState::free) ++index;
   if (index >= capacity_.clients) return full("clients", capacity_.clients);
   AGNOCAST_CHECK(views_[index].endpoints.empty());
-  put(tables_.client[index].name, wanted.name);
-  change(Type::register_client,
-         {index, next_generation(), wanted.uid, wanted.gid, wanted.pid, wanted.domain});
-  return static_cast<ClientIndex>(index);
+  return ClientPlan{static_cast<ClientIndex>(index), next_generation()};
+}
+
+void Registry::add_client(const NewClient& wanted, const ClientPlan& plan) {
+  ClientRecord& record = tables_.client[number(plan.index)];
+  AGNOCAST_CHECK(record.state == ClientState::free);
+  put(record.name, wanted.name);
+  change(Type::register_client, {number(plan.index), plan.generation, wanted.uid, wanted.gid,
+                                 wanted.pid, wanted.domain, counters().clients_registered + 1});
+}
+
+Result<ClientIndex> Registry::add_client(const NewClient& wanted) {
+  const auto plan = plan_client();
+  if (!plan) return tl::unexpected(plan.error());
+  add_client(wanted, *plan);
+  return plan->index;
 }
 
 Usage Registry::usage_of(std::uint32_t uid) const {
@@ -372,23 +449,28 @@ Usage Registry::usage_of(std::uint32_t uid) const {
 void Registry::open_window(ClientIndex index, const WindowRecord& window) {
   AGNOCAST_CHECK(is_alive(index));
   AGNOCAST_CHECK(client(index).window_count < abi::window_count_max);
-  change(Type::open_window, {number(index), client(index).window_count, window.base, window.bytes});
+  change(Type::open_window, {number(index), client(index).window_count, window.base, window.bytes,
+                             client(index).generation});
 }
 
 void Registry::open_executor(ClientIndex index, std::uint32_t executor) {
   AGNOCAST_CHECK(is_alive(index));
   AGNOCAST_CHECK(executor < abi::executor_count_max);
-  change(Type::open_executor, {number(index), executor});
+  change(Type::open_executor, {number(index), executor, client(index).generation});
 }
 
-void Registry::client_died(ClientIndex index, EndReason reason) {
+void Registry::client_died(ClientIndex index, DeathReason reason) {
   AGNOCAST_CHECK(client(index).state != ClientState::free);
-  change(Type::client_dead, {number(index), static_cast<std::uint64_t>(reason)});
+  // The end of what was revoked is no death more.
+  const std::uint64_t more = is_revoked(index) ? 0 : 1;
+  change(Type::client_dead,
+         {number(index), client(index).generation, static_cast<std::uint64_t>(reason),
+          death_counter(counters(), reason) + more});
 }
 
 void Registry::client_forgotten(ClientIndex index) {
   AGNOCAST_CHECK(client(index).state == ClientState::dead);
-  change(Type::client_forgotten, {number(index)});
+  change(Type::client_forgotten, {number(index), client(index).generation});
 }
 
 bool Registry::can_end(ClientIndex index) const {
@@ -398,7 +480,7 @@ bool Registry::can_end(ClientIndex index) const {
 
 void Registry::end_client(ClientIndex index) {
   AGNOCAST_CHECK(can_end(index));
-  change(Type::client_end, {number(index)});
+  change(Type::client_end, {number(index), client(index).generation});
 }
 
 // --- topics
@@ -430,7 +512,7 @@ bool Registry::topic_is_empty(TopicIndex index) const {
 void Registry::free_topic(TopicIndex index) {
   AGNOCAST_CHECK(topic(index).state == TopicState::used);
   AGNOCAST_CHECK(topic_is_empty(index));
-  change(Type::free_topic, {number(index)});
+  change(Type::free_topic, {number(index), topic(index).generation});
 }
 
 // --- endpoints
@@ -474,14 +556,15 @@ Result<PublisherPlan> Registry::plan_publisher(ClientIndex client, TopicIndex to
 }
 
 void Registry::add_publisher(ClientIndex client, TopicIndex topic, const abi::Qos& qos,
-                             const PublisherPlan& plan, std::string_view node) {
+                             const PublisherPlan& plan, std::string_view node,
+                             std::uint64_t creation) {
   PublisherRecord& record = tables_.publisher[number(topic)][plan.index];
   AGNOCAST_CHECK(is_alive(client));
   AGNOCAST_CHECK(record.state == EndpointState::free);
   AGNOCAST_CHECK(record.told.reusable());
   put(record.node, node);
   change(Type::add_publisher, {number(topic), plan.index, plan.generation, number(client),
-                               abi::pack_qos(qos), plan.extent, plan.slot_count});
+                               abi::pack_qos(qos), plan.extent, plan.slot_count, creation});
 }
 
 Result<SubscriptionPlan> Registry::plan_subscription(ClientIndex client, TopicIndex topic,
@@ -511,41 +594,72 @@ Result<SubscriptionPlan> Registry::plan_subscription(ClientIndex client, TopicIn
 
 void Registry::raise_slots(TopicIndex topic, const SlotRaise& raise) {
   AGNOCAST_CHECK(raise.slot_count <= abi::slot_count_max);
-  change(Type::raise_slots, {number(topic), raise.index, raise.slot_count});
+  const EndpointRef ref{Kind::publisher, topic, raise.index};
+  change(Type::raise_slots,
+         {number(topic), raise.index, raise.slot_count, generation_of(ref), number(owner_of(ref))});
 }
 
 void Registry::add_subscription(ClientIndex client, TopicIndex topic, const abi::Qos& qos,
                                 std::uint64_t quota, std::uint64_t executor,
-                                const SubscriptionPlan& plan, std::string_view node) {
+                                const SubscriptionPlan& plan, std::string_view node,
+                                std::uint64_t creation) {
   SubscriptionRecord& record = tables_.subscription[number(topic)][plan.index];
   AGNOCAST_CHECK(is_alive(client));
   AGNOCAST_CHECK(record.state == EndpointState::free);
   AGNOCAST_CHECK(record.told.reusable());
   put(record.node, node);
   change(Type::add_subscription, {number(topic), plan.index, plan.generation, number(client),
-                                  abi::pack_qos(qos), plan.extent, quota, executor});
+                                  abi::pack_qos(qos), plan.extent, quota, executor, creation});
 }
 
-void Registry::orphan_publisher(TopicIndex topic, std::uint32_t index, std::uint64_t final_head) {
-  AGNOCAST_CHECK(publisher(topic, index).state == EndpointState::active);
-  change(Type::leave_publisher, {number(topic), index, final_head});
+std::optional<EndpointRef> Registry::find_creation(ClientIndex client, Kind kind,
+                                                   std::uint64_t creation) const {
+  for (const EndpointRef& ref : endpoints_of(client)) {
+    if (ref.kind == kind &&
+        creation == (kind == Kind::publisher ? publisher(ref.topic, ref.index).creation
+                                             : subscription(ref.topic, ref.index).creation))
+      return ref;
+  }
+  return std::nullopt;
+}
+
+void Registry::orphan_publisher(TopicIndex topic, std::uint32_t index, std::uint64_t final_head,
+                                LeaveCause cause) {
+  const PublisherRecord& record = publisher(topic, index);
+  AGNOCAST_CHECK(record.state == EndpointState::active);
+  const std::uint64_t* const counter = intent_counter(counters(), cause);
+  change(Type::leave_publisher,
+         {number(topic), index, final_head, record.generation, number(record.client),
+          static_cast<std::uint64_t>(cause), counter == nullptr ? 0 : *counter + 1,
+          tables_.header.last_generation});
+}
+
+std::uint64_t Registry::final_head_of(TopicIndex topic, std::uint32_t index) const noexcept {
+  return words(topic)
+      .publisher(index, offsetof(abi::PublisherEntry, final_head))
+      .load(std::memory_order_relaxed);
 }
 
 void Registry::end_publisher(TopicIndex topic, std::uint32_t index, EndpointState state) {
   AGNOCAST_CHECK(publisher(topic, index).state == EndpointState::orphan ||
                  publisher(topic, index).state == EndpointState::over);
   AGNOCAST_CHECK(publisher(topic, index).told.reusable());
-  change(Type::free_publisher, {number(topic), index, static_cast<std::uint64_t>(state)});
+  const PublisherRecord& record = publisher(topic, index);
+  change(Type::free_publisher, {number(topic), index, static_cast<std::uint64_t>(state),
+                                record.generation, number(record.client)});
 }
 
 void Registry::change_subscription(TopicIndex topic, std::uint32_t index, EndpointState state) {
   AGNOCAST_CHECK(subscription(topic, index).state != EndpointState::free);
-  change(Type::leave_subscription, {number(topic), index, static_cast<std::uint64_t>(state)});
+  const SubscriptionRecord& record = subscription(topic, index);
+  change(Type::leave_subscription, {number(topic), index, static_cast<std::uint64_t>(state),
+                                    record.generation, number(record.client)});
 }
 
 void Registry::free_subscription(TopicIndex topic, std::uint32_t index) {
   AGNOCAST_CHECK(subscription(topic, index).told.reusable());
-  change(Type::free_subscription, {number(topic), index});
+  const SubscriptionRecord& record = subscription(topic, index);
+  change(Type::free_subscription, {number(topic), index, record.generation, number(record.client)});
 }
 
 bool Registry::uses_far_slots(TopicIndex topic) const {
@@ -581,18 +695,21 @@ void Registry::tell(const EndpointRef& ref, ClientIndex to) {
       (owner_of(ref) == to || client(owner_of(ref)).told.contains(number(to))))
     return;
   change(Type::announced,
-         {number(ref.topic), ref.index, number(to), static_cast<std::uint64_t>(ref.kind)});
+         {number(ref.topic), ref.index, number(to), static_cast<std::uint64_t>(ref.kind),
+          generation_of(ref), number(owner_of(ref)), client(to).generation});
 }
 
 void Registry::let_go(const EndpointRef& ref, ClientIndex by) {
   if (!told_of(ref).contains(number(by))) return;
   change(Type::unlinked,
-         {number(ref.topic), ref.index, number(by), static_cast<std::uint64_t>(ref.kind)});
+         {number(ref.topic), ref.index, number(by), static_cast<std::uint64_t>(ref.kind),
+          generation_of(ref), number(owner_of(ref)), client(by).generation});
 }
 
 void Registry::let_go_of_region(ClientIndex owner, ClientIndex by) {
   if (!client(owner).told.contains(number(by))) return;
-  change(Type::unlinked, {number(owner), 0, number(by), static_cast<std::uint64_t>(Kind::region)});
+  change(Type::unlinked, {number(owner), 0, number(by), static_cast<std::uint64_t>(Kind::region),
+                          client(owner).generation, number(owner), client(by).generation});
 }
 
 }  // namespace agnocast::daemon

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Registry: what exists and who knows of it. Pure state, no descriptor in it, no packet, no clock.
+// Registry: what exists and who knows of it. Pure state, no descriptor in it, no packet.
 //
 // Every change goes one way: a record is committed to the redo log, apply() carries it out on the
 // tables and on the board, the log notes that it is applied. apply() is idempotent, so a daemon
@@ -50,6 +50,21 @@ struct NewClient {
   std::string_view name;
 };
 
+/// The place that a process would get.
+struct ClientPlan {
+  ClientIndex index{};
+  std::uint64_t generation = 0;
+};
+
+/// What holds for a whole incarnation.
+struct Founding {
+  std::uint64_t arena_base = 0;
+  std::uint64_t arena_bytes = 0;
+  std::uint64_t window_bytes = 0;
+  std::uint64_t now_ns = 0;
+  std::string_view bells;  // at most bells_bytes_max - 1
+};
+
 struct NewTopic {
   std::uint64_t domain = 0;
   std::string_view name;
@@ -97,6 +112,14 @@ struct Usage {
   std::uint64_t held_messages = 0;  // what its subscriptions may hold, together
 };
 
+/// What a start after a death found and did.
+struct Recovered {
+  std::uint32_t pid = 0;               // of the new daemon
+  std::uint64_t away_ns = 0;           // how long nobody served; 0: not known
+  std::uint64_t dead_count = 0;        // processes that ended meanwhile
+  std::uint64_t board_word_count = 0;  // words of the board that had to be written again
+};
+
 class Registry {
  public:
   struct Memory {
@@ -110,14 +133,24 @@ class Registry {
   explicit Registry(const Memory& memory, const Capacity& capacity = {}) noexcept;
   const Capacity& capacity() const noexcept { return capacity_; }
 
-  /// Fresh memory, all zero.
-  void create(std::uint64_t incarnation);
-  /// Memory that an earlier life left: completes the change under way and derives the rest. False
-  /// when it is not of this layout; then nothing was touched.
-  [[nodiscard]] bool open();
+  /// Fresh memory, all zero. Says on the board what it is.
+  void create(std::uint64_t incarnation, const Founding& founding = {});
+  /// Memory that an earlier life left: completes the change under way and derives the rest. Errors:
+  /// layout_mismatch (nothing was touched), internal (it is damaged; the detail says how).
+  [[nodiscard]] Result<void> open();
+  /// The first half of open(): whether a log can be gone on with. Touches nothing.
+  [[nodiscard]] static Result<void> check_log(const journal::RedoLog& log);
+  /// Makes the board say what the tables say; how many words it had otherwise. Then everybody looks
+  /// again.
+  std::uint64_t repair_board();
   std::uint64_t incarnation() const noexcept { return log_.incarnation(); }
+  const TableHeader& header() const noexcept { return tables_.header; }
 
   // --- processes
+  /// Errors: limit_reached.
+  [[nodiscard]] Result<ClientPlan> plan_client() const;
+  void add_client(const NewClient& client, const ClientPlan& plan);
+  /// Both at once.
   [[nodiscard]] Result<ClientIndex> add_client(const NewClient& client);
   std::uint32_t client_high() const noexcept { return tables_.header.client_high; }
   const ClientRecord& client(ClientIndex index) const noexcept {
@@ -134,15 +167,28 @@ class Registry {
   void open_executor(ClientIndex index, std::uint32_t executor);
   /// It is no member any more. Its endpoints stay what they are until they are changed one by one.
   /// Said again of one that was revoked when its process is gone.
-  void client_died(ClientIndex index, EndReason reason = EndReason::died);
+  void client_died(ClientIndex index, journal::DeathReason reason);
   bool is_revoked(ClientIndex index) const noexcept {
-    return client(index).state == ClientState::dead && client(index).reason == EndReason::revoked;
+    return client(index).state == ClientState::dead &&
+           client(index).reason == journal::DeathReason::revoked;
   }
   /// It has let go of everything that it was ever told about.
   void client_forgotten(ClientIndex index);
   /// Gone, without endpoints, known to nobody: its place may be used again after end_client().
   bool can_end(ClientIndex index) const;
   void end_client(ClientIndex index);
+
+  // --- the flight recorder
+  /// Counters outlive the daemon. What a record counts is set by the record; the others are the
+  /// caller's to raise.
+  abi::wire::DaemonCounters& counters() noexcept { return tables_.header.counters; }
+  const abi::wire::DaemonCounters& counters() const noexcept { return tables_.header.counters; }
+  /// A daemon has taken over what another one left, once it serves.
+  void note_recovered(const Recovered& facts);
+  /// A process that is alive here is connected again.
+  void note_rejoined(ClientIndex index);
+  /// What open() had to complete; 0: nothing was under way.
+  std::uint64_t redone_lsn() const noexcept { return redone_lsn_; }
 
   // --- topics
   std::optional<TopicIndex> find_topic(std::uint64_t domain, std::string_view name) const;
@@ -163,15 +209,21 @@ class Registry {
   [[nodiscard]] Result<PublisherPlan> plan_publisher(ClientIndex client, TopicIndex topic,
                                                      const abi::Qos& qos) const;
   void add_publisher(ClientIndex client, TopicIndex topic, const abi::Qos& qos,
-                     const PublisherPlan& plan, std::string_view node);
+                     const PublisherPlan& plan, std::string_view node, std::uint64_t creation = 0);
   [[nodiscard]] Result<SubscriptionPlan> plan_subscription(ClientIndex client, TopicIndex topic,
                                                            const abi::Qos& qos,
                                                            std::uint64_t quota) const;
   void raise_slots(TopicIndex topic, const SlotRaise& raise);
   void add_subscription(ClientIndex client, TopicIndex topic, const abi::Qos& qos,
                         std::uint64_t quota, std::uint64_t executor, const SubscriptionPlan& plan,
-                        std::string_view node);
-  void orphan_publisher(TopicIndex topic, std::uint32_t index, std::uint64_t final_head);
+                        std::string_view node, std::uint64_t creation = 0);
+  /// The endpoint of the process that this request created, if it is still there.
+  std::optional<EndpointRef> find_creation(ClientIndex client, Kind kind,
+                                           std::uint64_t creation) const;
+  void orphan_publisher(TopicIndex topic, std::uint32_t index, std::uint64_t final_head,
+                        journal::LeaveCause cause = journal::LeaveCause::left);
+  /// Of an orphan: the head up to which it is still read.
+  std::uint64_t final_head_of(TopicIndex topic, std::uint32_t index) const noexcept;
   /// over, then free.
   void end_publisher(TopicIndex topic, std::uint32_t index, EndpointState state);
   /// leaving, over, dead.
@@ -213,6 +265,7 @@ class Registry {
   }
 
   journal::RedoLog& log() noexcept { return log_; }
+  const journal::RedoLog& log() const noexcept { return log_; }
 
  private:
   using M = SharedMemory;
@@ -229,7 +282,13 @@ class Registry {
   void apply(const Record& record);
   void apply_to_client(const Record& record);
   void apply_to_endpoint(const Record& record);
+  void apply_to_counters(const Record& record);
   void rebuild();
+  const char* flaw_of_client(std::uint32_t index) const noexcept;
+  const char* flaw_of_topic(std::uint32_t index) const noexcept;
+  const char* flaw() const noexcept;
+  std::uint64_t repair_publisher(TopicIndex topic, std::uint32_t index);
+  std::uint64_t repair_subscription(TopicIndex topic, std::uint32_t index);
   void note_generation(std::uint64_t generation) noexcept;
   std::uint64_t next_generation() const noexcept { return tables_.header.last_generation + 1; }
   std::optional<std::uint64_t> lowest_extent(ClientIndex client, std::uint64_t bytes) const;
@@ -249,9 +308,13 @@ class Registry {
   journal::RedoLog log_;
   Tables& tables_;
   std::byte* board_;
+  std::uint64_t redone_lsn_ = 0;
   std::vector<View> views_;
   std::unordered_map<std::string, TopicIndex> topics_;
 };
+
+/// What the board says of an endpoint in this state.
+abi::MemberState on_board(EndpointState state) noexcept;
 
 /// Key of a topic: no two (domain, name) share one.
 std::string topic_key(std::uint64_t domain, std::string_view name);

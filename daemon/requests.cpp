@@ -19,10 +19,19 @@ constexpr std::uint64_t generation_max = (std::uint64_t{1} << 48) - 1;
 constexpr std::uint64_t qos_bits = 0x7ffff;
 
 template <class Body>
-Body body_of(Packet packet) noexcept {
+Body raw_body_of(Packet packet) noexcept {
   Body body;
   std::memcpy(static_cast<void*>(&body), packet.data(), sizeof body);
   return body;
+}
+template <class Body>
+Body body_of(Packet packet) noexcept {
+  auto body = raw_body_of<Body>(packet);
+  body.header.request &= ~wire::asked_again;
+  return body;
+}
+bool is_asked_again(Packet packet) noexcept {
+  return (raw_body_of<wire::Header>(packet).request & wire::asked_again) != 0;
 }
 
 Rejected refuse(const wire::Header& header, Errc code, std::string text) {
@@ -58,6 +67,13 @@ Request decode_hello(Packet packet) {
   return hello;
 }
 
+Request decode_rejoin(Packet packet) {
+  const auto body = body_of<wire::Rejoin>(packet);
+  if (body.client >= abi::client_count_max)
+    return refuse(body.header, Errc::protocol_violation, "a process's index is out of range");
+  return body;
+}
+
 Request decode_window(Packet packet) {
   const auto body = body_of<wire::WindowRequest>(packet);
   if (body.window >= abi::window_count_max)
@@ -72,12 +88,13 @@ Request decode_executor(Packet packet) {
     return refuse(
         body.header, Errc::limit_reached,
         "a process has at most " + std::to_string(abi::executor_count_max) + " executors");
-  return body;
+  return ExecutorRequest{is_asked_again(packet), body.header.request, body.executor};
 }
 
 Request decode_create(Packet packet) {
   const auto body = body_of<wire::CreateEndpoint>(packet);
   CreateRequest request;
+  request.again = is_asked_again(packet);
   request.kind = body.header.opcode == wire::Opcode::create_publisher ? wire::Kind::publisher
                                                                       : wire::Kind::subscription;
   request.request = body.header.request;
@@ -122,7 +139,7 @@ Request decode_reference(Packet packet) {
   const char* const wrong =
       check_reference(body.kind, body.topic, body.index, body.generation, false);
   if (wrong != nullptr) return refuse(body.header, Errc::protocol_violation, wrong);
-  return Wanted{body};
+  return Wanted{is_asked_again(packet), body};
 }
 
 Request decode_unlinked(Packet packet) {
@@ -153,6 +170,7 @@ struct Row {
 
 constexpr Row rows[] = {
     {wire::Opcode::hello, sizeof(wire::Hello), Role::unknown, decode_hello},
+    {wire::Opcode::rejoin, sizeof(wire::Rejoin), Role::unknown, decode_rejoin},
     {wire::Opcode::open_window, sizeof(wire::WindowRequest), Role::client, decode_window},
     {wire::Opcode::open_executor, sizeof(wire::ExecutorRequest), Role::client, decode_executor},
     {wire::Opcode::create_publisher, sizeof(wire::CreateEndpoint), Role::client, decode_create},
@@ -170,8 +188,9 @@ constexpr Row rows[] = {
 const char* out_of_place(Role role, wire::Opcode opcode) noexcept {
   if (role == Role::unknown) return "the first request must be hello";
   if (role == Role::observer) return "an observer asks for dumps, or revokes";
-  return opcode == wire::Opcode::hello ? "hello is said once"
-                                       : "a client does not observe; observers connect for that";
+  if (opcode == wire::Opcode::hello) return "hello is said once";
+  return opcode == wire::Opcode::rejoin ? "this connection has a client already"
+                                        : "a client does not observe; observers connect for that";
 }
 
 }  // namespace
@@ -181,7 +200,8 @@ Request decode(std::span<const std::byte> packet, const Envelope& envelope, Role
     return Rejected{request, Errc::protocol_violation, text, true};
   };
   if (packet.size() < sizeof(wire::Header)) return end(0, "a packet is shorter than its header");
-  const auto header = body_of<wire::Header>(packet);
+  auto header = raw_body_of<wire::Header>(packet);
+  header.request &= ~wire::asked_again;
   if (envelope.truncated) return end(header.request, "a packet is too long");
   if (header.bytes != packet.size())
     return end(header.request, "a packet is not as long as it says");
@@ -192,10 +212,14 @@ Request decode(std::span<const std::byte> packet, const Envelope& envelope, Role
   if (row == std::end(rows))
     return refuse(header, Errc::protocol_violation,
                   "unknown request " + std::to_string(static_cast<std::uint32_t>(header.opcode)));
-  if (header.opcode == wire::Opcode::hello && packet.size() != row->bytes)
+  const bool introduces =
+      header.opcode == wire::Opcode::hello || header.opcode == wire::Opcode::rejoin;
+  if (introduces && packet.size() != row->bytes)
     return refuse(header, Errc::layout_mismatch,
-                  "the library's hello has " + std::to_string(packet.size()) +
-                      " bytes, the daemon's has " + std::to_string(row->bytes));
+                  std::string("the library's ") +
+                      (header.opcode == wire::Opcode::hello ? "hello" : "rejoin") + " has " +
+                      std::to_string(packet.size()) + " bytes, the daemon's has " +
+                      std::to_string(row->bytes));
   if (packet.size() != row->bytes)
     return refuse(header, Errc::protocol_violation,
                   "a request of " + std::to_string(packet.size()) + " bytes should have " +

@@ -24,7 +24,9 @@ namespace agnocast::daemon {
 
 namespace wire = abi::wire;
 
+// `again`: asked a second time, because the connection was lost before an answer came.
 struct CreateRequest {
+  bool again = false;
   wire::Kind kind = wire::Kind::publisher;
   std::uint64_t request = 0;
   abi::Qos qos;
@@ -35,10 +37,17 @@ struct CreateRequest {
   std::string type;
   std::string node;
 };
+struct ExecutorRequest {
+  bool again = false;
+  std::uint64_t request = 0;
+  std::uint64_t executor = 0;
+};
 struct LeaveRequest {
+  bool again = false;
   wire::Reference reference;
 };
 struct DrainedRequest {
+  bool again = false;
   wire::Reference reference;
 };
 
@@ -51,13 +60,12 @@ struct Rejected {
   bool ends_connection = false;
 };
 
-using Request =
-    std::variant<wire::Hello, wire::WindowRequest, wire::ExecutorRequest, CreateRequest,
-                 LeaveRequest, DrainedRequest, wire::Unlinked, wire::Observe, wire::Dump,
-                 wire::Revoke, Rejected>;
+using Request = std::variant<wire::Hello, wire::Rejoin, wire::WindowRequest, ExecutorRequest,
+                             CreateRequest, LeaveRequest, DrainedRequest, wire::Unlinked,
+                             wire::Observe, wire::Dump, wire::Revoke, Rejected>;
 
-/// How far a connection has come, and so what may be said on it: hello makes it a client, observe
-/// an observer, for good.
+/// How far a connection has come, and so what may be said on it: hello or rejoin makes it a client,
+/// observe an observer, for good.
 enum class Role : std::uint8_t { unknown, client, observer };
 
 /// What arrived with the bytes.
@@ -67,7 +75,7 @@ struct Envelope {
   bool descriptors_lost = false;
 };
 
-/// Never reads beyond `packet`.
+/// Never reads beyond `packet`. Request ids come out without wire::asked_again.
 Request decode(std::span<const std::byte> packet, const Envelope& envelope, Role role);
 
 /// The text of a name, or nothing when no NUL ends it.

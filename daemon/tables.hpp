@@ -13,8 +13,10 @@
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
+#include <agnocast/abi/observe.hpp>
 #include <agnocast/abi/wire.hpp>
 #include <journal/announce_set.hpp>
+#include <journal/record.hpp>
 
 #include <cstddef>
 #include <cstdint>
@@ -37,14 +39,6 @@ enum class ClientState : std::uint32_t {
   free = 0,
   alive = 1,
   dead = 2,  // no member any more; others may still have its region
-};
-/// Why a process is no member any more. What was revoked keeps its place until it ends as well: so
-/// long it maps its memory, and so long it is known that it may not come back.
-enum class EndReason : std::uint32_t {
-  none = 0,
-  died = 1,     // its process has ended
-  let_go = 2,   // its process lives on without its region (exec)
-  revoked = 3,  // its process lives and has its region
 };
 enum class TopicState : std::uint32_t { free = 0, used = 1 };
 
@@ -70,16 +64,18 @@ struct ClientRecord {
   std::uint32_t uid;
   std::uint32_t gid;
   std::uint32_t pid;  // as the daemon sees it; 0 when it does not
-  EndReason reason;  // when dead
-  std::uint32_t reserved;
+  // When dead. What was revoked keeps its place until it ends as well: so long it maps its memory, and
+  // so long it is known that it may not come back.
+  journal::DeathReason reason;
   std::uint64_t domain;
   std::uint64_t executors;  // one bit each
+  std::uint64_t since_ns;   // CLOCK_MONOTONIC of its hello
   std::uint64_t window_count;
   WindowRecord window[abi::window_count_max];
   AnnounceSet told;  // who has its region and windows
   char name[abi::wire::name_bytes];
 };
-static_assert(abi::executor_count_max <= 64, "the executors of a client are one word of bits");
+static_assert(abi::executor_count_max < 64, "the executors of a client are one word of bits");
 
 struct TopicRecord {
   std::uint64_t generation;
@@ -100,6 +96,9 @@ struct PublisherRecord {
   std::uint64_t qos;
   std::uint64_t extent;
   std::uint64_t slot_count;
+  std::uint64_t final_head;   // of an orphan
+  std::uint64_t creation;     // id of the request that created it
+  std::uint64_t last_joined;  // orphan: subscriptions of a later generation came after its end
   AnnounceSet told;
   char node[abi::wire::name_bytes];
 };
@@ -112,6 +111,7 @@ struct SubscriptionRecord {
   std::uint64_t extent;
   std::uint64_t quota;
   std::uint64_t executor;
+  std::uint64_t creation;  // id of the request that created it
   AnnounceSet told;
   char node[abi::wire::name_bytes];
 };
@@ -122,12 +122,22 @@ static_assert(std::is_trivially_copyable_v<ClientRecord> &&
 static_assert(std::is_standard_layout_v<ClientRecord> &&
               std::is_standard_layout_v<PublisherRecord>);
 
+/// A path that fits into a socket's address together with the name of a bell.
+inline constexpr std::size_t bells_bytes_max = 108;
+
 struct TableHeader {
   std::uint64_t magic;
   std::uint64_t layout;           // sizes of the records: another build's tables are not ours
   std::uint64_t last_generation;  // one counter for everything; 48 bits last for millennia
   std::uint32_t client_high;
   std::uint32_t topic_high;
+  // What was decided once for the whole incarnation, whatever a later configuration says.
+  std::uint64_t arena_base;
+  std::uint64_t arena_bytes;
+  std::uint64_t window_bytes;
+  std::uint64_t began_ns;  // CLOCK_MONOTONIC
+  abi::wire::DaemonCounters counters;
+  char bells[bells_bytes_max];  // directory of the doorbells
 };
 
 struct Tables {

@@ -43,12 +43,16 @@ class BoardSteps {
     AGNOCAST_STEP(J3_descriptor) {
       topic_.subscription(index, offsetof(Entry, qos))
           .store(abi::pack_qos(descriptor.qos), std::memory_order_relaxed);
+      AGNOCAST_CRASH_POINT(B_board_field);
       topic_.subscription(index, offsetof(Entry, client))
           .store(descriptor.client, std::memory_order_relaxed);
+      AGNOCAST_CRASH_POINT(B_board_field);
       topic_.subscription(index, offsetof(Entry, extent))
           .store(descriptor.extent, std::memory_order_relaxed);
+      AGNOCAST_CRASH_POINT(B_board_field);
       topic_.subscription(index, offsetof(Entry, quota))
           .store(descriptor.quota, std::memory_order_relaxed);
+      AGNOCAST_CRASH_POINT(B_board_field);
       topic_.subscription(index, offsetof(Entry, executor))
           .store(descriptor.executor, std::memory_order_relaxed);
     }
@@ -65,14 +69,19 @@ class BoardSteps {
     AGNOCAST_STEP(J3_descriptor) {
       topic_.publisher(index, offsetof(Entry, qos))
           .store(abi::pack_qos(descriptor.qos), std::memory_order_relaxed);
+      AGNOCAST_CRASH_POINT(B_board_field);
       topic_.publisher(index, offsetof(Entry, client))
           .store(descriptor.client, std::memory_order_relaxed);
+      AGNOCAST_CRASH_POINT(B_board_field);
       topic_.publisher(index, offsetof(Entry, extent))
           .store(descriptor.extent, std::memory_order_relaxed);
+      AGNOCAST_CRASH_POINT(B_board_field);
       topic_.publisher(index, offsetof(Entry, slot_count))
           .store(descriptor.slot_count, std::memory_order_relaxed);
+      AGNOCAST_CRASH_POINT(B_board_field);
       topic_.publisher(index, offsetof(Entry, first_sequence))
           .store(descriptor.first_sequence, std::memory_order_relaxed);
+      AGNOCAST_CRASH_POINT(B_board_field);
       topic_.publisher(index, offsetof(Entry, final_head)).store(0, std::memory_order_relaxed);
     }
     raise(topic_.publisher_high(), index + 1);
@@ -105,6 +114,9 @@ class BoardSteps {
     set_publisher(index, generation, abi::MemberState::free);
   }
 
+  /// Everybody looks again.
+  void renew() noexcept { AGNOCAST_STEP(J3_epoch) bump_epoch(); }
+
  private:
   void set_publisher(std::uint64_t index, std::uint64_t generation,
                      abi::MemberState state) noexcept {
@@ -121,7 +133,9 @@ class BoardSteps {
   }
   template <class Word>
   static void raise(Word&& word, std::uint64_t value) noexcept {
-    if (word.load(std::memory_order_relaxed) < value) word.store(value, std::memory_order_release);
+    if (word.load(std::memory_order_relaxed) >= value) return;
+    AGNOCAST_CRASH_POINT(B_board_field);
+    word.store(value, std::memory_order_release);
   }
 
   dataplane::TopicWords<M> topic_;

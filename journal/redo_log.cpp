@@ -2,6 +2,8 @@
 
 #include <journal/redo_log.hpp>
 
+#include <base/clock.hpp>
+
 #include <array>
 #include <cstring>
 
@@ -10,7 +12,7 @@ namespace {
 
 constexpr std::uint64_t magic_value = 0x676f6c2e6f676761;  // "aggo.log" in memory order
 constexpr std::uint64_t magic_offset = 0, fingerprint_offset = 8, incarnation_offset = 16,
-                        count_offset = 24;
+                        shape_offset = 24;
 constexpr std::uint64_t committed_offset = abi::cache_line_bytes,
                         applied_offset = 2 * abi::cache_line_bytes;
 
@@ -47,20 +49,34 @@ std::uint32_t crc32c(const void* data, std::size_t bytes) noexcept {
 void RedoLog::create(std::uint64_t fingerprint, std::uint64_t incarnation) noexcept {
   word(fingerprint_offset).store(fingerprint, std::memory_order_relaxed);
   word(incarnation_offset).store(incarnation, std::memory_order_relaxed);
-  word(count_offset).store(record_count, std::memory_order_relaxed);
+  word(shape_offset).store(own_shape, std::memory_order_relaxed);
   word(magic_offset)
       .store(magic_value, std::memory_order_release);  // last: a half-made log is none
 }
 
-bool RedoLog::is_valid(std::uint64_t fingerprint) const noexcept {
-  const std::uint64_t committed = committed_lsn();
-  const std::uint64_t done = word(applied_offset).load(std::memory_order_relaxed);
-  return word(magic_offset).load(std::memory_order_acquire) == magic_value &&
-         word(fingerprint_offset).load(std::memory_order_relaxed) == fingerprint &&
-         word(count_offset).load(std::memory_order_relaxed) == record_count &&
-         (committed == done || committed == done + 1);
+RedoLog::State RedoLog::state(std::uint64_t fingerprint) const noexcept {
+  if (word(magic_offset).load(std::memory_order_acquire) != magic_value) return State::damaged;
+  if (this->fingerprint() != fingerprint || shape() != own_shape) return State::other_layout;
+  return damage() == nullptr ? State::valid : State::damaged;
 }
 
+const char* RedoLog::damage() const noexcept {
+  if (word(magic_offset).load(std::memory_order_acquire) != magic_value)
+    return "the journal does not begin like one";
+  const std::uint64_t committed = committed_lsn();
+  const std::uint64_t done = applied_lsn();
+  if (committed != done && committed != done + 1)
+    return "the journal has applied what it has not committed, or the other way round";
+  if (committed != done && !read(committed)) return "the last record of the journal is not whole";
+  return nullptr;
+}
+
+std::uint64_t RedoLog::shape() const noexcept {
+  return word(shape_offset).load(std::memory_order_relaxed);
+}
+std::uint64_t RedoLog::fingerprint() const noexcept {
+  return word(fingerprint_offset).load(std::memory_order_relaxed);
+}
 std::uint64_t RedoLog::incarnation() const noexcept {
   return word(incarnation_offset).load(std::memory_order_relaxed);
 }
@@ -68,11 +84,20 @@ std::uint64_t RedoLog::committed_lsn() const noexcept {
   return word(committed_offset).load(std::memory_order_acquire);
 }
 
+std::uint64_t RedoLog::applied_lsn() const noexcept {
+  return word(applied_offset).load(std::memory_order_acquire);
+}
+std::uint64_t RedoLog::oldest_lsn() const noexcept {
+  const std::uint64_t newest = committed_lsn();
+  return newest <= record_count ? (newest == 0 ? 0 : 1) : newest - record_count + 1;
+}
+
 std::uint64_t RedoLog::commit(RecordType type, const std::uint64_t* arguments,
                               std::size_t count) noexcept {
   Record record;
   record.lsn = committed_lsn() + 1;
   record.type = type;
+  record.stamp_ns = monotonic_ns();
   for (std::size_t i = 0; i < count && i < std::size(record.argument); ++i)
     record.argument[i] = arguments[i];
   record.crc = checksum(record);
@@ -87,7 +112,7 @@ void RedoLog::applied() noexcept {
 
 std::optional<Record> RedoLog::pending() const noexcept {
   const std::uint64_t committed = committed_lsn();
-  if (committed == word(applied_offset).load(std::memory_order_acquire)) return std::nullopt;
+  if (committed == applied_lsn()) return std::nullopt;
   return read(committed);
 }
 

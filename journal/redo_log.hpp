@@ -10,7 +10,7 @@
 // without a disk. One change is under way at a time. Old records stay until the ring comes round:
 // the flight recorder.
 //
-//      0  magic · fingerprint · incarnation · record_count
+//      0  magic · fingerprint · incarnation · shape: sizes and places in a record
 //     64  committed lsn            128  applied lsn            (lsn 1 is the first record)
 //   4096  record[record_count]     at lsn mod record_count
 #pragma once
@@ -18,48 +18,13 @@
 #include <agnocast/abi/client_region.hpp>
 #include <agnocast/abi/limits.hpp>
 #include <base/memory_policy.hpp>
+#include <journal/record.hpp>
 
 #include <cstddef>
 #include <cstdint>
 #include <optional>
-#include <type_traits>
 
 namespace agnocast::journal {
-
-enum class RecordType : std::uint32_t {
-  none = 0,
-  register_client = 1,
-  add_publisher = 2,
-  add_subscription = 3,
-  announced = 4,
-  unlinked = 5,
-  leave_publisher = 6,
-  leave_subscription = 7,
-  free_publisher = 8,
-  free_subscription = 9,
-  client_dead = 10,
-  client_end = 11,
-  open_window = 12,
-  free_window = 13,
-  revoke_subscription = 14,
-  add_topic = 15,
-  open_executor = 16,
-  free_topic = 17,
-  raise_slots = 18,
-  client_forgotten = 19,
-};
-
-//    0 lsn u64 · 8 type u32 · 12 crc32c u32 (of everything else) · 16 argument[14] u64, meaning by
-//    type
-struct Record {
-  std::uint64_t lsn = 0;
-  RecordType type = RecordType::none;
-  std::uint32_t crc = 0;
-  std::uint64_t argument[14] = {};
-};
-static_assert(sizeof(Record) == 128 && offsetof(Record, argument) == 16 &&
-              std::is_trivially_copyable_v<Record>);
-static_assert(std::has_unique_object_representations_v<Record>);
 
 /// CRC-32C (Castagnoli, RFC 3720 appendix B.4) of `bytes` at `data`.
 std::uint32_t crc32c(const void* data, std::size_t bytes) noexcept;
@@ -76,8 +41,22 @@ class RedoLog {
 
   /// Makes a fresh log of a zeroed region.
   void create(std::uint64_t fingerprint, std::uint64_t incarnation) noexcept;
-  /// True when the region holds a log of this very layout.
-  bool is_valid(std::uint64_t fingerprint) const noexcept;
+  /// What a region that an earlier life left holds.
+  enum class State : std::uint8_t {
+    valid,         // a log of this very layout
+    other_layout,  // a log, but nothing behind its fingerprint can be read
+    damaged,       // damage() says what
+  };
+  State state(std::uint64_t fingerprint) const noexcept;
+  /// In plain words, static text; nullptr when it is a whole log.
+  const char* damage() const noexcept;
+  std::uint64_t fingerprint() const noexcept;
+  /// Sizes and places in a record: another build's records are not ours, even where all that clients
+  /// see is the same.
+  std::uint64_t shape() const noexcept;
+  static constexpr std::uint64_t own_shape = record_count | sizeof(Record) << 32 |
+                                             offsetof(Record, stamp_ns) << 48 |
+                                             offsetof(Record, argument) << 56;
   std::uint64_t incarnation() const noexcept;
 
   /// Writes and commits; from here on the change will happen. Only when nothing is pending. Returns
@@ -90,6 +69,9 @@ class RedoLog {
   /// An old record, if it is still there and whole. Any number.
   std::optional<Record> read(std::uint64_t lsn) const noexcept;
   std::uint64_t committed_lsn() const noexcept;
+  std::uint64_t applied_lsn() const noexcept;
+  /// Of the oldest record that has not been overwritten; 0: there is none.
+  std::uint64_t oldest_lsn() const noexcept;
 
  private:
   using M = SharedMemory;

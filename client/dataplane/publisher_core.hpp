@@ -169,7 +169,9 @@ class PublisherCore {
     std::uint64_t extent = 0;
     std::uint64_t armed_offset = 0;
     std::uint64_t executor = 0;
-    std::uint64_t low = 0;  // of the last pass, for room_for_one_more
+    std::uint64_t low = 0;    // of the last pass, for room_for_one_more
+    std::uint64_t quota = 0;  // messages that it may hold at once
+    std::uint64_t lies = 0;   // 1: it held more than that, and its holds count no more
     typename M::Region region{};
   };
 
@@ -267,6 +269,9 @@ class PublisherCore {
         word = abi::pack_member(abi::generation_of(word), abi::MemberState::free);
       AGNOCAST_STEP(P7_window) member.window = abi::window_of(qos);
       member.bound = qos.keep_all && qos.reliable ? qos.depth : 0;
+      member.quota = self_.topic.subscription(index, offsetof(abi::SubscriptionEntry, quota))
+                         .load(std::memory_order_relaxed);
+      member.lies = 0;
       member.since = head_sequence_ + 1;
       AGNOCAST_STEP(P7_since)
       member.since = minus_at_least(seen_ + 1, history_, self_.first_sequence + 1);
@@ -339,7 +344,7 @@ class PublisherCore {
           // [sync:direct-free] acquire, before the holds; pairs with T7: behind a passed cursor a
           // clear bit means released.
           AGNOCAST_STEP(P9_cursor) low = link.cursor().load(std::memory_order_acquire);
-          AGNOCAST_STEP(P9_hold) collect_holds(link, held);
+          AGNOCAST_STEP(P9_hold) collect_holds(link, member, held);
         }
       } else {
         AGNOCAST_STEP(P9_unknown) unknown_from = std::min(unknown_from, member.since);
@@ -353,12 +358,35 @@ class PublisherCore {
     retire_and_free(environment, need, past, unknown_from, held, marked);
   }
 
-  void collect_holds(const LinkWords<M>& link, Mask& held) const noexcept {
+  /// An honest subscription takes nothing while it holds its quota. One that holds more would take all
+  /// slots of this publisher; from then on its holds are not looked at, and it reads what it likes.
+  void collect_holds(const LinkWords<M>& link, Member& member, Mask& held) const noexcept {
+    if (member.lies != 0) return;
+    std::uint64_t count = 0;
     for (std::size_t word = 0; word < mask_words; ++word) {
+      if (allocated_[word] == 0) continue;
       // [sync:hold] acquire; pairs with the release of L1: what the holder read, it read before
       // this message is destroyed.
-      if (allocated_[word] != 0) held[word] |= link.hold(word).load(std::memory_order_acquire);
+      const std::uint64_t bits = link.hold(word).load(std::memory_order_acquire);
+      held[word] |= bits;
+      if (bits != 0) count += static_cast<std::uint64_t>(std::popcount(bits & allocated_[word]));
     }
+    if (count > member.quota + 1 && holds_too_many(link, member.quota)) member.lies = 1;
+  }
+
+  /// Not what one look finds: while it lasts, messages are released and others taken. Nothing is freed
+  /// between two looks of one pass, so a message found held in both was held all the time between
+  /// them, but for one whose hold bit a take had set for the slot's former message.
+  bool holds_too_many(const LinkWords<M>& link, std::uint64_t quota) const noexcept {
+    Mask both = allocated_;
+    for (int look = 0; look < 2; ++look) {
+      for (std::size_t word = 0; word < mask_words; ++word) {
+        if (both[word] != 0) both[word] &= link.hold(word).load(std::memory_order_acquire);
+      }
+    }
+    std::uint64_t count = 0;
+    for (const std::uint64_t bits : both) count += static_cast<std::uint64_t>(std::popcount(bits));
+    return count > quota + 1;
   }
 
   template <class Environment>

@@ -3,6 +3,7 @@
 // Everything a node needs.
 #pragma once
 
+#include <agnocast/connection_state.hpp>
 #include <agnocast/error.hpp>
 #include <agnocast/events.hpp>
 #include <agnocast/executor.hpp>

@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Events of an endpoint: who has matched it, and who could not. Each is counted from the endpoint's
-// first moment; a status getter tells the counts and what changed since it was asked last, a
+// Events of an endpoint: who has matched it, who could not, and whether the daemon is there to bring
+// others. Each is counted from the endpoint's first moment; a status getter tells the counts and what changed since it was asked last, a
 // callback (set in the endpoint's options) is called when they change. Event callbacks run where
 // the message callbacks of the node run, and count for themselves: asking for a status takes no
 // change away from a callback.
 #pragma once
+
+#include <agnocast/connection_state.hpp>
 
 #include <cstddef>
 #include <cstdint>
@@ -52,8 +54,10 @@ struct EventCallbacks {
   std::function<void(MatchedInfo&)> matched;
   std::function<void(IncompatibleQosInfo&)> incompatible_qos;
   std::function<void(IncompatibleTypeInfo&)> incompatible_type;
+  std::function<void(ConnectionInfo&)> connection;
   explicit operator bool() const noexcept {
-    return matched != nullptr || incompatible_qos != nullptr || incompatible_type != nullptr;
+    return matched != nullptr || incompatible_qos != nullptr || incompatible_type != nullptr ||
+           connection != nullptr;
   }
 };
 
@@ -69,6 +73,10 @@ class EventOptions {
   }
   Options& incompatible_type_callback(std::function<void(IncompatibleTypeInfo&)> callback) {
     return events_.incompatible_type = std::move(callback), static_cast<Options&>(*this);
+  }
+  /// Called when connection_state() has changed, with what it is now.
+  Options& connection_callback(std::function<void(ConnectionInfo&)> callback) {
+    return events_.connection = std::move(callback), static_cast<Options&>(*this);
   }
   const EventCallbacks& events() const noexcept { return events_; }
 

@@ -211,9 +211,8 @@ TEST(DaemonObserver, HasALimitOfItsOwn) {
   EXPECT_EQ(one_more.wire.next().refused_code(), Errc::quota_exceeded);
   EXPECT_TRUE(one_more.wire.is_hung_up());
   observers.pop_back();
-  EXPECT_TRUE(eventually([&] {
-    return observers.front()->dump().users.at(0).observers < abi::observer_count_max;
-  }));
+  EXPECT_TRUE(eventually(
+      [&] { return observers.front()->dump().users.at(0).observers < abi::observer_count_max; }));
   Observer next(daemon);
   EXPECT_EQ(next.observe().opcode(), Opcode::observed);
 }
@@ -308,7 +307,7 @@ TEST(DaemonObserver, SeesTheRegionOfADeadProcessUntilItsPlaceIsFree) {
   ASSERT_EQ(dead.processes.size(), 2u);
   EXPECT_EQ(dead.processes[1].state, wire::ProcessState::dead);
   EXPECT_EQ(dead.regions.count(1), 1u);
-  EXPECT_EQ(dead.daemon.counters.clients_reaped, 1u);
+  EXPECT_EQ(dead.daemon.counters.clients_died, 1u);
   ASSERT_EQ(dead.endpoints.size(), 2u);
   EXPECT_EQ(abi::state_of(dead.endpoints[0].member), abi::MemberState::orphan);
   subscriber->unlinked(Kind::publisher, about.topic, about.index, about.generation);

@@ -241,6 +241,7 @@ class QueueScenario {
         poke_sub(world, s, offsetof(abi::SubscriptionEntry, word),
                  abi::pack_member(1, abi::MemberState::active));
         poke_sub(world, s, offsetof(abi::SubscriptionEntry, qos), abi::pack_qos(requested(s, 1)));
+        poke_sub(world, s, offsetof(abi::SubscriptionEntry, quota), sub.quota);
         world.state.announced[s] = 1;
         world.state.linked_to[s] = 1;
         if (sub.linked) {
@@ -1198,8 +1199,8 @@ class QueueScenario {
                   .store(plan_.slots, std::memory_order_release);
             steps.add_subscription(
                 record.index, record.generation,
-                {requested(static_cast<std::uint32_t>(record.index), record.generation), 0, se, 1,
-                 0});
+                {requested(static_cast<std::uint32_t>(record.index), record.generation), 0, se,
+                 plan_.sub[record.index].quota, 0});
             break;
           case leaving:
             steps.set_subscription(record.index, record.generation, abi::MemberState::leaving);

@@ -20,6 +20,14 @@ constexpr ReusePlan plans[] = {
      .generations = 4,
      .daemon_deaths = 3,
      .subscriber_lives = 3},
+    {.name = "4 generations, connection lost three times, daemon dies once",
+     .generations = 4,
+     .daemon_deaths = 1,
+     .subscriber_lives = 1,
+     .disconnections = 3},
+    {.name = "3 generations, connection lost twice, everybody dies once",
+     .daemon_deaths = 1,
+     .disconnections = 2},
 };
 
 Report explore(const ReusePlan& plan) {

@@ -1,13 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Reuse scenario (rule RU): publishers come and go on one index whose region is used again in
-// place; a subscriber links, drains, unlinks, dies and comes back; the daemon dies between any two
-// of its steps and starts again from its tables.
+// place; a subscriber links, drains, unlinks, dies and comes back, loses its connection and connects
+// again; the daemon dies between any two of its steps and starts again from its tables. Publishers
+// come and go also while the subscriber has no connection: it is told all the same, and announced
+// what its bit in the set says when it is back.
 //
 // What runs is the shipped AnnounceSet and AnnouncementBook, and link(), release() and unlink() of
 // LinkCore on the one link line that all these publishers share. Checked: a linked subscriber never sees the
-// region of another generation; every publisher finds the line zero, and it stays its own until its
-// link is gone; in the end every generation could be created (no index is lost). The queue scenario
+// region of another generation, and links every generation that it was told of, once; every publisher
+// finds the line zero, and it stays its own until its link is gone; in the end every generation could be created (no index is lost). The queue scenario
 // begins with such a line and one publisher; so it speaks of every publisher of the index.
 #pragma once
 
@@ -24,6 +26,7 @@ struct ReusePlan {
   std::uint64_t generations = 3;
   std::uint64_t daemon_deaths = 2;
   std::uint64_t subscriber_lives = 2;
+  std::uint64_t disconnections = 0;
   bool says_unlinked_first = false;  // wrong: while its line is still that of the old link
 };
 
@@ -74,6 +77,9 @@ class ReuseScenario {
     std::uint64_t region_owner = 0;
     Channel to_subscriber, to_daemon;
     std::uint64_t connected = 0;
+    std::uint64_t known_life = 0;          // the last one that has connected
+    std::uint64_t linked_generations = 0;  // one bit each, of this life
+    std::uint64_t disconnections = 0;
     std::uint64_t life = 1;  // of the subscriber = its client index
     std::uint64_t dead_unnoticed =
         0;  // client index of a dead subscriber that the daemon has not reaped
@@ -118,7 +124,7 @@ class ReuseScenario {
     }
   }
 
-  enum Own : std::uint16_t { publisher_dies, daemon_dies, subscriber_dies };
+  enum Own : std::uint16_t { publisher_dies, daemon_dies, subscriber_dies, connection_ends };
   template <class Emit>
   void moves(const W& world, Emit emit) const {
     const State& state = world.state;
@@ -127,6 +133,8 @@ class ReuseScenario {
       emit(daemon_main, daemon_dies);
     if (state.life < plan_.subscriber_lives && state.dead_unnoticed == 0)
       emit(subscriber, subscriber_dies);
+    if (state.connected != 0 && state.disconnections < plan_.disconnections)
+      emit(subscriber, connection_ends);
   }
   bool perform(W& world, std::uint8_t, std::uint16_t what) {
     State& state = world.state;
@@ -140,8 +148,13 @@ class ReuseScenario {
         ++state.daemon_deaths;
         disconnect(state);  // a fresh connection implies a fresh, empty channel
         return false;
+      case connection_ends:
+        ++state.disconnections;
+        disconnect(state);
+        return false;
       default:
         state.dead_unnoticed = state.life++;
+        state.linked_generations = 0;
         disconnect(state);
         state.book = {};
         state.linking_generation = 0;
@@ -185,9 +198,10 @@ class ReuseScenario {
     return t == daemon_main ? "daemon" : "subscriber";
   }
   static const char* describe(std::uint8_t, std::uint16_t what) {
-    return what == publisher_dies ? "publisher dies"
-           : what == daemon_dies  ? "daemon dies"
-                                  : "subscriber dies";
+    return what == publisher_dies    ? "publisher dies"
+           : what == daemon_dies     ? "daemon dies"
+           : what == connection_ends ? "connection ends"
+                                     : "subscriber dies";
   }
   static const char* operation_name(const W& world, std::uint8_t t) {
     static const char* names[] = {"task",  "send announcement", "restart", "start again", "connect",
@@ -250,8 +264,9 @@ class ReuseScenario {
     if (is(state.publisher_state == orphan && state.set.reusable())) return free_it;
     if (is(state.publisher_state == free_index && state.set.generation() < plan_.generations))
       return create;
-    if (is(state.publisher_state == active && state.connected != 0 &&
-           state.told[state.connected] != state.set.generation()))
+    // A process that is alive, connected or not.
+    if (is(state.publisher_state == active && state.known_life == state.life &&
+           state.told[state.life] != state.set.generation()))
       return announce;
     if (is(state.dead_unnoticed != 0)) return reap;
     return nothing_to_do;
@@ -284,6 +299,9 @@ class ReuseScenario {
             show(world, abi::MemberState::orphan);
             break;
           case free_it:
+            if (state.told[state.life] == state.set.generation() &&
+                (state.linked_generations >> state.set.generation() & 1) == 0)
+              machine.fail("the last messages of a publisher are lost");
             state.publisher_state = free_index;
             show(world, abi::MemberState::free);
             break;
@@ -300,9 +318,9 @@ class ReuseScenario {
             }
             break;
           case announce:
-            state.addressee = state.connected;
-            state.set.tell(state.connected);  // (a) journaled; sent in a step of its own
-            state.told[state.connected] = state.set.generation();
+            state.addressee = state.life;
+            state.set.tell(state.life);  // (a) journaled; sent in a step of its own
+            state.told[state.life] = state.set.generation();
             thread.pc = send_announcement;
             break;
           case reap:
@@ -352,6 +370,9 @@ class ReuseScenario {
       case link_line:
         if (!link_to(state.linking_generation).link(true))
           machine.fail("the announced publisher is not on the board");
+        if ((state.linked_generations >> state.linking_generation & 1) != 0)
+          machine.fail("a generation is linked twice");
+        state.linked_generations |= std::uint64_t{1} << state.linking_generation;
         state.book.linked(state.linking_generation);
         line(world, 2) = 1;  // holds a message for as long as it is linked
         state.linking_generation = 0;
@@ -382,6 +403,7 @@ class ReuseScenario {
   void connect(W& world) {
     State& state = world.state;
     state.connected = state.life;
+    state.known_life = state.life;
     // (c) the daemon sends every member its announcement again; a newcomer is told by the task
     // `announce`.
     if (state.set.contains(state.life) && machine.step(Step::R8_again))

@@ -97,7 +97,7 @@ TEST(RedoLogSweep, CommittedChangesAreMadeExactlyWhateverDies) {
       RedoLog(region).create(fingerprint, 1);
       first_survived = !dies(n, [&] { make_changes(region); });
       second_survived = !dies(m, [&] { redo(region); });
-      ASSERT_TRUE(RedoLog(region).is_valid(fingerprint));
+      ASSERT_EQ(RedoLog(region).state(fingerprint), RedoLog::State::valid);
       redo(region);
       EXPECT_FALSE(RedoLog(region).pending().has_value());
       deaths += !first_survived;
@@ -128,10 +128,10 @@ TEST(RedoLog, RecognisesItsOwnLayoutOnly) {
   const Mapping mapping =
       Mapping::map(fd.get(), RedoLog::bytes, Mapping::Access::read_write).value();
   RedoLog log(mapping.base());
-  EXPECT_FALSE(log.is_valid(fingerprint)) << "a zeroed region is no log";
+  EXPECT_EQ(log.state(fingerprint), RedoLog::State::damaged) << "a zeroed region is no log";
   log.create(fingerprint, 7);
-  EXPECT_TRUE(log.is_valid(fingerprint));
-  EXPECT_FALSE(log.is_valid(fingerprint + 1)) << "another layout";
+  EXPECT_EQ(log.state(fingerprint), RedoLog::State::valid);
+  EXPECT_EQ(log.state(fingerprint + 1), RedoLog::State::other_layout);
   EXPECT_EQ(log.incarnation(), 7u);
 }
 

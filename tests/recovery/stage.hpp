@@ -262,7 +262,8 @@ class SubscriberSide {
   enum class Found : std::uint8_t { nothing, intact, damaged };
   Found take(std::uint64_t* number = nullptr) {
     OwnHeap own{stage_.heap_base()};
-    const auto taken = in_publisher_process_ ? link_.take(own) : link_.take(heap_);
+    HeapLook windows(heap_, true);
+    const auto taken = in_publisher_process_ ? link_.take(own) : link_.take(windows);
     if (!taken) return link_.malformed() == 0 ? Found::nothing : Found::damaged;
     held_.push_back(*taken);
     if (number != nullptr) *number = taken->sequence - Stage::first_sequence();

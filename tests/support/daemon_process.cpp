@@ -51,6 +51,7 @@ std::string content_of(const std::string& path) {
 }
 
 struct Start {
+  std::string program = AGNOCAST_TEST_DAEMON;
   std::vector<std::string> arguments;
   std::vector<std::string> environment;  // NAME=value, beside the test's own
   std::optional<uid_t> uid;
@@ -79,7 +80,7 @@ bool deny_peer_pidfd() {
 }
 
 pid_t start(const Start& what) {
-  std::vector<std::string> arguments{AGNOCAST_TEST_DAEMON};
+  std::vector<std::string> arguments{what.program};
   arguments.insert(arguments.end(), what.arguments.begin(), what.arguments.end());
   std::vector<char*> argv;
   for (std::string& argument : arguments) argv.push_back(argument.data());
@@ -93,6 +94,7 @@ pid_t start(const Start& what) {
   ::unsetenv("NOTIFY_SOCKET");
   ::unsetenv("AGNOCAST_SOCKET");
   ::unsetenv("JOURNAL_STREAM");
+  ::unsetenv("FDSTORE");
   for (const std::string& variable : what.environment) ::putenv(::strdup(variable.c_str()));
   const int out = ::open(what.out.c_str(), O_WRONLY | O_CREAT | O_APPEND, 0666);
   const int err = ::open(what.err.c_str(), O_WRONLY | O_CREAT | O_APPEND, 0666);
@@ -110,6 +112,17 @@ pid_t start(const Start& what) {
   if (what.uid) ::fexecve(program, argv.data(), environ);
   ::execv(argv[0], argv.data());
   ::_exit(127);
+}
+
+std::size_t count_descriptors(pid_t pid) {
+  std::size_t count = 0;
+  const std::string path = "/proc/" + std::to_string(pid) + "/fd";
+  const std::unique_ptr<DIR, int (*)(DIR*)> entries(::opendir(path.c_str()), &::closedir);
+  if (entries == nullptr) return 0;
+  while (const dirent* const entry = ::readdir(entries.get())) {
+    if (entry->d_name[0] != '.') ++count;
+  }
+  return count;
 }
 
 // Waits for the end of a child; -1 by signal, or when it had to be killed.
@@ -170,10 +183,12 @@ void DaemonProcess::begin(const DaemonOptions& options) {
   ASSERT_EQ(::chmod(notify.c_str(), 0666), 0);
 
   Start what;
+  if (!options.program.empty()) what.program = options.program;
   what.arguments = {"--foreground", "--config", directory_ + "/agnocastd.toml", "--socket",
                     socket_path_};
   what.arguments.insert(what.arguments.end(), options.arguments.begin(), options.arguments.end());
-  what.environment = {"NOTIFY_SOCKET=" + notify};
+  what.environment = options.environment;
+  what.environment.push_back("NOTIFY_SOCKET=" + notify);
   what.uid = options.uid;
   what.without_peer_pidfd = options.without_peer_pidfd;
   what.out = directory_ + "/out";
@@ -205,8 +220,40 @@ int DaemonProcess::stop(int signal) {
 
 void DaemonProcess::kill() {
   if (pid_ <= 0) return;
+  const pid_t worker = pid();
+  const auto process = worker > 0 && worker != pid_ ? Pidfd::open(worker) : Result<Pidfd>();
   ::kill(pid_, SIGKILL);
   end_of(std::exchange(pid_, -1));
+  if (worker <= 0 || !process || !*process) return;
+  pollfd entry{process->fd(), POLLIN, 0};
+  EXPECT_EQ(::poll(&entry, 1, patience_ms), 1) << "the daemon outlives its supervisor";
+}
+
+pid_t DaemonProcess::kill_worker(int signal) {
+  const pid_t worker = pid();
+  EXPECT_NE(worker, pid_) << "this daemon has no supervisor";
+  if (worker > 0 && worker != pid_) ::kill(worker, signal);
+  return worker;
+}
+
+bool DaemonProcess::wait_for_next(pid_t old) const {
+  return eventually([&] {
+    const pid_t worker = pid();
+    if (worker <= 0 || worker == old) return false;
+    return log().find(" ready pid=" + std::to_string(worker) + " ") != std::string::npos;
+  });
+}
+
+pid_t DaemonProcess::worker_of(pid_t pid) {
+  if (pid <= 0) return -1;
+  std::ifstream arguments("/proc/" + std::to_string(pid) + "/cmdline", std::ios::binary);
+  std::ostringstream text;
+  text << arguments.rdbuf();
+  if (text.str().find("--fd-store=none") != std::string::npos) return pid;
+  std::ifstream children("/proc/" + std::to_string(pid) + "/task/" + std::to_string(pid) +
+                         "/children");
+  pid_t child = -1;
+  return children >> child ? child : -1;
 }
 
 bool DaemonProcess::is_running() {
@@ -222,26 +269,18 @@ bool DaemonProcess::wait_for_log(const std::string& text) const {
   return eventually([&] { return log().find(text) != std::string::npos; });
 }
 
-std::size_t DaemonProcess::descriptor_count() const {
-  std::size_t count = 0;
-  const std::string path = "/proc/" + std::to_string(pid_) + "/fd";
-  const std::unique_ptr<DIR, int (*)(DIR*)> entries(::opendir(path.c_str()), &::closedir);
-  if (entries == nullptr) return 0;
-  while (const dirent* const entry = ::readdir(entries.get())) {
-    if (entry->d_name[0] != '.') ++count;
-  }
-  return count;
-}
+std::size_t DaemonProcess::descriptor_count() const { return count_descriptors(pid()); }
 
+std::size_t DaemonProcess::kept_count() const { return count_descriptors(pid_); }
 std::size_t DaemonProcess::resident_bytes() const {
-  std::ifstream file("/proc/" + std::to_string(pid_) + "/statm");
+  std::ifstream file("/proc/" + std::to_string(pid()) + "/statm");
   std::size_t size = 0, resident = 0;
   file >> size >> resident;
   return resident * 4096;
 }
 
 std::size_t DaemonProcess::shared_bytes() const {
-  std::ifstream file("/proc/" + std::to_string(pid_) + "/statm");
+  std::ifstream file("/proc/" + std::to_string(pid()) + "/statm");
   std::size_t size = 0, resident = 0, shared = 0;
   file >> size >> resident >> shared;
   return shared * 4096;

@@ -8,7 +8,11 @@
 //
 // The constructor returns when the daemon serves (it says so through NOTIFY_SOCKET, so nothing is
 // polled); if it ends instead or says nothing, the test fails with what it wrote. The daemon dies
-// with the test process. Target: link agnocast_test_support, which knows where agnocastd is.
+// with the test process.
+//
+// As users start it, it is two processes: the supervisor that the test starts, and the worker, which
+// is the daemon; pid(), memory and descriptors are the worker's. kill() ends both at once, as a power
+// failure would; kill_worker() ends the daemon alone, and another one goes on. Target: link agnocast_test_support, which knows where agnocastd is.
 #pragma once
 
 #include <base/unique_fd.hpp>
@@ -38,8 +42,12 @@ struct DaemonOptions {
   std::vector<std::string> arguments = {};
   /// Where to listen; empty: in its own directory.
   std::string socket = {};
+  /// The program, another one than the build's.
+  std::string program = {};
   /// As on a kernel before 6.5: SO_PEERPIDFD is not known (a seccomp filter answers).
   bool without_peer_pidfd = false;
+  /// NAME=value, beside the test's own.
+  std::vector<std::string> environment = {};
 };
 
 class DaemonProcess {
@@ -52,11 +60,20 @@ class DaemonProcess {
   const std::string& socket_path() const noexcept { return socket_path_; }
   /// Of this daemon alone, removed with it; everybody may look into it.
   const std::string& directory() const noexcept { return directory_; }
-  pid_t pid() const noexcept { return pid_; }
+  /// The daemon's; another one after each restart.
+  pid_t pid() const { return worker_of(pid_); }
+  /// Of the process that the test started, which keeps the descriptors; the daemon's own with
+  /// --fd-store=none.
+  pid_t supervisor_pid() const noexcept { return pid_; }
 
   /// SIGTERM (or another signal) and its exit status; -1 when a signal ended it.
   int stop(int signal = 0);
+  /// SIGKILL to the supervisor, and waits until the daemon is gone as well.
   void kill();
+  /// SIGKILL to the daemon alone (or another signal to it); its pid. Does not wait for the next one.
+  pid_t kill_worker(int signal = 9);
+  /// Waits until a daemon serves that is not `old`; false after ten seconds.
+  [[nodiscard]] bool wait_for_next(pid_t old) const;
   bool is_running();
 
   /// What it wrote to stderr so far.
@@ -65,6 +82,8 @@ class DaemonProcess {
   [[nodiscard]] bool wait_for_log(const std::string& text) const;
   /// Entries of /proc/PID/fd.
   std::size_t descriptor_count() const;
+  /// Of the supervisor: what is kept, and a few of its own.
+  std::size_t kept_count() const;
   /// Resident memory in bytes.
   std::size_t resident_bytes() const;
   /// Of it, what lies in files and memfds: tables and board, and not what a sanitizer adds.
@@ -72,6 +91,7 @@ class DaemonProcess {
 
  private:
   void begin(const DaemonOptions& options);
+  static pid_t worker_of(pid_t pid);
 
   std::string directory_;
   std::string socket_path_;

@@ -77,6 +77,15 @@ class WireClient {
   }
 
   PacketSocket& socket() noexcept { return socket_; }
+  /// A new connection in place of this one; request ids go on.
+  void connect_again(const std::string& path) {
+    auto socket = PacketSocket::connect(path);
+    EXPECT_TRUE(socket) << "cannot connect to " << path;
+    if (socket) socket_ = std::move(*socket);
+    seen_ = 0;
+    unasked_.clear();
+  }
+  std::uint64_t last_request() const noexcept { return last_request_; }
   /// Packets read so far: what `seen` of an unlinked means.
   std::uint64_t seen() const noexcept { return seen_; }
 
@@ -94,13 +103,15 @@ class WireClient {
   /// Sends and waits for the answer, which may be `refused`.
   template <class Body>
   Incoming ask(wire::Opcode opcode, const Body& body) {
-    const std::uint64_t request = send(opcode, body);
-    for (;;) {
-      auto packet = receive();
-      if (!packet) return {};  // the test has failed already
-      if (packet->header().request == request) return std::move(*packet);
-      unasked_.push_back(std::move(*packet));
-    }
+    return answer_to(send(opcode, body));
+  }
+
+  /// The same under an id that was used before.
+  template <class Body>
+  Incoming ask_again(wire::Opcode opcode, Body body, std::uint64_t request) {
+    body.header = {opcode, sizeof body, request | wire::asked_again};
+    EXPECT_TRUE(send_bytes(std::as_bytes(std::span(&body, 1)))) << "the daemon has hung up";
+    return answer_to(request);
   }
 
   /// The next packet that came unasked; fails the test when none comes.
@@ -155,6 +166,14 @@ class WireClient {
     body.process_name = wire_name("wire_client");
     return ask(wire::Opcode::hello, body);
   }
+  Incoming rejoin(const wire::Welcome& welcome, std::uint64_t fingerprint = abi::fingerprint()) {
+    wire::Rejoin body{};
+    body.fingerprint = fingerprint;
+    body.incarnation = welcome.incarnation;
+    body.client = welcome.client;
+    body.client_generation = welcome.client_generation;
+    return ask(wire::Opcode::rejoin, body);
+  }
   Incoming open_window(std::uint64_t window) {
     wire::WindowRequest body{};
     body.window = window;
@@ -203,6 +222,14 @@ class WireClient {
   }
 
  private:
+  Incoming answer_to(std::uint64_t request) {
+    for (;;) {
+      auto packet = receive();
+      if (!packet) return {};  // the test has failed already
+      if (packet->header().request == request) return std::move(*packet);
+      unasked_.push_back(std::move(*packet));
+    }
+  }
   bool readable(int timeout_ms) {
     pollfd entry{socket_.fd(), POLLIN, 0};
     return ::poll(&entry, 1, timeout_ms) > 0;

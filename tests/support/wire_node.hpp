@@ -133,7 +133,8 @@ class WireNode {
   /// The next message of any publisher, held; nothing when there is none. Its content is checked.
   std::optional<std::uint64_t> take() {
     for (auto& [index, link] : links_) {
-      if (const auto taken = link.core.take(*peers_.at(link.client).heap)) {
+      HeapLook windows(*peers_.at(link.client).heap, false);
+      if (const auto taken = link.core.take(windows)) {
         const auto& message = *reinterpret_cast<const Message*>(taken->address);
         EXPECT_TRUE(intact(message)) << "message " << message.number;
         held_.push_back({index, taken->slot, taken->address, message.number});

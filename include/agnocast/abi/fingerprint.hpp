@@ -20,7 +20,11 @@
 namespace agnocast::abi {
 
 // Raised by hand when the meaning of a word changes while its place does not.
+#ifdef AGNOCAST_OTHER_LAYOUT  // tests: what another build would be
+inline constexpr std::uint64_t layout_version = 0x7e57;
+#else
 inline constexpr std::uint64_t layout_version = 1;
+#endif
 
 // FNV-1a over numbers, each as eight bytes: two different lists collide with probability 2^-64.
 class Fingerprint {
@@ -165,18 +169,26 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::Revoke, generation));
   sum.add(sizeof(wire::ReadJournal), offsetof(wire::ReadJournal, header),
           offsetof(wire::ReadJournal, last), offsetof(wire::ReadJournal, count));
+  sum.add(sizeof(wire::JournalProcess), offsetof(wire::JournalProcess, pid),
+          offsetof(wire::JournalProcess, reserved), offsetof(wire::JournalProcess, name));
   sum.add(sizeof(wire::JournalRecord), offsetof(wire::JournalRecord, header),
           offsetof(wire::JournalRecord, lsn), offsetof(wire::JournalRecord, stamp_ns),
-          offsetof(wire::JournalRecord, type), offsetof(wire::JournalRecord, applied),
-          offsetof(wire::JournalRecord, argument), offsetof(wire::JournalRecord, subject));
+          offsetof(wire::JournalRecord, type), offsetof(wire::JournalRecord, state),
+          offsetof(wire::JournalRecord, argument), offsetof(wire::JournalRecord, topic),
+          offsetof(wire::JournalRecord, process), offsetof(wire::JournalRecord, receiver));
   sum.add(sizeof(wire::JournalEnd), offsetof(wire::JournalEnd, header),
           offsetof(wire::JournalEnd, record_count), offsetof(wire::JournalEnd, oldest),
-          offsetof(wire::JournalEnd, newest));
+          offsetof(wire::JournalEnd, newest), offsetof(wire::JournalEnd, now_ns));
   sum.add(sizeof(wire::DaemonCounters), offsetof(wire::DaemonCounters, clients_registered),
-          offsetof(wire::DaemonCounters, clients_reaped),
+          offsetof(wire::DaemonCounters, clients_died),
+          offsetof(wire::DaemonCounters, clients_let_go),
+          offsetof(wire::DaemonCounters, clients_revoked),
+          offsetof(wire::DaemonCounters, clients_rejoined),
           offsetof(wire::DaemonCounters, intents_rolled_back),
           offsetof(wire::DaemonCounters, intents_rolled_forward),
-          offsetof(wire::DaemonCounters, intents_corrupt),
+          offsetof(wire::DaemonCounters, intents_corrupt), offsetof(wire::DaemonCounters, restarts),
+          offsetof(wire::DaemonCounters, clients_died_meanwhile),
+          offsetof(wire::DaemonCounters, requests_answered_again),
           offsetof(wire::DaemonCounters, requests_refused),
           offsetof(wire::DaemonCounters, connections_refused));
   sum.add(sizeof(wire::DaemonLimits), offsetof(wire::DaemonLimits, clients),
@@ -239,7 +251,8 @@ constexpr std::uint64_t fingerprint() noexcept {
   sum.add(Opcode::observe, Opcode::dump, Opcode::observed, Opcode::dump_daemon,
           Opcode::dump_process, Opcode::dump_topic, Opcode::dump_endpoint, Opcode::dump_user,
           Opcode::dump_end, wire::ProcessState::connected, wire::ProcessState::orphaned,
-          wire::ProcessState::dead, wire::ProcessState::revoked);
+          wire::ProcessState::dead, wire::ProcessState::revoked, wire::JournalState::applied,
+          wire::JournalState::pending, wire::JournalState::damaged);
   sum.add(wire::Kind::publisher, wire::Kind::subscription, wire::Kind::region);
   return sum.value();
 }

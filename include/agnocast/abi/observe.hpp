@@ -43,36 +43,57 @@ struct Revoke {
   std::uint64_t client;
   std::uint64_t generation;
 };
-/// The newest records of the daemon's redo log, at most `count`, up to `last` (0: the newest).
+/// The newest records of the daemon's redo log, at most `count`, up to `last` (0: the newest). With
+/// count 0 only the end is answered: how far the log is.
 struct ReadJournal {
   Header header;
   std::uint64_t last;
   std::uint64_t count;
+};
+enum class JournalState : std::uint32_t {
+  applied = 1,
+  pending = 2,  // committed; its change may not be complete
+  damaged = 3,  // what lies there is no record; only lsn means something
+};
+/// A process by name, while the daemon still knows it; pid 0 and no name otherwise.
+struct JournalProcess {
+  std::uint32_t pid;
+  std::uint32_t reserved;
+  Name name;
 };
 struct JournalRecord {
   Header header;
   std::uint64_t lsn;
   std::uint64_t stamp_ns;  // CLOCK_MONOTONIC
   std::uint32_t type;      // journal::RecordType
-  std::uint32_t applied;   // 0: committed, its change may not be complete
-  std::uint64_t argument[14];
-  Name subject;  // what it is about, by name, while the daemon still knows
+  JournalState state;
+  std::uint64_t argument[13];
+  Name topic;               // what it is about; empty: no topic, or not known any more
+  JournalProcess process;   // whose
+  JournalProcess receiver;  // who is told of it, or lets go of it
 };
 struct JournalEnd {
   Header header;
   std::uint64_t record_count;  // sent in this answer
   std::uint64_t oldest;        // lsn of the oldest record that is still there, 0: none
   std::uint64_t newest;
+  std::uint64_t now_ns;  // the daemon's CLOCK_MONOTONIC
 };
 static_assert(sizeof(JournalRecord) <= packet_bytes_max);
 
-/// What has happened since the daemon began.
+/// What has happened since the first start of this incarnation: restarts do not begin anew.
 struct DaemonCounters {
   std::uint64_t clients_registered;
-  std::uint64_t clients_reaped;
+  std::uint64_t clients_died;
+  std::uint64_t clients_let_go;   // live, without a trace of their regions
+  std::uint64_t clients_revoked;  // live, but an administrator ended their membership
+  std::uint64_t clients_rejoined;
   std::uint64_t intents_rolled_back;
   std::uint64_t intents_rolled_forward;
   std::uint64_t intents_corrupt;
+  std::uint64_t restarts;
+  std::uint64_t clients_died_meanwhile;  // of those that died: while no daemon was there
+  std::uint64_t requests_answered_again;
   std::uint64_t requests_refused;
   std::uint64_t connections_refused;
 };
@@ -191,6 +212,7 @@ inline constexpr bool travels =
         Body>&& std::has_unique_object_representations_v<Body>;
 static_assert(travels<Observe> && travels<Observed> && travels<Dump> && travels<DumpDaemon> &&
               travels<DumpProcess> && travels<DumpTopic> && travels<DumpEndpoint> &&
-              travels<DumpUser> && travels<DumpEnd>);
+              travels<DumpUser> && travels<DumpEnd> && travels<Revoke> && travels<ReadJournal> &&
+              travels<JournalRecord> && travels<JournalEnd>);
 
 }  // namespace agnocast::abi::wire

@@ -4,7 +4,9 @@
 // answers each line with one line. Linked with the heap hook, so it can publish. Used by the
 // integration tests.
 //
-//   sub TOPIC DEPTH [tl]     pub TOPIC DEPTH [tl]       → ok | error CODE WHAT
+//   sub TOPIC DEPTH [tl|all]     pub TOPIC DEPTH [tl|all]      → ok | error CODE WHAT
+//   connect                                        → ok | error …
+//   state                                          → connected | reconnecting | island CODE | …
 //   publish COUNT ELEMENTS                               → ok | error …          numbers go on from
 //   1 take                                                 → none | NUMBER | damaged       holds
 //   what it took release                                              → ok | damaged | none the
@@ -16,6 +18,7 @@
 #include <agnocast/message_type.hpp>
 
 #include <sys/epoll.h>
+#include <unistd.h>
 
 #include <cstdint>
 #include <cstdio>
@@ -76,6 +79,8 @@ class Tool {
     if (what == "lost") return std::to_string(subscription_->lost());
     if (what == "links") return std::to_string(subscription_->link_count());
     if (what == "allocated") return std::to_string(publisher_->allocated_count());
+    if (what == "state") return state();
+    if (what == "connect") return connect();
     if (what == "matched") return std::to_string(publisher_->subscription_count());
     if (what == "unsub") {
       Context::instance().destroy(subscription_);
@@ -95,6 +100,34 @@ class Tool {
     return "error " + std::to_string(static_cast<int>(failure.code)) + " " +
            agnocast::text_of(failure);
   }
+  static std::string state() {
+    switch (connection_state()) {
+      case ConnectionState::unconnected:
+        return "unconnected";
+      case ConnectionState::connected:
+        return "connected";
+      case ConnectionState::reconnecting:
+        return "reconnecting";
+      case ConnectionState::island:
+        break;
+    }
+    return "island " + std::to_string(static_cast<int>(island_reason()));
+  }
+  // An endpoint that nobody meets, gone at once.
+  static std::string connect() {
+    const std::string topic = "/client_tool_" + std::to_string(::getpid());
+    EndpointRequest request;
+    request.topic = topic;
+    request.type = "tests/Cloud";
+    request.node = "/client_tool";
+    request.quota = 1;
+    const auto idle = Context::instance().idle_sleeper();
+    if (!idle) return text_of(idle.error());
+    const auto created = Context::instance().create_subscription(request, *idle);
+    if (!created) return text_of(created.error());
+    Context::instance().destroy(*created);
+    return "ok";
+  }
   static EndpointRequest request(std::istringstream& line, std::string& topic) {
     EndpointRequest request;
     std::string flag;
@@ -104,6 +137,7 @@ class Tool {
     request.node = "/client_tool";
     request.layout_hash = sizeof(Cloud);
     request.qos.transient_local = flag == "tl";
+    request.qos.keep_all = flag == "all";
     request.quota = 16;
     return request;
   }

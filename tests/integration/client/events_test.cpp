@@ -8,8 +8,12 @@
 #include <agnocast/agnocast.hpp>
 #include <tests/integration/client/second_process.hpp>
 #include <tests/support/daemon_process.hpp>
+#include <tests/support/foreign_socket.hpp>
 
 #include <gmock/gmock.h>
+
+#include <signal.h>
+#include <unistd.h>
 
 #include <cstdlib>
 #include <mutex>
@@ -65,6 +69,28 @@ struct Told {
     return infos.empty() ? Info() : infos.back();
   }
 };
+
+TEST_F(Events, AnEndpointLearnsThatTheDaemonIsAwayAndBack) {
+  Node node(own("node"));
+  Told<ConnectionInfo> told, also_told;
+  auto subscription = node.create_subscription<Number>(
+      own("topic"), 1, [](const ipc_shared_ptr<const Number>&) {},
+      SubscriptionOptions().connection_callback([&](ConnectionInfo& info) { told.add(info); }));
+  auto publisher = node.create_publisher<Number>(
+      own("topic"), 1,
+      PublisherOptions().connection_callback([&](ConnectionInfo& info) { also_told.add(info); }));
+  EXPECT_EQ(connection_state(), ConnectionState::connected);
+  ::kill(daemon->pid(), SIGSTOP);
+  ASSERT_TRUE(test::end_connection(::getpid()));
+  EXPECT_TRUE(eventually([&] { return told.last().state == ConnectionState::reconnecting; }));
+  EXPECT_TRUE(eventually([&] { return also_told.last().state == ConnectionState::reconnecting; }));
+  EXPECT_EQ(connection_state(), ConnectionState::reconnecting);
+  ::kill(daemon->pid(), SIGCONT);
+  EXPECT_TRUE(eventually([&] { return told.last().state == ConnectionState::connected; }));
+  EXPECT_TRUE(eventually([&] { return also_told.last().state == ConnectionState::connected; }));
+  EXPECT_EQ(told.infos.size(), 2u);
+  EXPECT_EQ(island_reason(), Errc::ok);
+}
 
 TEST_F(Events, ASubscriptionLearnsOfPublishersThatComeLeaveAndDie) {
   Node node(own("node"));

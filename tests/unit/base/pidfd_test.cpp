@@ -58,6 +58,23 @@ TEST(Pidfd, InodeIsTheProcess) {
   EXPECT_FALSE(Pidfd(UniqueFd(::dup(0))).inode()) << "not a pidfd";
 }
 
+TEST(Pidfd, ProcessesAreToldApartAndADeadOneIsNobody) {
+  Child first(sleep_for_ever);
+  Child second(sleep_for_ever);
+  const auto one = Pidfd::open(first.pid());
+  const auto again = Pidfd::open(first.pid());
+  const auto other = Pidfd::open(second.pid());
+  ASSERT_TRUE(one && again && other);
+  for (const bool has_inodes : {true, false}) {
+    EXPECT_TRUE(same_process(*one, *again, has_inodes));
+    EXPECT_FALSE(same_process(*one, *other, has_inodes));
+    EXPECT_FALSE(same_process(*one, Pidfd(UniqueFd(::dup(0))), has_inodes));
+  }
+  first.kill();
+  first.wait();
+  for (const bool has_inodes : {true, false}) EXPECT_FALSE(same_process(*one, *again, has_inodes));
+}
+
 TEST(Pidfd, StartTimeIsStableAndNobodyHasNone) {
   Child child(sleep_for_ever);
   const auto own = start_time_of(::getpid());

@@ -187,10 +187,8 @@ TEST(Dataplane, AnHonestSubscriptionLosesNothingBesideALyingOne) {
           case 1:
             pair.line(1).cursor().store(nasty(random));
             break;
-          // A liar may pin what its quota allows; the daemon revokes what goes beyond. Here: at
-          // most half of the slots.
           case 2:
-            pair.line(1).hold(0).store(nasty(random) & 0xffffffff);
+            pair.line(1).hold(0).store(nasty(random));
             break;
           default:
             M::word(pair.subscriber[1].base(), offsetof(abi::ClientRegionHeader, executor))

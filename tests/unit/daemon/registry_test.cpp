@@ -6,12 +6,14 @@
 // Method: the registry over anonymous memory; seeded random operations against a trivial reference
 // model; a death simulated at every record by leaving it committed and not applied.
 
+#include <agnocast/abi/fingerprint.hpp>
 #include <daemon/registry.hpp>
 
 #include <gtest/gtest.h>
 #include <sys/mman.h>
 
 #include <algorithm>
+#include <cstdio>
 #include <cstring>
 #include <map>
 #include <random>
@@ -179,7 +181,7 @@ TEST_F(RegistryTest, EndsAProcessOnlyWhenNothingOfItIsKnown) {
   const auto p = publisher(a, t);
   registry.tell({Kind::publisher, t, p.index}, b);
   EXPECT_FALSE(registry.can_end(a));
-  registry.client_died(a);
+  registry.client_died(a, journal::DeathReason::died);
   registry.orphan_publisher(t, p.index, 0);
   EXPECT_FALSE(registry.can_end(a));
   registry.let_go({Kind::publisher, t, p.index}, b);
@@ -200,7 +202,7 @@ TEST_F(RegistryTest, ForgetsADeadProcessEverywhere) {
   const auto s = subscription(a, u);
   registry.tell({Kind::publisher, t, p.index}, b);
   registry.tell({Kind::subscription, u, s.index}, b);
-  registry.client_died(b);
+  registry.client_died(b, journal::DeathReason::died);
   registry.client_forgotten(b);
   EXPECT_TRUE(registry.told_of({Kind::publisher, t, p.index}).reusable());
   EXPECT_TRUE(registry.told_of({Kind::subscription, u, s.index}).reusable());
@@ -261,10 +263,99 @@ TEST_F(RegistryTest, IsFoundAgainByALaterLife) {
   EXPECT_GT(q.generation, p.generation);
 }
 
-TEST_F(RegistryTest, RefusesMemoryOfAnotherLayout) {
-  Memory other;
-  Registry none(other.parts());
-  EXPECT_FALSE(none.open());
+TEST_F(RegistryTest, RefusesMemoryOfAnotherLayoutAndSaysBoth) {
+  client();
+  auto& fingerprint = SharedMemory::word(memory.parts().log, 8);
+  fingerprint.store(0x1234);
+  const auto opened = Registry(memory.parts()).open();
+  ASSERT_FALSE(opened);
+  EXPECT_EQ(opened.error().code, Errc::layout_mismatch);
+  const std::string text = detail_of(opened.error());
+  EXPECT_NE(text.find("0x0000000000001234"), std::string::npos) << text;
+  char own[32];
+  std::snprintf(own, sizeof own, "0x%016llx", static_cast<unsigned long long>(abi::fingerprint()));
+  EXPECT_NE(text.find(own), std::string::npos) << text;
+  // The tables may differ where the regions do not.
+  fingerprint.store(abi::fingerprint());
+  ASSERT_TRUE(Registry(memory.parts()).open());
+  SharedMemory::word(memory.parts().tables, offsetof(TableHeader, layout)).store(7);
+  const auto tables = Registry(memory.parts()).open();
+  ASSERT_FALSE(tables);
+  EXPECT_EQ(tables.error().code, Errc::layout_mismatch);
+}
+
+TEST_F(RegistryTest, RefusesDamageAndSaysWhich) {
+  const ClientIndex a = client();
+  const TopicIndex t = topic();
+  publisher(a, t);
+  const auto refused_with = [&](auto damage, const char* what) {
+    const std::vector<std::byte> log(memory.parts().log,
+                                     memory.parts().log + journal::RedoLog::bytes);
+    const Tables& tables = *reinterpret_cast<Tables*>(memory.parts().tables);
+    const TableHeader header = tables.header;
+    const ClientRecord first_client = tables.client[0];
+    const PublisherRecord first_publisher = tables.publisher[0][0];
+    damage();
+    const auto opened = Registry(memory.parts()).open();
+    EXPECT_FALSE(opened) << what;
+    if (!opened) {
+      EXPECT_EQ(opened.error().code, Errc::internal);
+      EXPECT_NE(std::string(detail_of(opened.error())).find(what), std::string::npos)
+          << detail_of(opened.error());
+    }
+    std::memcpy(memory.parts().log, log.data(), log.size());
+    Tables& mended = *reinterpret_cast<Tables*>(memory.parts().tables);
+    mended.header = header;
+    mended.client[0] = first_client;
+    mended.publisher[0][0] = first_publisher;
+    ASSERT_TRUE(Registry(memory.parts()).open());
+  };
+  const auto log_word = [&](std::uint64_t offset) -> abi::SharedWord& {
+    return SharedMemory::word(memory.parts().log, offset);
+  };
+  Tables& tables = *reinterpret_cast<Tables*>(memory.parts().tables);
+  refused_with([&] { log_word(0).store(1); }, "does not begin like one");
+  refused_with([&] { log_word(128).store(log_word(64).load() + 1); }, "has not committed");
+  refused_with([&] { log_word(128).store(log_word(64).load() - 2); }, "has not committed");
+  refused_with(
+      [&] {
+        const std::uint64_t committed = log_word(64).load();
+        log_word(128).store(committed - 1);
+        log_word(4096 + committed * sizeof(journal::Record) + 40).fetch_xor(1);
+      },
+      "last record of the journal is not whole");
+  refused_with([&] { tables.header.magic = 0; }, "do not begin like tables");
+  refused_with([&] { tables.header.client_high = abi::client_count_max + 1; }, "out of range");
+  refused_with([&] { tables.client[0].window_count = 99; }, "windows of a process");
+  refused_with([&] { tables.client[0].state = static_cast<ClientState>(9); }, "state of a process");
+  refused_with([&] { tables.publisher[0][0].extent = Registry::client_region_bytes; },
+               "a publisher");
+  refused_with([&] { tables.publisher[0][0].client = ClientIndex{77}; }, "a publisher");
+  refused_with([&] { log_word(16).store(2); }, "not of one incarnation");
+}
+
+TEST_F(RegistryTest, MakesTheBoardSayWhatTheTablesSay) {
+  const ClientIndex a = client();
+  const TopicIndex t = topic();
+  const auto p = publisher(a, t);
+  const dataplane::TopicWords<SharedMemory> words{memory.board(), abi::topic_offset(number(t))};
+  Registry later(memory.parts());
+  ASSERT_TRUE(later.open());
+  const std::uint64_t epoch = words.epoch().load(std::memory_order_relaxed);
+  EXPECT_EQ(later.repair_board(), 0u);
+  EXPECT_GT(words.epoch().load(std::memory_order_relaxed), epoch) << "everybody looks again";
+  const std::size_t fields[] = {
+      offsetof(abi::PublisherEntry, word),       offsetof(abi::PublisherEntry, qos),
+      offsetof(abi::PublisherEntry, client),     offsetof(abi::PublisherEntry, extent),
+      offsetof(abi::PublisherEntry, slot_count), offsetof(abi::PublisherEntry, first_sequence),
+      offsetof(abi::PublisherEntry, final_head)};
+  for (const std::size_t field : fields) {
+    auto&& word = words.publisher(p.index, field);
+    const std::uint64_t before = word.load(std::memory_order_relaxed);
+    word.store(before ^ 0x100, std::memory_order_relaxed);
+    EXPECT_EQ(later.repair_board(), 1u) << field;
+    EXPECT_EQ(word.load(std::memory_order_relaxed), before) << field;
+  }
 }
 
 // A trivial model of what the tables must say, kept by hand beside random operations. Every now and

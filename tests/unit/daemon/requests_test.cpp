@@ -55,7 +55,7 @@ TEST(Requests, PassesEveryHonestPacket) {
       decoded(body<wire::Hello>(wire::Opcode::hello), {}, Role::unknown)));
   EXPECT_TRUE(std::holds_alternative<wire::WindowRequest>(
       decoded(body<wire::WindowRequest>(wire::Opcode::open_window))));
-  EXPECT_TRUE(std::holds_alternative<wire::ExecutorRequest>(
+  EXPECT_TRUE(std::holds_alternative<ExecutorRequest>(
       decoded(body<wire::ExecutorRequest>(wire::Opcode::open_executor))));
   EXPECT_TRUE(std::holds_alternative<wire::Observe>(
       decoded(body<wire::Observe>(wire::Opcode::observe), {}, Role::unknown)));
@@ -77,10 +77,26 @@ TEST(Requests, PassesEveryHonestPacket) {
   EXPECT_TRUE(std::holds_alternative<LeaveRequest>(decoded(reference)));
   reference.header.opcode = wire::Opcode::drained;
   EXPECT_TRUE(std::holds_alternative<DrainedRequest>(decoded(reference)));
+  const Request back = decoded(body<wire::Rejoin>(wire::Opcode::rejoin), {}, Role::unknown);
+  EXPECT_TRUE(std::holds_alternative<wire::Rejoin>(back));
   auto unlinked = body<wire::Unlinked>(wire::Opcode::unlinked);
   unlinked.kind = wire::Kind::region;
   unlinked.generation = 4;
   EXPECT_TRUE(std::holds_alternative<wire::Unlinked>(decoded(unlinked)));
+}
+
+TEST(Requests, KeepsTheMarkOfARepetitionOutOfItsId) {
+  auto packet = honest_create(wire::Opcode::create_publisher);
+  packet.header.request = 77 | wire::asked_again;
+  const Request created = decoded(packet);
+  ASSERT_TRUE(std::holds_alternative<CreateRequest>(created));
+  EXPECT_TRUE(std::get<CreateRequest>(created).again);
+  EXPECT_EQ(std::get<CreateRequest>(created).request, 77u);
+  packet.qos = 0;
+  EXPECT_EQ(rejected(decoded(packet)).request, 77u);
+  packet.header.request = 77;
+  packet.qos = honest_create(wire::Opcode::create_publisher).qos;
+  EXPECT_FALSE(std::get<CreateRequest>(decoded(packet)).again);
 }
 
 TEST(Requests, EndsAConnectionThatCannotBeParsed) {
@@ -187,7 +203,8 @@ TEST(Requests, SurvivesRandomPackets) {
                                   wire::Opcode::create_subscription,
                                   wire::Opcode::leave,
                                   wire::Opcode::drained,
-                                  wire::Opcode::unlinked};
+                                  wire::Opcode::unlinked,
+                                  wire::Opcode::rejoin};
   unsigned accepted = 0;
   for (int i = 0; i < 200000; ++i) {
     // Mostly honest packets with a few wrong bytes: pure noise would never get past the length.

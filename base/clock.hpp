@@ -1,0 +1,19 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Clock: the one time that all processes of the host share and nobody can set.
+#pragma once
+
+#include <cstdint>
+#include <ctime>
+
+namespace agnocast {
+
+/// CLOCK_MONOTONIC.
+inline std::uint64_t monotonic_ns() noexcept {
+  timespec now{};
+  ::clock_gettime(CLOCK_MONOTONIC, &now);
+  return static_cast<std::uint64_t>(now.tv_sec) * 1'000'000'000 +
+         static_cast<std::uint64_t>(now.tv_nsec);
+}
+
+}  // namespace agnocast

@@ -1,0 +1,105 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <daemon/descriptor_store.hpp>
+
+#include <systemd/sd-daemon.h>
+
+#include <cerrno>
+#include <charconv>
+#include <cstdlib>
+#include <cstring>
+#include <utility>
+
+namespace agnocast::daemon {
+namespace {
+
+// How long the manager may take to remove what nobody needs; it goes on without an answer.
+constexpr std::uint64_t barrier_patience_us = 5'000'000;
+
+std::size_t limit_of_manager() noexcept {
+  const char* const text = std::getenv("FDSTORE");
+  if (text == nullptr) return SIZE_MAX;
+  std::size_t limit = 0;
+  const char* const end = text + std::strlen(text);
+  const auto parsed = std::from_chars(text, end, limit);
+  return parsed.ec == std::errc() && parsed.ptr == end && limit > 0 ? limit : SIZE_MAX;
+}
+
+std::string indexed(char kind, ClientIndex client) { return kind + std::to_string(number(client)); }
+
+}  // namespace
+
+Result<DescriptorStore> DescriptorStore::of_manager() {
+  const char* const socket = std::getenv("NOTIFY_SOCKET");
+  if (socket == nullptr || *socket == '\0')
+    return fail(Errc::invalid_argument, "nobody is there who keeps descriptors");
+  DescriptorStore store;
+  store.keeps_ = true;
+  store.kept_count_max_ = limit_of_manager();
+  char** names = nullptr;
+  const int count = ::sd_listen_fds_with_names(1, &names);
+  if (count < 0) return fail(Errc::os_failure, "receiving kept descriptors", -count);
+  for (int i = 0; i < count; ++i) {
+    store.former_[names[i]] = UniqueFd(SD_LISTEN_FDS_START + i);
+    store.kept_.insert(names[i]);
+    std::free(names[i]);
+  }
+  std::free(names);
+  return store;
+}
+
+UniqueFd DescriptorStore::take(const std::string& name) {
+  const auto found = former_.find(name);
+  if (found == former_.end()) return UniqueFd();
+  UniqueFd fd = std::move(found->second);
+  former_.erase(found);
+  return fd;
+}
+
+std::vector<std::string> DescriptorStore::left_over() const {
+  std::vector<std::string> names;
+  for (const auto& [name, fd] : former_) names.push_back(name);
+  return names;
+}
+
+std::size_t DescriptorStore::remove_left_over() {
+  const std::size_t count = former_.size();
+  if (count == 0) return 0;
+  for (const std::string& name : left_over()) remove(name);
+  former_.clear();
+  static_cast<void>(::sd_notify_barrier(0, barrier_patience_us));
+  return count;
+}
+
+Result<void> DescriptorStore::put(const std::string& name, int fd) {
+  if (!keeps_) return {};
+  if (kept_.size() >= kept_count_max_)
+    return fail_with(Errc::limit_reached, "FileDescriptorStoreMax is " +
+                                              std::to_string(kept_count_max_) +
+                                              ", as many descriptors are kept");
+  // FDPOLL=0: a manager that polls would drop a pidfd when its process ends.
+  const std::string state = "FDSTORE=1\nFDPOLL=0\nFDNAME=" + name;
+  const int fds[] = {fd};
+  const int status = ::sd_pid_notify_with_fds(0, 0, state.c_str(), fds, 1);
+  if (status <= 0) return fail(Errc::os_failure, "having a descriptor kept", -status);
+  kept_.insert(name);
+  return {};
+}
+
+void DescriptorStore::remove(const std::string& name) noexcept {
+  if (kept_.erase(name) == 0) return;
+  notify("FDSTOREREMOVE=1\nFDNAME=" + name);
+}
+
+std::string DescriptorStore::region(ClientIndex client) { return indexed('r', client); }
+std::string DescriptorStore::process(ClientIndex client) { return indexed('p', client); }
+std::string DescriptorStore::window(ClientIndex client, std::uint64_t window) {
+  return indexed('w', client) + '.' + std::to_string(window);
+}
+std::string DescriptorStore::eventfd(ClientIndex client, std::uint64_t executor) {
+  return indexed('e', client) + '.' + std::to_string(executor);
+}
+
+void notify(const std::string& state) noexcept { static_cast<void>(::sd_notify(0, state.c_str())); }
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,75 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Descriptor store: what of this process outlives it.
+//
+// A manager (systemd, or our own supervisor: see supervisor.hpp) keeps descriptors by name and hands
+// them to the next life. What is put is in the manager's queue when put() returns: a death right
+// after it loses nothing. The names:
+//
+//   board, journal, lock, listen     once; listen last: without it nobody has ever been served
+//   rN   region of process N, to write          pN     its pidfd
+//   wN.K its window K, to read                  eN.X   eventfd of its executor X
+//
+// A descriptor is put before the journal record that makes it count, and removed after the record
+// that ends it. What a death in between leaves over is what nobody takes at the next start.
+//
+// Without a manager nothing is kept, and every call succeeds.
+#pragma once
+
+#include <agnocast/result.hpp>
+#include <base/unique_fd.hpp>
+#include <daemon/tables.hpp>
+
+#include <cstddef>
+#include <cstdint>
+#include <map>
+#include <set>
+#include <string>
+#include <vector>
+
+namespace agnocast::daemon {
+
+class DescriptorStore {
+ public:
+  /// Nobody keeps anything.
+  DescriptorStore() = default;
+  /// The manager that started this process (NOTIFY_SOCKET) and what it kept (LISTEN_FDS); once, and
+  /// before anything else is opened. Errors: os_failure, invalid_argument (there is no manager).
+  [[nodiscard]] static Result<DescriptorStore> of_manager();
+
+  DescriptorStore(DescriptorStore&&) = default;
+  DescriptorStore& operator=(DescriptorStore&&) = default;
+
+  bool keeps() const noexcept { return keeps_; }
+
+  // --- from the former life
+  bool has(const std::string& name) const { return former_.count(name) != 0; }
+  /// A descriptor that was kept; it stays in the store. Empty when there is none.
+  UniqueFd take(const std::string& name);
+  /// Names that nobody has taken.
+  std::vector<std::string> left_over() const;
+  /// Removes whatever was not taken, and waits until the manager has done so. The number.
+  std::size_t remove_left_over();
+
+  // --- for the next life
+  /// Errors: limit_reached (the manager keeps no more), os_failure.
+  [[nodiscard]] Result<void> put(const std::string& name, int fd);
+  /// What is not kept may be removed as well.
+  void remove(const std::string& name) noexcept;
+
+  static std::string region(ClientIndex client);
+  static std::string process(ClientIndex client);
+  static std::string window(ClientIndex client, std::uint64_t window);
+  static std::string eventfd(ClientIndex client, std::uint64_t executor);
+
+ private:
+  bool keeps_ = false;
+  std::size_t kept_count_max_ = SIZE_MAX;  // $FDSTORE, where the manager says it
+  std::set<std::string> kept_;
+  std::map<std::string, UniqueFd> former_;
+};
+
+/// sd_notify: READY=1, STATUS=…, STOPPING=1. Without NOTIFY_SOCKET nobody asks.
+void notify(const std::string& state) noexcept;
+
+}  // namespace agnocast::daemon

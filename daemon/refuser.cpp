@@ -1,0 +1,73 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <daemon/refuser.hpp>
+
+#include <daemon/membership.hpp>
+
+#include <sys/epoll.h>
+
+#include <array>
+#include <cstring>
+#include <utility>
+
+namespace agnocast::daemon {
+namespace {
+
+// Who connects and says nothing must not take the descriptors of those who ask.
+constexpr std::size_t caller_count_max = 64;
+
+}  // namespace
+
+Refuser::~Refuser() {
+  dispatcher_.remove(listening_);
+  for (const auto& [id, caller] : callers_) dispatcher_.remove(caller.token);
+}
+
+Result<void> Refuser::start() {
+  const auto token =
+      dispatcher_.add(listener_.fd(), EPOLLIN, [this](std::uint32_t) { accept_all(); });
+  if (!token) return tl::unexpected(token.error());
+  listening_ = *token;
+  return {};
+}
+
+void Refuser::accept_all() {
+  for (;;) {
+    auto socket = listener_.accept();
+    if (!socket || !*socket) return;
+    const std::uint64_t id = ++last_caller_;
+    const auto token =
+        dispatcher_.add((*socket)->fd(), EPOLLIN, [this, id](std::uint32_t) { answer(id); });
+    if (!token) continue;
+    callers_.emplace(id, Caller{std::move(**socket), *token});
+    if (callers_.size() > caller_count_max) {
+      dispatcher_.remove(callers_.begin()->second.token);
+      callers_.erase(callers_.begin());
+    }
+  }
+}
+
+void Refuser::answer(std::uint64_t id) {
+  const auto found = callers_.find(id);
+  if (found == callers_.end()) return;
+  std::array<std::byte, wire::packet_bytes_max> buffer;
+  const auto packet = found->second.socket.receive(buffer);
+  if (packet && packet->kind == Packet::Kind::nothing) return;
+  if (packet && packet->kind == Packet::Kind::data) {
+    wire::Header header{};
+    if (packet->bytes >= sizeof header)
+      std::memcpy(static_cast<void*>(&header), buffer.data(), sizeof header);
+    auto refused =
+        make_body<wire::Refused>(wire::Opcode::refused, header.request & ~wire::asked_again);
+    refused.code = static_cast<std::uint32_t>(Errc::layout_mismatch);
+    refused.text = name_of(why_);
+    const auto sent = found->second.socket.send(packet_of(refused));
+    log_.write_limited("refused", LogLevel::warning, "request refused",
+                       {{"code", "layout_mismatch"}, {"why", why_}});
+    if (sent && *sent == Sent::sent) return;
+  }
+  dispatcher_.remove(found->second.token);
+  callers_.erase(found);
+}
+
+}  // namespace agnocast::daemon

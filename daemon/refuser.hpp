@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Refuser: what serves when a former life cannot be gone on with.
+//
+// Another build has left its tables, or they are damaged. Nothing of it is touched, every descriptor
+// stays where it is kept, and whoever connects is told what is wrong: `refused` with layout_mismatch,
+// to whatever he says. The build that made them can be started again and goes on.
+#pragma once
+
+#include <base/packet_socket.hpp>
+#include <daemon/dispatcher.hpp>
+#include <daemon/log.hpp>
+
+#include <cstdint>
+#include <map>
+#include <string>
+
+namespace agnocast::daemon {
+
+class Refuser {
+ public:
+  /// `why` is for people, and for every client.
+  Refuser(PacketListener listener, Dispatcher& dispatcher, Log& log, std::string why)
+      : listener_(std::move(listener)), dispatcher_(dispatcher), log_(log), why_(std::move(why)) {}
+  ~Refuser();
+  Refuser(const Refuser&) = delete;
+  Refuser& operator=(const Refuser&) = delete;
+
+  /// Errors: os_failure.
+  [[nodiscard]] Result<void> start();
+
+ private:
+  struct Caller {
+    PacketSocket socket;
+    Dispatcher::Token token = 0;
+  };
+  void accept_all();
+  void answer(std::uint64_t id);
+
+  PacketListener listener_;
+  Dispatcher& dispatcher_;
+  Log& log_;
+  std::string why_;
+  Dispatcher::Token listening_ = 0;
+  std::map<std::uint64_t, Caller> callers_;
+  std::uint64_t last_caller_ = 0;
+};
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,261 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Registry, the beginning of a life: a fresh one, or one that goes on with the memory of an earlier.
+//
+// That memory is the daemon's alone. All the same nothing in it is used as an index before it was
+// checked: a bug may have been there, or another build. What is wrong is said and never mended by a
+// guess; only the board, which repeats what the tables say, is written again.
+
+#include <daemon/registry.hpp>
+
+#include <agnocast/abi/board.hpp>
+#include <agnocast/abi/fingerprint.hpp>
+#include <base/check.hpp>
+#include <base/step.hpp>
+
+#include <cinttypes>
+#include <cstdio>
+#include <cstring>
+
+namespace agnocast::daemon {
+namespace {
+
+constexpr std::uint64_t magic_value = 0x6c6261742e6f6761;  // "ago.tabl" in memory order
+
+constexpr std::uint64_t layout_of_tables() noexcept {
+  abi::Fingerprint sum;
+  sum.add(sizeof(TableHeader), offsetof(TableHeader, arena_base), offsetof(TableHeader, counters),
+          offsetof(TableHeader, bells));
+  sum.add(sizeof(ClientRecord), offsetof(ClientRecord, executors),
+          offsetof(ClientRecord, window_count), offsetof(ClientRecord, window),
+          offsetof(ClientRecord, told), offsetof(ClientRecord, name));
+  sum.add(sizeof(TopicRecord), offsetof(TopicRecord, domain), offsetof(TopicRecord, layout_hash),
+          offsetof(TopicRecord, name), offsetof(TopicRecord, type));
+  sum.add(sizeof(PublisherRecord), offsetof(PublisherRecord, slot_count),
+          offsetof(PublisherRecord, final_head), offsetof(PublisherRecord, creation),
+          offsetof(PublisherRecord, last_joined), offsetof(PublisherRecord, told),
+          offsetof(PublisherRecord, node));
+  sum.add(sizeof(SubscriptionRecord), offsetof(SubscriptionRecord, quota),
+          offsetof(SubscriptionRecord, executor), offsetof(SubscriptionRecord, creation),
+          offsetof(SubscriptionRecord, told), offsetof(SubscriptionRecord, node));
+  sum.add(ClientState::dead, EndpointState::leaving, EndpointState::orphan, EndpointState::over,
+          EndpointState::dead);
+  return sum.value();
+}
+
+tl::unexpected<Failure> other_layout(const char* whose, std::uint64_t found,
+                                     std::uint64_t expected) {
+  char text[160];
+  std::snprintf(text, sizeof text,
+                "%s of the former agnocastd have layout 0x%016" PRIx64
+                ", this agnocastd has layout 0x%016" PRIx64,
+                whose, found, expected);
+  return fail_with(Errc::layout_mismatch, text);
+}
+
+tl::unexpected<Failure> damaged(const char* what) {
+  return fail_with(Errc::internal,
+                   std::string("what the former agnocastd left is damaged: ") + what);
+}
+
+template <std::size_t size>
+bool ends(const char (&name)[size]) noexcept {
+  return std::memchr(name, 0, size) != nullptr;
+}
+
+/// Stores `value` unless it is there; how many words that were.
+template <class Word>
+std::uint64_t agree(Word&& word, std::uint64_t value) noexcept {
+  if (word.load(std::memory_order_relaxed) == value) return 0;
+  AGNOCAST_CRASH_POINT(B_board_field);
+  word.store(value, std::memory_order_release);
+  return 1;
+}
+
+}  // namespace
+
+abi::MemberState on_board(EndpointState state) noexcept {
+  switch (state) {
+    case EndpointState::active:
+      return abi::MemberState::active;
+    case EndpointState::leaving:
+      return abi::MemberState::leaving;
+    case EndpointState::orphan:
+      return abi::MemberState::orphan;
+    case EndpointState::dead:
+      return abi::MemberState::dead;
+    case EndpointState::free:
+    case EndpointState::over:
+      break;
+  }
+  return abi::MemberState::free;
+}
+
+void Registry::create(std::uint64_t incarnation, const Founding& founding) {
+  TableHeader& header = tables_.header;
+  AGNOCAST_CHECK(founding.bells.size() < sizeof header.bells);
+  header.magic = magic_value;
+  header.layout = layout_of_tables();
+  header.arena_base = founding.arena_base;
+  header.arena_bytes = founding.arena_bytes;
+  header.window_bytes = founding.window_bytes;
+  header.began_ns = founding.now_ns;
+  std::memcpy(header.bells, founding.bells.data(), founding.bells.size());
+  auto* const board = reinterpret_cast<abi::BoardHeader*>(board_);
+  board->fingerprint.store(abi::fingerprint(), std::memory_order_relaxed);
+  board->incarnation.store(incarnation, std::memory_order_relaxed);
+  board->magic.store(abi::board_magic, std::memory_order_release);
+  log_.create(abi::fingerprint(), incarnation);
+}
+
+Result<void> Registry::check_log(const journal::RedoLog& log) {
+  switch (log.state(abi::fingerprint())) {
+    case journal::RedoLog::State::valid:
+      return {};
+    case journal::RedoLog::State::other_layout:
+      if (log.fingerprint() == abi::fingerprint())
+        return other_layout("the records", log.shape(), journal::RedoLog::own_shape);
+      return other_layout("the regions", log.fingerprint(), abi::fingerprint());
+    case journal::RedoLog::State::damaged:
+      break;
+  }
+  return damaged(log.damage());
+}
+
+Result<void> Registry::open() {
+  if (auto checked = check_log(log_); !checked) return checked;
+  const TableHeader& header = tables_.header;
+  if (header.magic != magic_value) return damaged("the tables do not begin like tables");
+  if (header.layout != layout_of_tables())
+    return other_layout("the tables", header.layout, layout_of_tables());
+  const auto* const board = reinterpret_cast<const abi::BoardHeader*>(board_);
+  if (board->magic.load(std::memory_order_acquire) != abi::board_magic ||
+      board->incarnation.load(std::memory_order_relaxed) != log_.incarnation())
+    return damaged("board and journal are not of one incarnation");
+  if (header.client_high > abi::client_count_max || header.topic_high > abi::topic_count_max ||
+      !ends(header.bells))
+    return damaged("the header of the tables is out of range");
+  if (const auto record = log_.pending()) {
+    apply(*record);
+    log_.applied();
+    redone_lsn_ = record->lsn;
+  }
+  if (const char* const what = flaw()) return damaged(what);
+  rebuild();
+  return {};
+}
+
+const char* Registry::flaw_of_client(std::uint32_t index) const noexcept {
+  const ClientRecord& record = tables_.client[index];
+  if (record.state == ClientState::free) return nullptr;
+  if (record.state != ClientState::alive && record.state != ClientState::dead)
+    return "the state of a process";
+  if (record.generation == 0 || record.generation > tables_.header.last_generation)
+    return "the generation of a process";
+  if (record.window_count > abi::window_count_max) return "the windows of a process";
+  if (record.executors >> abi::executor_count_max != 0) return "the executors of a process";
+  return ends(record.name) ? nullptr : "the name of a process";
+}
+
+const char* Registry::flaw_of_topic(std::uint32_t index) const noexcept {
+  const TopicRecord& topic = tables_.topic[index];
+  if (topic.state == TopicState::free) return nullptr;
+  if (topic.state != TopicState::used) return "the state of a topic";
+  if (topic.publisher_high > abi::publisher_count_max ||
+      topic.subscription_high > abi::subscription_count_max)
+    return "the members of a topic";
+  if (!ends(topic.name) || !ends(topic.type)) return "the name of a topic";
+  const auto check = [&](const auto& record, std::uint64_t extent_bytes, bool state_is_known) {
+    if (record.state == EndpointState::free) return true;
+    return state_is_known && number(record.client) < tables_.header.client_high &&
+           client(record.client).state != ClientState::free && record.generation != 0 &&
+           record.generation <= tables_.header.last_generation &&
+           record.extent >= abi::page_bytes && record.extent % abi::cache_line_bytes == 0 &&
+           record.extent <= client_region_bytes - extent_bytes && ends(record.node);
+  };
+  for (std::uint32_t i = 0; i < topic.publisher_high; ++i) {
+    const PublisherRecord& record = tables_.publisher[index][i];
+    const bool known = record.state == EndpointState::active ||
+                       record.state == EndpointState::orphan || record.state == EndpointState::over;
+    if (!check(record, abi::publisher_extent_bytes, known) ||
+        (known && record.slot_count > abi::slot_count_max))
+      return "a publisher";
+  }
+  for (std::uint32_t i = 0; i < topic.subscription_high; ++i) {
+    const SubscriptionRecord& record = tables_.subscription[index][i];
+    const bool known = record.state == EndpointState::active ||
+                       record.state == EndpointState::leaving ||
+                       record.state == EndpointState::over || record.state == EndpointState::dead;
+    if (!check(record, abi::subscription_extent_bytes, known) ||
+        (known && record.executor >= abi::executor_count_max))
+      return "a subscription";
+  }
+  return nullptr;
+}
+
+const char* Registry::flaw() const noexcept {
+  for (std::uint32_t i = 0; i < tables_.header.client_high; ++i) {
+    if (const char* const what = flaw_of_client(i)) return what;
+  }
+  for (std::uint32_t i = 0; i < tables_.header.topic_high; ++i) {
+    if (const char* const what = flaw_of_topic(i)) return what;
+  }
+  return nullptr;
+}
+
+std::uint64_t Registry::repair_publisher(TopicIndex topic, std::uint32_t index) {
+  using Entry = abi::PublisherEntry;
+  const PublisherRecord& record = publisher(topic, index);
+  const auto at = [&](std::size_t offset) -> decltype(auto) {
+    return words(topic).publisher(index, offset);
+  };
+  std::uint64_t repaired = 0;
+  if (record.state != EndpointState::free) {
+    repaired += agree(at(offsetof(Entry, qos)), record.qos);
+    repaired += agree(at(offsetof(Entry, client)), number(record.client));
+    repaired += agree(at(offsetof(Entry, extent)), record.extent);
+    repaired += agree(at(offsetof(Entry, slot_count)), record.slot_count);
+    repaired +=
+        agree(at(offsetof(Entry, first_sequence)), abi::first_sequence_of(record.generation));
+    repaired += agree(at(offsetof(Entry, final_head)), record.final_head);
+  }
+  return repaired + agree(at(offsetof(Entry, word)),
+                          abi::pack_member(record.generation, on_board(record.state)));
+}
+
+std::uint64_t Registry::repair_subscription(TopicIndex topic, std::uint32_t index) {
+  using Entry = abi::SubscriptionEntry;
+  const SubscriptionRecord& record = subscription(topic, index);
+  const auto at = [&](std::size_t offset) -> decltype(auto) {
+    return words(topic).subscription(index, offset);
+  };
+  std::uint64_t repaired = 0;
+  if (record.state != EndpointState::free) {
+    repaired += agree(at(offsetof(Entry, qos)), record.qos);
+    repaired += agree(at(offsetof(Entry, client)), number(record.client));
+    repaired += agree(at(offsetof(Entry, extent)), record.extent);
+    repaired += agree(at(offsetof(Entry, quota)), record.quota);
+    repaired += agree(at(offsetof(Entry, executor)), record.executor);
+  }
+  return repaired + agree(at(offsetof(Entry, word)),
+                          abi::pack_member(record.generation, on_board(record.state)));
+}
+
+std::uint64_t Registry::repair_board() {
+  std::uint64_t repaired = 0;
+  for (std::uint32_t t = 0; t < topic_high(); ++t) {
+    const TopicIndex at{t};
+    const TopicRecord& record = topic(at);
+    if (record.state == TopicState::free) continue;
+    // What was never used is not looked at: reading a hole of the tables gives it memory.
+    for (std::uint32_t i = 0; i < record.publisher_high; ++i) repaired += repair_publisher(at, i);
+    for (std::uint32_t i = 0; i < record.subscription_high; ++i)
+      repaired += repair_subscription(at, i);
+    repaired += agree(words(at).publisher_high(), record.publisher_high);
+    repaired += agree(words(at).subscription_high(), record.subscription_high);
+    board(at).renew();
+  }
+  return repaired;
+}
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,262 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <daemon/service.hpp>
+
+#include <daemon/broker.hpp>
+#include <daemon/options.hpp>
+#include <daemon/refuser.hpp>
+
+#include <fcntl.h>
+#include <grp.h>
+#include <sys/epoll.h>
+#include <sys/random.h>
+#include <sys/signalfd.h>
+#include <sys/stat.h>
+#include <sys/sysinfo.h>
+#include <unistd.h>
+
+#include <bit>
+#include <cerrno>
+#include <csignal>
+#include <cstring>
+#include <ctime>
+#include <memory>
+#include <utility>
+
+namespace agnocast::daemon {
+namespace {
+
+Trouble trouble_of(const Failure& failure) {
+  const char* const detail = detail_of(failure);
+  std::string what = *detail != '\0' ? detail : failure.what;
+  if (failure.os_errno != 0) what += std::string(": ") + std::strerror(failure.os_errno);
+  return {what, remedy_of(failure.code)};
+}
+Trouble trouble_of(const Complaint& complaint) {
+  return {complaint.what, remedy_of(complaint.code)};
+}
+
+// The stack lies at the top of the user's addresses, so one of its addresses says how many bits
+// there are.
+unsigned address_bits() noexcept {
+  const int here = 0;
+  return static_cast<unsigned>(std::bit_width(reinterpret_cast<std::uintptr_t>(&here)));
+}
+
+std::uint64_t memory_bytes() noexcept {
+  struct sysinfo info {};
+  return ::sysinfo(&info) == 0 ? std::uint64_t{info.totalram} * info.mem_unit : 0;
+}
+
+// Two lives of the daemon must not have the same, or a client would take a new board for its own.
+std::uint64_t random_incarnation() noexcept {
+  std::uint64_t value = 0;
+  if (::getrandom(&value, sizeof value, 0) != sizeof value || value == 0) {
+    timespec now{};
+    ::clock_gettime(CLOCK_MONOTONIC, &now);
+    value = static_cast<std::uint64_t>(now.tv_sec) << 32 ^ static_cast<std::uint64_t>(now.tv_nsec) ^
+            static_cast<std::uint64_t>(::getpid()) << 48;
+  }
+  return value;
+}
+
+std::optional<gid_t> group_of(const std::string& name) {
+  // getgrnam also reads files and may ask the network; once, at the start.
+  const group* const found = ::getgrnam(name.empty() ? "agnocast" : name.c_str());
+  if (found == nullptr) return std::nullopt;
+  return found->gr_gid;
+}
+
+// SIGTERM and SIGINT as events, so that the end happens between two others.
+Result<UniqueFd> watch_signals() noexcept {
+  sigset_t wanted;
+  ::sigemptyset(&wanted);
+  ::sigaddset(&wanted, SIGTERM);
+  ::sigaddset(&wanted, SIGINT);
+  if (::sigprocmask(SIG_BLOCK, &wanted, nullptr) != 0)
+    return fail(Errc::os_failure, "blocking signals", errno);
+  UniqueFd fd(::signalfd(-1, &wanted, SFD_CLOEXEC | SFD_NONBLOCK));
+  if (!fd) return fail(Errc::os_failure, "watching signals", errno);
+  return fd;
+}
+
+/// The parts of one life, in the order in which they are made.
+class Service {
+ public:
+  Service(const Config& config, DescriptorStore store, Log& log)
+      : config_(config), store_(std::move(store)), log_(log) {}
+
+  std::optional<Trouble> run(const std::string& socket);
+
+ private:
+  std::optional<Trouble> prepare(const std::string& socket);
+  std::optional<Trouble> begin();
+  std::optional<Trouble> go_on();
+  std::optional<Trouble> refuse(UniqueFd socket, const Failure& why);
+  std::optional<Trouble> wait();
+  void say_ready(bool resumed);
+
+  const Config& config_;
+  DescriptorStore store_;
+  Log& log_;
+  ListenerOptions place_;
+  Arena arena_;
+  UniqueFd signals_;
+  std::optional<Dispatcher> dispatcher_;
+  std::optional<Listener> listener_;
+  std::optional<Broker> broker_;
+  std::optional<Refuser> refuser_;
+  int ended_by_ = 0;
+};
+
+std::optional<Trouble> Service::prepare(const std::string& socket) {
+  const auto arena =
+      plan_arena({config_.heap.arena_base, config_.heap.arena_bytes, config_.heap.window_bytes},
+                 address_bits(), memory_bytes());
+  if (!arena)
+    return Trouble{
+        "the arena does not fit into the addresses of this machine",
+        "correct arena_base, arena_bytes and window_bytes in [heap] (whole MiB, in steps of 2), or "
+        "leave them out"};
+  arena_ = *arena;
+  const auto group = group_of(config_.daemon.socket_group);
+  if (!group && !config_.daemon.socket_group.empty())
+    return Trouble{"there is no group " + config_.daemon.socket_group,
+                   "groupadd " + config_.daemon.socket_group};
+  // Only who may give files away gives the socket to the usual group; a configured one is a must.
+  const bool wants_group = !config_.daemon.socket_group.empty() || ::geteuid() == 0;
+  place_ = {socket, choose_runtime_directory(config_, socket),
+            static_cast<mode_t>(config_.daemon.socket_mode), wants_group ? group : std::nullopt};
+
+  auto signals = watch_signals();
+  if (!signals) return trouble_of(signals.error());
+  signals_ = std::move(*signals);
+  auto dispatcher = Dispatcher::create();
+  if (!dispatcher) return trouble_of(dispatcher.error());
+  dispatcher_.emplace(std::move(*dispatcher));
+  const auto token = dispatcher_->add(signals_.get(), EPOLLIN, [this](std::uint32_t) {
+    signalfd_siginfo info{};
+    if (::read(signals_.get(), &info, sizeof info) == sizeof info)
+      ended_by_ = static_cast<int>(info.ssi_signo);
+  });
+  if (!token) return trouble_of(token.error());
+  return std::nullopt;
+}
+
+std::optional<Trouble> Service::begin() {
+  // What a start left that did not come to its end; nobody was served by it.
+  store_.remove_left_over();
+  auto listener = Listener::open(place_);
+  if (!listener) return trouble_of(listener.error());
+  listener_.emplace(std::move(*listener));
+  auto regions = Regions::create(store_);
+  if (!regions) return trouble_of(regions.error());
+  broker_.emplace(BrokerOptions{arena_, config_}, log_, *dispatcher_, *listener_,
+                  std::move(*regions), store_);
+  if (auto founded = broker_->found(random_incarnation()); !founded)
+    return trouble_of(founded.error());
+  listener_->remove_names(!store_.keeps());
+  if (auto started = broker_->start(); !started) return trouble_of(started.error());
+  say_ready(false);
+  return wait();
+}
+
+std::optional<Trouble> Service::go_on() {
+  UniqueFd socket = store_.take("listen");
+  UniqueFd lock = store_.take("lock");
+  UniqueFd board = store_.take("board");
+  UniqueFd journal = store_.take("journal");
+  if (!lock || !board || !journal) {
+    log_.write(LogLevel::error, "former life lost", {{"why", "a descriptor was not kept"}});
+    for (const char* const name : {"listen", "lock", "board", "journal"}) store_.remove(name);
+    socket.reset();
+    lock.reset();
+    return begin();
+  }
+  auto regions = Regions::adopt(store_, std::move(board), std::move(journal));
+  if (!regions) return refuse(std::move(socket), regions.error());
+  {
+    // Before anything else is made: the listener's place is in the tables.
+    Registry registry(regions->memory());
+    if (auto opened = registry.open(); !opened) return refuse(std::move(socket), opened.error());
+    auto listener =
+        Listener::adopt(place_, std::move(socket), std::move(lock), registry.header().bells);
+    if (!listener) return trouble_of(listener.error());
+    listener_.emplace(std::move(*listener));
+  }
+  if (listener_->renewed()) {
+    log_.write(LogLevel::error, "socket made anew", {{"socket", listener_->path()}});
+    store_.remove("listen");
+    store_.remove("lock");
+    if (auto kept = listener_->keep(store_); !kept) return trouble_of(kept.error());
+  }
+  if (listener_->path() != place_.path)
+    log_.write(LogLevel::warning, "socket stays where it is", {{"socket", listener_->path()}});
+  broker_.emplace(BrokerOptions{arena_, config_}, log_, *dispatcher_, *listener_,
+                  std::move(*regions), store_);
+  if (auto resumed = broker_->resume(); !resumed) {
+    if (resumed.error().code != Errc::internal) return trouble_of(resumed.error());
+    UniqueFd again(::fcntl(listener_->socket().fd(), F_DUPFD_CLOEXEC, 0));
+    broker_.reset();
+    return refuse(std::move(again), resumed.error());
+  }
+  if (auto started = broker_->start(); !started) return trouble_of(started.error());
+  say_ready(true);
+  return wait();
+}
+
+std::optional<Trouble> Service::refuse(UniqueFd socket, const Failure& why) {
+  if (why.code == Errc::os_failure) return trouble_of(why);  // another try may succeed
+  const std::string text = trouble_of(why).what;
+  refuser_.emplace(PacketListener(std::move(socket)), *dispatcher_, log_, text);
+  if (auto started = refuser_->start(); !started) return trouble_of(started.error());
+  log_.write(LogLevel::error, "refusing everybody",
+             {{"why", text},
+              {"hint",
+               "start the agnocastd that was there before, or stop this one "
+               "and restart every process"}});
+  // Ready all the same: a manager that starts it again and again would change nothing.
+  notify("READY=1");
+  notify("STATUS=refusing everybody: " + text);
+  return wait();
+}
+
+void Service::say_ready(bool resumed) {
+  const Arena& arena = broker_->arena();
+  log_.write(LogLevel::notice, "ready",
+             {{"pid", ::getpid()},
+              {"socket", listener_->path()},
+              {"arena_bytes", arena.bytes},
+              {"window_bytes", arena.window_bytes},
+              {"unprivileged", ::geteuid() == 0 ? "no" : "yes"}});
+  notify("READY=1");
+  notify(resumed ? "STATUS=serving; goes on with what was there before" : "STATUS=serving");
+}
+
+std::optional<Trouble> Service::wait() {
+  while (ended_by_ == 0) {
+    if (auto waited = dispatcher_->wait(broker_ ? broker_->due_ms() : -1); !waited)
+      return trouble_of(waited.error());
+    if (broker_) broker_->tick();
+  }
+  notify("STOPPING=1");
+  const bool is_last = !store_.keeps() || ended_by_ == SIGINT;
+  if (listener_ && !refuser_) listener_->remove_names(is_last);
+  log_.write(LogLevel::notice, "ended", {{"kept", is_last ? "no" : "yes"}});
+  log_.flush(true);
+  return std::nullopt;
+}
+
+std::optional<Trouble> Service::run(const std::string& socket) {
+  if (auto trouble = prepare(socket)) return trouble;
+  return store_.has("listen") ? go_on() : begin();
+}
+
+}  // namespace
+
+std::optional<Trouble> serve(const Config& config, const std::string& socket, DescriptorStore store,
+                             Log& log) {
+  return Service(config, std::move(store), log).run(socket);
+}
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,402 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <daemon/supervisor.hpp>
+
+#include <base/unix_address.hpp>
+
+#include <fcntl.h>
+#include <poll.h>
+#include <sys/prctl.h>
+#include <sys/signalfd.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <csignal>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <ctime>
+#include <map>
+#include <utility>
+#include <vector>
+
+namespace agnocast::daemon {
+namespace {
+
+constexpr int first_passed = 3;                   // where LISTEN_FDS begins
+constexpr std::size_t datagram_bytes_max = 4096;  // as systemd takes them
+constexpr std::size_t descriptors_per_datagram_max = 253;
+constexpr std::uint64_t pause_first_ms = 20;
+// Whoever has been ready found nothing at its start that kills it.
+constexpr std::uint64_t pause_of_ready_ms = 100;
+constexpr std::uint64_t pause_most_ms = 5'000;
+// Who has lived so long did not die of what it found at its start.
+constexpr std::uint64_t settled_ms = 10'000;
+
+std::uint64_t now_ms() noexcept {
+  timespec now{};
+  ::clock_gettime(CLOCK_MONOTONIC, &now);
+  return static_cast<std::uint64_t>(now.tv_sec) * 1'000 +
+         static_cast<std::uint64_t>(now.tv_nsec) / 1'000'000;
+}
+
+/// A socket that can be reached through a descriptor of it and in no other way: it was bound in a
+/// directory of ours, and its name is gone.
+struct HiddenSocket {
+  UniqueFd socket;
+  UniqueFd way;  // O_PATH; /proc/self/fd/N of it is an address
+};
+
+std::optional<HiddenSocket> hidden_socket() {
+  const char* const roots[] = {"/run", std::getenv("XDG_RUNTIME_DIR"), std::getenv("TMPDIR"),
+                               "/tmp"};
+  for (const char* const root : roots) {
+    if (root == nullptr || *root == '\0') continue;
+    std::string directory = std::string(root) + "/agnocastd-XXXXXX";
+    if (::mkdtemp(directory.data()) == nullptr) continue;
+    const std::string path = directory + "/notify";
+    HiddenSocket made;
+    made.socket.reset(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
+    const auto address = unix_address(path);
+    const int on = 1;
+    if (made.socket && address &&
+        ::setsockopt(made.socket.get(), SOL_SOCKET, SO_PASSCRED, &on, sizeof on) == 0 &&
+        ::bind(made.socket.get(), address->get(), UnixAddress::size()) == 0)
+      made.way.reset(::open(path.c_str(), O_PATH | O_CLOEXEC | O_NOFOLLOW));
+    ::unlink(path.c_str());
+    ::rmdir(directory.c_str());
+    if (made.way) return made;
+  }
+  return std::nullopt;
+}
+
+std::string value_of(const char* name) {
+  const char* const value = std::getenv(name);
+  return value == nullptr ? "" : value;
+}
+
+}  // namespace
+
+std::optional<Notification> parse_notification(std::string_view text) {
+  Notification notification;
+  notification.name = "stored";
+  if (text.find('\0') != std::string_view::npos) return std::nullopt;
+  while (!text.empty()) {
+    const std::string_view line = text.substr(0, text.find('\n'));
+    text.remove_prefix(std::min(text.size(), line.size() + 1));
+    if (line == "READY=1") notification.ready = true;
+    if (line == "STOPPING=1") notification.stopping = true;
+    if (line == "FDSTORE=1") notification.store = true;
+    if (line == "FDSTOREREMOVE=1") notification.remove = true;
+    if (line.starts_with("STATUS=")) notification.status = line.substr(7);
+    if (line.starts_with("FDNAME=")) notification.name = line.substr(7);
+  }
+  // LISTEN_FDNAMES separates names by colons; the rest is systemd's rule (sd_pid_notify_with_fds(3)).
+  const auto fits = [](char c) { return c > ' ' && c < 127 && c != ':'; };
+  const std::string& name = notification.name;
+  if (name.empty() || name.size() > 255 || !std::all_of(name.begin(), name.end(), fits))
+    return std::nullopt;
+  return notification;
+}
+
+namespace {
+
+class Supervisor {
+ public:
+  Supervisor(int argc, const char* const* argv, Log& log, HiddenSocket socket)
+      : log_(log), socket_(std::move(socket)), outer_(value_of("NOTIFY_SOCKET")) {
+    arguments_.assign(argv, argv + argc);
+    arguments_.emplace_back("--fd-store=manager");  // the last one counts
+    std::array<char, 4096> path{};
+    const ssize_t bytes = ::readlink("/proc/self/exe", path.data(), path.size() - 1);
+    if (bytes > 0) program_.assign(path.data(), static_cast<std::size_t>(bytes));
+    // Meant for this process, and not for its children.
+    for (const char* const name : {"NOTIFY_SOCKET", "LISTEN_FDS", "LISTEN_PID", "LISTEN_FDNAMES",
+                                   "FDSTORE", "WATCHDOG_PID", "WATCHDOG_USEC"})
+      ::unsetenv(name);
+  }
+
+  int run();
+
+ private:
+  void start();
+  [[noreturn]] void become_worker(pid_t parent) noexcept;
+  void on_signals();
+  void on_notifications();
+  bool receive();
+  void keep(const Notification& notification, std::vector<UniqueFd> fds, bool lost);
+  void forward(const std::string& line) const noexcept;
+  void on_worker_end(int status);
+  void tell_worker(int signal) const noexcept {
+    if (worker_ > 0) ::kill(worker_, signal);
+  }
+
+  Log& log_;
+  HiddenSocket socket_;
+  std::string outer_;  // the NOTIFY_SOCKET of whoever started us
+  std::string program_;
+  std::vector<std::string> arguments_;
+  UniqueFd signals_;
+  std::map<std::string, UniqueFd> kept_;
+  pid_t worker_ = -1;
+  std::uint64_t started_ms_ = 0;
+  std::optional<std::uint64_t> due_ms_;  // when the next worker begins
+  unsigned failures_ = 0;                // in a row
+  bool was_ready_ = false;               // any worker
+  bool is_ready_ = false;                // this one
+  bool restarts_ = false;  // the end of the worker was asked for, and another is wanted
+  bool stops_ = false;
+  std::optional<int> result_;
+};
+
+int Supervisor::run() {
+  sigset_t wanted;
+  ::sigemptyset(&wanted);
+  for (const int signal : {SIGTERM, SIGINT, SIGHUP, SIGCHLD}) ::sigaddset(&wanted, signal);
+  ::sigprocmask(SIG_BLOCK, &wanted, nullptr);
+  signals_.reset(::signalfd(-1, &wanted, SFD_CLOEXEC | SFD_NONBLOCK));
+  if (!signals_) {
+    log_.write(LogLevel::error, "cannot supervise", {{"errno", errno}});
+    return 1;
+  }
+  start();
+  while (!result_) {
+    int timeout_ms = -1;
+    if (due_ms_) {
+      const std::uint64_t now = now_ms();
+      if (now >= *due_ms_) {
+        start();
+        continue;
+      }
+      timeout_ms = static_cast<int>(*due_ms_ - now);
+    }
+    pollfd entries[] = {{signals_.get(), POLLIN, 0}, {socket_.socket.get(), POLLIN, 0}};
+    if (::poll(entries, 2, timeout_ms) < 0 && errno != EINTR) {
+      log_.write(LogLevel::error, "cannot supervise", {{"errno", errno}});
+      return 1;
+    }
+    on_notifications();
+    on_signals();
+  }
+  return *result_;
+}
+
+void Supervisor::start() {
+  due_ms_.reset();
+  restarts_ = false;
+  is_ready_ = false;
+  started_ms_ = now_ms();
+  const pid_t parent = ::getpid();
+  const pid_t pid = ::fork();
+  if (pid == 0) become_worker(parent);
+  if (pid < 0) {
+    log_.write(LogLevel::error, "worker not started", {{"errno", errno}});
+    due_ms_ = now_ms() + pause_most_ms;
+    return;
+  }
+  worker_ = pid;
+  log_.write(LogLevel::debug, "worker started", {{"pid", pid}, {"descriptors", kept_.size()}});
+}
+
+// In the child. Signals stay blocked over exec: what comes before the worker listens is not lost.
+void Supervisor::become_worker(pid_t parent) noexcept {
+  ::prctl(PR_SET_PDEATHSIG, SIGKILL);
+  if (::getppid() != parent) ::_exit(1);  // it died before it would have been noticed
+  std::string names;
+  std::vector<int> passed;
+  for (const auto& [name, fd] : kept_) {
+    names += (names.empty() ? "" : ":") + name;
+    passed.push_back(fd.get());
+  }
+  const auto count = static_cast<int>(passed.size());
+  passed.push_back(socket_.way.get());
+  // Out of the way first: whatever lies where another one has to go.
+  const int end = first_passed + count + 1;
+  for (int& fd : passed) {
+    if (fd < end) fd = ::fcntl(fd, F_DUPFD_CLOEXEC, end);
+  }
+  bool placed = true;
+  for (int i = 0; i <= count; ++i)
+    placed = ::dup2(passed[static_cast<std::size_t>(i)], first_passed + i) >= 0 && placed;
+  const std::string notify = "/proc/self/fd/" + std::to_string(first_passed + count);
+  ::setenv("NOTIFY_SOCKET", notify.c_str(), 1);
+  ::setenv("FDSTORE", std::to_string(kept_count_max).c_str(), 1);
+  if (count > 0) {
+    ::setenv("LISTEN_FDS", std::to_string(count).c_str(), 1);
+    ::setenv("LISTEN_PID", std::to_string(::getpid()).c_str(), 1);
+    ::setenv("LISTEN_FDNAMES", names.c_str(), 1);
+  }
+  std::vector<char*> argv;
+  for (std::string& argument : arguments_) argv.push_back(argument.data());
+  argv.push_back(nullptr);
+  if (placed) {
+    ::execv(program_.c_str(), argv.data());
+    ::execv("/proc/self/exe", argv.data());  // it was removed: what we are ourselves
+  }
+  std::fprintf(stderr, "agnocastd: cannot start %s: %s\n", program_.c_str(), std::strerror(errno));
+  ::_exit(1);
+}
+
+void Supervisor::on_signals() {
+  bool child = false;
+  signalfd_siginfo info{};
+  while (::read(signals_.get(), &info, sizeof info) == sizeof info) {
+    switch (info.ssi_signo) {
+      case SIGCHLD:
+        child = true;
+        break;
+      case SIGHUP:
+        restarts_ = true;
+        tell_worker(SIGTERM);
+        if (due_ms_) due_ms_ = 0;
+        break;
+      default:
+        // SIGINT is to the worker what has no morrow; whoever says it twice does not want to wait.
+        tell_worker(stops_ && info.ssi_signo == SIGTERM ? SIGKILL : SIGINT);
+        stops_ = true;
+        if (worker_ <= 0) result_ = 0;
+    }
+  }
+  if (!child || worker_ <= 0) return;
+  siginfo_t ended{};
+  if (::waitid(P_PID, static_cast<id_t>(worker_), &ended, WEXITED | WNOHANG | WNOWAIT) != 0 ||
+      ended.si_pid == 0)
+    return;
+  on_notifications();  // its last words, while its pid is still its own
+  int status = 0;
+  if (::waitpid(worker_, &status, WNOHANG) == worker_) on_worker_end(status);
+}
+
+void Supervisor::on_worker_end(int status) {
+  const pid_t pid = std::exchange(worker_, -1);
+  const bool clean = WIFEXITED(status) && WEXITSTATUS(status) == 0;
+  if (stops_ || (clean && !restarts_)) {
+    result_ = WIFEXITED(status) ? WEXITSTATUS(status) : 1;
+    return;
+  }
+  if (!was_ready_ && !restarts_) {
+    if (!WIFEXITED(status))
+      log_.write(LogLevel::error, "worker died", {{"pid", pid}, {"signal", WTERMSIG(status)}});
+    result_ = WIFEXITED(status) ? WEXITSTATUS(status) : 1;
+    return;
+  }
+  if (restarts_) {
+    failures_ = 0;
+    due_ms_ = 0;
+    return;
+  }
+  if (now_ms() - started_ms_ >= settled_ms) failures_ = 0;
+  const std::uint64_t most = is_ready_ ? pause_of_ready_ms : pause_most_ms;
+  const std::uint64_t pause =
+      failures_ == 0 ? 0 : std::min(pause_first_ms << std::min(failures_ - 1, 16U), most);
+  ++failures_;
+  due_ms_ = now_ms() + pause;
+  log_.write(LogLevel::error, "worker died",
+             {{"pid", pid},
+              {WIFEXITED(status) ? "status" : "signal",
+               WIFEXITED(status) ? WEXITSTATUS(status) : WTERMSIG(status)},
+              {"failures", failures_},
+              {"descriptors", kept_.size()},
+              {"again_in_ms", pause}});
+  if (failures_ > 1)
+    forward("STATUS=the daemon died " + std::to_string(failures_) + " times in a row");
+}
+
+// --- the store
+
+void Supervisor::on_notifications() {
+  while (receive()) {
+  }
+}
+
+bool Supervisor::receive() {
+  std::array<char, datagram_bytes_max> text;
+  iovec data{text.data(), text.size()};
+  alignas(cmsghdr) std::array<char, CMSG_SPACE(sizeof(ucred)) +
+                                        CMSG_SPACE(sizeof(int) * descriptors_per_datagram_max)>
+      control;
+  msghdr message{};
+  message.msg_iov = &data;
+  message.msg_iovlen = 1;
+  message.msg_control = control.data();
+  message.msg_controllen = control.size();
+  const ssize_t bytes = ::recvmsg(socket_.socket.get(), &message, MSG_DONTWAIT | MSG_CMSG_CLOEXEC);
+  if (bytes < 0) return errno == EINTR;
+  std::vector<UniqueFd> fds;
+  pid_t sender = 0;
+  for (cmsghdr* part = CMSG_FIRSTHDR(&message); part != nullptr;
+       part = CMSG_NXTHDR(&message, part)) {
+    if (part->cmsg_level != SOL_SOCKET) continue;
+    if (part->cmsg_type == SCM_RIGHTS) {
+      const std::size_t count = (part->cmsg_len - CMSG_LEN(0)) / sizeof(int);
+      for (std::size_t i = 0; i < count; ++i) {
+        int fd = -1;
+        std::memcpy(&fd, CMSG_DATA(part) + i * sizeof fd, sizeof fd);
+        fds.emplace_back(fd);
+      }
+    } else if (part->cmsg_type == SCM_CREDENTIALS) {
+      ucred credentials{};
+      std::memcpy(&credentials, CMSG_DATA(part), sizeof credentials);
+      sender = credentials.pid;
+    }
+  }
+  const auto notification = parse_notification({text.data(), static_cast<std::size_t>(bytes)});
+  if (sender != worker_ || worker_ <= 0 || (message.msg_flags & MSG_TRUNC) != 0 || !notification) {
+    log_.write_limited("notification", LogLevel::warning, "notification passed over",
+                       {{"pid", sender}, {"bytes", bytes}});
+    return true;
+  }
+  keep(*notification, std::move(fds), (message.msg_flags & MSG_CTRUNC) != 0);
+  return true;
+}
+
+void Supervisor::keep(const Notification& notification, std::vector<UniqueFd> fds, bool lost) {
+  if (notification.remove) kept_.erase(notification.name);
+  if (notification.store) {
+    for (UniqueFd& fd : fds) {
+      if (kept_.size() < kept_count_max) kept_.insert_or_assign(notification.name, std::move(fd));
+    }
+    if (lost || fds.empty())
+      log_.write(LogLevel::error, "a descriptor was lost",
+                 {{"name", notification.name}, {"why", "no descriptor left; raise LimitNOFILE"}});
+  }
+  if (notification.ready) {
+    was_ready_ = is_ready_ = true;
+    forward("READY=1");
+  }
+  if (!notification.status.empty()) forward("STATUS=" + notification.status);
+  if (notification.stopping && stops_) forward("STOPPING=1");
+}
+
+// Never waits for whoever started us.
+void Supervisor::forward(const std::string& line) const noexcept {
+  if (outer_.empty() || (outer_[0] != '/' && outer_[0] != '@')) return;
+  sockaddr_un address{};
+  if (outer_.size() >= sizeof address.sun_path) return;
+  address.sun_family = AF_UNIX;
+  std::memcpy(address.sun_path, outer_.data(), outer_.size());
+  if (outer_[0] == '@') address.sun_path[0] = '\0';
+  const UniqueFd fd(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
+  static_cast<void>(::sendto(
+      fd.get(), line.data(), line.size(), MSG_NOSIGNAL, reinterpret_cast<const sockaddr*>(&address),
+      static_cast<socklen_t>(offsetof(sockaddr_un, sun_path) + outer_.size())));
+}
+
+}  // namespace
+
+int supervise(int argc, const char* const* argv, Log& log) {
+  auto socket = hidden_socket();
+  if (!socket) {
+    log.write(LogLevel::error, "cannot supervise",
+              {{"why", "no directory to make a socket in"}, {"errno", errno}});
+    return 1;
+  }
+  return Supervisor(argc, argv, log, std::move(*socket)).run();
+}
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,56 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Supervisor: keeps what must outlive the daemon where systemd does not.
+//
+//   agnocastd                        the supervisor: forks, keeps descriptors, waits
+//     agnocastd --fd-store=manager   the worker: the daemon
+//
+// To the worker it is what systemd is: descriptors come as datagrams at NOTIFY_SOCKET (FDSTORE=1,
+// FDNAME=…) and go back as LISTEN_FDS, so the worker has one way for both. Only datagrams of the
+// worker itself count. The socket has no name that anybody else could send to.
+//
+// A worker that ends by a signal or a failure is started again, at once the first time, then after a
+// pause that doubles: up to a tenth of a second if it had been ready, up to five seconds if it never
+// came so far. It is never given up: what is kept here cannot be got back, and a try every five
+// seconds costs nothing; the log says each one. Only a worker that fails before
+// any has ever been ready ends the supervisor, with its status: then nothing is kept, and whoever
+// started us wants to know.
+//
+//   SIGTERM, SIGINT   the worker ends and removes what it made; its status is ours
+//   SIGHUP            the worker ends, keeps everything, and its program is started anew: a replaced
+//                     one takes over
+//
+// The worker never outlives the supervisor (PR_SET_PDEATHSIG): two daemons could not share the
+// regions. No thread, no state but the descriptors; nothing in here can be wrong for long.
+#pragma once
+
+#include <base/unique_fd.hpp>
+#include <daemon/log.hpp>
+
+#include <cstddef>
+#include <optional>
+#include <string>
+#include <string_view>
+
+namespace agnocast::daemon {
+
+/// What one datagram of sd_notify(3) asks for; what we do not know is passed over.
+struct Notification {
+  bool ready = false;
+  bool stopping = false;
+  bool store = false;   // FDSTORE=1
+  bool remove = false;  // FDSTOREREMOVE=1
+  std::string name;     // FDNAME, "stored" when it is not said
+  std::string status;
+};
+/// Nothing when it is no such datagram, or gives a descriptor a name that cannot be passed on.
+std::optional<Notification> parse_notification(std::string_view text);
+
+/// So many descriptors, under names as long as ours, fit into one variable of the environment
+/// (128 KiB): "w2047.7:" has eight bytes.
+inline constexpr std::size_t kept_count_max = 16'000;
+
+/// Runs until it is told to end; its exit status. The arguments are those of this process.
+int supervise(int argc, const char* const* argv, Log& log);
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,35 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Whether this process is connected with agnocastd. Messages between endpoints that know each other
+// flow in every state; what needs the daemon is meeting others, creating endpoints, and getting a
+// larger heap. The library comes back by itself as soon as the daemon is there again.
+#pragma once
+
+#include <agnocast/error.hpp>
+#include <agnocast/export.hpp>
+
+#include <cstdint>
+
+namespace agnocast {
+
+enum class ConnectionState : std::uint8_t {
+  unconnected,   ///< no endpoint was created yet, or this is a forked child
+  connected,     ///< as it should be
+  reconnecting,  ///< the daemon is away; creations wait for it, for five seconds at most
+  island,        ///< for good: this process reaches only those that it had reached before
+};
+
+/// What a connection callback is told (events.hpp).
+struct ConnectionInfo {
+  ConnectionState state = ConnectionState::unconnected;
+  Errc reason = Errc::ok;  ///< of an island, see island_reason()
+};
+
+/// Any thread; no system call, no allocation.
+AGNOCAST_PUBLIC ConnectionState connection_state() noexcept;
+/// Why this process is an island: started_anew, revoked, layout_mismatch or permission_denied; ok
+/// as long as it is none. Creations fail with the same code. Any thread; no system call, no
+/// allocation.
+AGNOCAST_PUBLIC Errc island_reason() noexcept;
+
+}  // namespace agnocast

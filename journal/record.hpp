@@ -1,0 +1,114 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Record: one decision of the daemon as it lies in the redo log, and what its numbers mean.
+//
+// A record says what the daemon is about to change; redo_log.hpp keeps them, daemon/registry.cpp
+// carries them out. Some numbers are there for the reader of the flight recorder alone: whose an
+// endpoint was, why it ended, the new value of a counter. Nothing else is decided by those.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <string_view>
+#include <type_traits>
+
+namespace agnocast::journal {
+
+// X(name, number, names of the arguments in their order)
+#define AGNOCAST_RECORD_TABLE(X)                                                                  \
+  X(none, 0, "")                                                                                  \
+  X(register_client, 1, "client generation uid gid pid domain registered_count")                  \
+  X(add_publisher, 2, "topic index generation client qos extent slot_count creation")             \
+  X(add_subscription, 3, "topic index generation client qos extent quota executor creation")      \
+  X(announced, 4, "topic index to kind generation client to_generation")                          \
+  X(unlinked, 5, "topic index by kind generation client by_generation")                           \
+  X(leave_publisher, 6, "topic index final_head generation client cause intent_count")            \
+  X(leave_subscription, 7, "topic index state generation client")                                 \
+  X(free_publisher, 8, "topic index state generation client")                                     \
+  X(free_subscription, 9, "topic index generation client")                                        \
+  X(client_dead, 10, "client generation reason death_count")                                      \
+  X(client_end, 11, "client generation")                                                          \
+  X(open_window, 12, "client window base bytes generation")                                       \
+  X(add_topic, 15, "topic generation domain layout_hash")                                         \
+  X(open_executor, 16, "client executor generation")                                              \
+  X(free_topic, 17, "topic generation")                                                           \
+  X(raise_slots, 18, "topic index slot_count generation client")                                  \
+  X(client_forgotten, 19, "client generation")                                                    \
+  /* Change nothing but counters. */                                                              \
+  X(recovered, 20, "pid away_ns redone_lsn dead_count board_word_count restart_count dead_total") \
+  X(rejoined, 21, "client generation rejoined_count")
+
+enum class RecordType : std::uint32_t {
+#define AGNOCAST_RECORD_ENUMERATOR(name, number, arguments) name = number,
+  AGNOCAST_RECORD_TABLE(AGNOCAST_RECORD_ENUMERATOR)
+#undef AGNOCAST_RECORD_ENUMERATOR
+};
+
+/// Empty when there is no such type.
+constexpr std::string_view name_of(RecordType type) noexcept {
+  switch (type) {
+#define AGNOCAST_RECORD_NAME(name, number, arguments) \
+  case RecordType::name:                              \
+    return #name;
+    AGNOCAST_RECORD_TABLE(AGNOCAST_RECORD_NAME)
+#undef AGNOCAST_RECORD_NAME
+  }
+  return {};
+}
+
+/// Names of the arguments, with blanks between them.
+constexpr std::string_view arguments_of(RecordType type) noexcept {
+  switch (type) {
+#define AGNOCAST_RECORD_ARGUMENTS(name, number, arguments) \
+  case RecordType::name:                                   \
+    return arguments;
+    AGNOCAST_RECORD_TABLE(AGNOCAST_RECORD_ARGUMENTS)
+#undef AGNOCAST_RECORD_ARGUMENTS
+  }
+  return {};
+}
+
+/// Why a process is no member any more: `reason` of client_dead.
+enum class DeathReason : std::uint64_t {
+  died = 0,     // its pidfd says so
+  let_go = 1,   // it lives, but has no trace of its region any more: exec, or a shut library
+  revoked = 2,  // an administrator ended its membership; it lives
+};
+
+/// Why nobody publishes there any more: `cause` of leave_publisher. The last four are what was
+/// decided about the intent of a process that is gone (recovery.hpp).
+enum class LeaveCause : std::uint64_t {
+  left = 0,
+  nothing_open = 1,
+  rolled_back = 2,
+  rolled_forward = 3,
+  corrupt = 4,
+};
+
+inline constexpr std::size_t argument_count = 13;
+
+//    0 lsn u64 · 8 type u32 · 12 crc32c u32 (of everything else) · 16 stamp_ns u64 CLOCK_MONOTONIC
+//   24 argument[13] u64, meaning by type
+struct Record {
+  std::uint64_t lsn = 0;
+  RecordType type = RecordType::none;
+  std::uint32_t crc = 0;
+  std::uint64_t stamp_ns = 0;
+  std::uint64_t argument[argument_count] = {};
+};
+static_assert(sizeof(Record) == 128 && offsetof(Record, stamp_ns) == 16 &&
+              offsetof(Record, argument) == 24 && std::is_trivially_copyable_v<Record>);
+static_assert(std::has_unique_object_representations_v<Record>);
+
+/// Where in a record of this type the argument of this name is.
+consteval std::size_t argument_index(RecordType type, std::string_view name) {
+  std::string_view rest = arguments_of(type);
+  for (std::size_t i = 0;; ++i) {
+    const std::size_t blank = rest.find(' ');
+    if (rest.substr(0, blank) == name) return i;
+    if (blank == std::string_view::npos) throw "no such argument";
+    rest.remove_prefix(blank + 1);
+  }
+}
+
+}  // namespace agnocast::journal

@@ -1,0 +1,169 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// The honest side of the hostile tests: an ordinary node on the public interface, with a publisher or
+// subscriptions, that counts everything it was promised and did not get.
+//
+//   honest_node UID     becomes that user first (0: stays who it is)
+//   then line by line on its standard input, each answered with one line:
+//     publish TOPIC     → ok      a Numbered every few milliseconds from now on, in a thread of its own
+//     subscribe TOPIC   → ok      checks each by number and content, holds the last few and checks again
+//     watch TOPIC       → ok      takes what others publish there, looks at no byte of it, notes where it lay
+//     create TOPIC      → ok      a publisher and a subscription more, and away with them
+//     matched           → how many there are at the other end of what it has
+//     state             → published refused received wrong lost watched low high watch_lost
+//     stop              → ok      publishes no more
+
+#include <tests/hostile/messages.hpp>
+#include <tests/support/plain_node.hpp>
+
+#include <grp.h>
+#include <sys/prctl.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <chrono>
+#include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+#include <deque>
+#include <iostream>
+#include <optional>
+#include <sstream>
+#include <string>
+#include <thread>
+
+namespace agnocast::test {
+namespace {
+
+// Deep and slow enough that a busy machine may stop the reader for seconds, and nothing is lost.
+constexpr std::uint32_t depth = 1000;
+constexpr std::chrono::milliseconds period{3};
+
+class HonestNode {
+ public:
+  ~HonestNode() { stop(); }
+
+  std::string execute(std::istringstream& line) {
+    std::string what, topic;
+    line >> what >> topic;
+    if (what == "publish") return publish(topic);
+    if (what == "subscribe") return subscribe(topic);
+    if (what == "watch") return watch(topic);
+    if (what == "create") return create(topic);
+    if (what == "stop") return stop(), "ok";
+    if (what == "matched")
+      return std::to_string((publisher_ != nullptr ? publisher_->get_subscription_count() : 0) +
+                            (subscription_ != nullptr ? subscription_->get_publisher_count() : 0) +
+                            (watched_ != nullptr ? watched_->get_publisher_count() : 0));
+    if (what == "state") return state();
+    return "unknown " + what;
+  }
+
+ private:
+  std::string publish(const std::string& topic) {
+    publisher_ = create_publisher<Numbered>(PlainNode(), topic, QoS(depth));
+    thread_ = std::thread([this] {
+      for (std::uint64_t number = 1; !stopped_.load(); ++number) {
+        auto message = publisher_->borrow_loaned_message();
+        fill(*message, number);
+        const PublishResult result = publisher_->publish(std::move(message));
+        if (result && result.adopted_bytes == 0) {
+          published_.store(number);
+        } else {
+          ++refused_;
+          refusal_.store(sentence_of(result.code));
+        }
+        std::this_thread::sleep_for(period);
+      }
+    });
+    return "ok";
+  }
+
+  std::string subscribe(const std::string& topic) {
+    subscription_ = create_subscription<Numbered>(
+        node_, topic, QoS(depth), [this](ipc_shared_ptr<const Numbered> message) {
+          const std::uint64_t number = received_.load() + 1;
+          if (!is_intact(*message, number)) ++wrong_;
+          received_.store(number);
+          held_.push_back(std::move(message));
+          if (held_.size() <= 8) return;
+          if (!is_intact(*held_.front(), number - 8)) ++wrong_;
+          held_.pop_front();
+        });
+    return "ok";
+  }
+
+  std::string watch(const std::string& topic) {
+    watched_ = create_subscription<Flat>(
+        node_, topic, QoS(100), [this](ipc_shared_ptr<const Flat> message) {
+          const auto at = reinterpret_cast<std::uint64_t>(message.get());
+          // Read as a whole: what was handed out can be read.
+          std::uint64_t sum = 0;
+          for (const std::uint64_t word : message->word) sum += word;
+          sum_.store(sum);
+          if (at < low_.load()) low_.store(at);
+          if (at + sizeof(Flat) > high_.load()) high_.store(at + sizeof(Flat));
+          ++seen_;
+        });
+    return "ok";
+  }
+
+  std::string create(const std::string& topic) {
+    auto publisher = try_create_publisher<Flat>(node_, topic, QoS(1));
+    if (!publisher) return sentence_of(publisher.error().code);
+    auto subscription = try_create_subscription<Flat>(node_, topic, QoS(1));
+    return subscription ? "ok" : sentence_of(subscription.error().code);
+  }
+
+  std::string state() const {
+    std::ostringstream text;
+    text << published_.load() << ' ' << refused_.load() << ' ' << received_.load() << ' '
+         << wrong_.load() << ' ' << (subscription_ ? subscription_->get_lost_count() : 0) << ' '
+         << seen_.load() << ' ' << low_.load() << ' ' << high_.load() << ' '
+         << (watched_ ? watched_->get_lost_count() : 0) << ' ' << refusal_.load();
+    return text.str();
+  }
+
+  void stop() {
+    stopped_.store(true);
+    if (thread_.joinable()) thread_.join();
+  }
+
+  PlainNode node_;
+  std::atomic<std::uint64_t> published_{0}, refused_{0}, received_{0}, wrong_{0};
+  std::atomic<std::uint64_t> seen_{0}, low_{~std::uint64_t{0}}, high_{0}, sum_{0};
+  std::atomic<const char*> refusal_{""};
+  std::atomic<bool> stopped_{false};
+  std::deque<ipc_shared_ptr<const Numbered>> held_;  // of the callback alone
+  Publisher<Numbered>::SharedPtr publisher_;
+  Subscription<Numbered>::SharedPtr subscription_;
+  Subscription<Flat>::SharedPtr watched_;
+  std::thread thread_;
+};
+
+bool become(uid_t uid) {
+  if (uid == 0) return true;
+  // Dumpable as any process that was this user's from the beginning.
+  return ::setgroups(0, nullptr) == 0 && ::setgid(uid) == 0 && ::setuid(uid) == 0 &&
+         ::prctl(PR_SET_DUMPABLE, 1) == 0;
+}
+
+}  // namespace
+}  // namespace agnocast::test
+
+int main(int argc, char** argv) {
+  if (argc != 2 || !agnocast::test::become(static_cast<uid_t>(std::atol(argv[1])))) return 2;
+  static agnocast::test::HonestNode node;
+  std::string text;
+  while (std::getline(std::cin, text)) {
+    std::istringstream line(text);
+    std::string answer;
+    try {
+      answer = node.execute(line);
+    } catch (const std::exception& error) {
+      answer = error.what();
+    }
+    std::cout << answer << std::endl;
+  }
+  return 0;
+}

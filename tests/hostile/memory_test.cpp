@@ -1,0 +1,315 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: with the descriptors and mappings that a client really gets, another user can write nothing
+// that is not his, resize nothing at all, and make nobody meet SIGBUS, whatever the kernel offers.
+// Method: a list of attempts, each with the errno that it must end with, on every kind of shared
+// memory, with the daemon as root and as a user of its own, while an honest pair runs. A kernel or a
+// change of ours that opens a way turns an attempt red, and so does one that closes it otherwise.
+
+#include <tests/hostile/hostile_node.hpp>
+
+#include <fcntl.h>
+#include <linux/futex.h>
+#include <linux/userfaultfd.h>
+#include <sys/ioctl.h>
+#include <sys/ptrace.h>
+#include <sys/stat.h>
+#include <sys/syscall.h>
+#include <sys/uio.h>
+
+#include <cerrno>
+
+namespace agnocast::test {
+namespace {
+
+using wire::Kind;
+using wire::Opcode;
+
+constexpr std::size_t page = 4096;
+
+std::string path_of(int fd) { return "/proc/self/fd/" + std::to_string(fd); }
+
+/// 0 when it worked, else errno.
+template <class Call>
+int outcome(Call call) {
+  errno = 0;
+  return call() < 0 ? errno : 0;
+}
+int outcome_of_map(void* at) { return at == MAP_FAILED ? errno : 0; }
+
+int write_self(void* at) {
+  const UniqueFd memory(::open("/proc/self/mem", O_RDWR | O_CLOEXEC));
+  EXPECT_TRUE(memory);
+  return outcome([&] {
+    return ::pwrite(memory.get(), "x", 1, static_cast<off_t>(reinterpret_cast<std::uintptr_t>(at)));
+  });
+}
+
+int write_vm(pid_t pid, void* at) {
+  char byte = 'x';
+  const iovec local{&byte, 1}, remote{at, 1};
+  return outcome([&] { return ::process_vm_writev(pid, &local, 1, &remote, 1, 0); });
+}
+
+// A fault handler of its own would fill pages of a mapping; 0 only if the kernel lets it.
+int userfaultfd_on(void* at) {
+  const UniqueFd fd(
+      static_cast<int>(::syscall(SYS_userfaultfd, O_CLOEXEC | O_NONBLOCK | UFFD_USER_MODE_ONLY)));
+  if (!fd) return EPERM;  // not offered here at all
+  uffdio_api api{};
+  api.api = UFFD_API;
+  if (::ioctl(fd.get(), UFFDIO_API, &api) != 0) return EPERM;
+  uffdio_register range{};
+  range.range = {reinterpret_cast<std::uintptr_t>(at), page};
+  range.mode = UFFDIO_REGISTER_MODE_MISSING;
+  return outcome([&] { return ::ioctl(fd.get(), UFFDIO_REGISTER, &range); });
+}
+
+// Everything that might write through a descriptor opened for reading, or through a mapping of it.
+void try_to_write(int fd, const std::string& what) {
+  SCOPED_TRACE(what);
+  const std::string path = path_of(fd);
+  for (const int flags : {O_RDWR, O_WRONLY, O_RDONLY, O_RDWR | O_TRUNC})
+    EXPECT_EQ(outcome([&] { return ::open(path.c_str(), flags | O_CLOEXEC); }), EACCES) << flags;
+  EXPECT_EQ(outcome_of_map(::mmap(nullptr, page, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0)),
+            EACCES);
+  EXPECT_EQ(outcome([&] { return ::pwrite(fd, "x", 1, 0); }), EBADF);
+  EXPECT_EQ(outcome([&] { return ::ftruncate(fd, 0); }), EINVAL);
+  EXPECT_EQ(outcome([&] { return ::fallocate(fd, 0, 0, page); }), EBADF);
+  EXPECT_EQ(
+      outcome([&] { return ::fallocate(fd, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, 0, page); }),
+      EBADF);
+  EXPECT_EQ(outcome([&] { return ::fcntl(fd, F_ADD_SEALS, F_SEAL_WRITE); }), EPERM);
+  EXPECT_EQ(::fcntl(fd, F_GET_SEALS), F_SEAL_SHRINK | F_SEAL_GROW | F_SEAL_SEAL |
+                                          (::fcntl(fd, F_GET_SEALS) & 0x20 /* F_SEAL_EXEC */));
+  EXPECT_EQ(outcome([&] { return ::fchmod(fd, 0777); }), EPERM);
+  EXPECT_EQ(outcome([&] { return ::fchown(fd, ::getuid(), ::getgid()); }), EPERM);
+  struct stat before {};
+  ASSERT_EQ(::fstat(fd, &before), 0);
+  EXPECT_EQ(before.st_mode & 0777, 0600u);
+  EXPECT_NE(before.st_uid, ::getuid());
+
+  char* const at = static_cast<char*>(::mmap(nullptr, page, PROT_READ, MAP_SHARED, fd, 0));
+  ASSERT_NE(at, MAP_FAILED);
+  EXPECT_EQ(outcome([&] { return ::mprotect(at, page, PROT_READ | PROT_WRITE); }), EACCES);
+  void* const twin = ::mremap(at, 0, page, MREMAP_MAYMOVE);
+  ASSERT_NE(twin, MAP_FAILED);
+  EXPECT_EQ(outcome([&] { return ::mprotect(twin, page, PROT_WRITE); }), EACCES);
+  void* const moved = ::mremap(twin, page, 2 * page, MREMAP_MAYMOVE);
+  ASSERT_NE(moved, MAP_FAILED);
+  EXPECT_EQ(outcome([&] { return ::mprotect(moved, page, PROT_WRITE); }), EACCES);
+  EXPECT_EQ(outcome([&] { return ::madvise(at, page, MADV_REMOVE); }), EACCES);
+  EXPECT_EQ(outcome([&] { return ::madvise(at, page, MADV_POPULATE_WRITE); }), EINVAL);
+  EXPECT_EQ(write_self(at), EIO);
+  EXPECT_EQ(write_vm(::getpid(), at), EFAULT);
+  EXPECT_EQ(userfaultfd_on(at), EPERM);
+  // The kernel as the writer: into the mapping as a buffer, and as a futex.
+  const UniqueFd zero(::open("/dev/zero", O_RDONLY | O_CLOEXEC));
+  EXPECT_EQ(outcome([&] { return ::read(zero.get(), at, 8); }), EFAULT);
+  std::uint32_t own = 0;
+  EXPECT_EQ(outcome([&] {
+              return ::syscall(SYS_futex, &own, FUTEX_WAKE_OP, 1, 1L, at,
+                               FUTEX_OP(FUTEX_OP_SET, 1, FUTEX_OP_CMP_EQ, 0));
+            }),
+            EFAULT);
+  EXPECT_EQ(outcome([&] { return ::syscall(SYS_futex, at, FUTEX_LOCK_PI, 0, nullptr); }), EFAULT);
+  struct stat after {};
+  ASSERT_EQ(::fstat(fd, &after), 0);
+  EXPECT_EQ(after.st_size, before.st_size);
+  ::munmap(at, page);
+  ::munmap(moved, 2 * page);
+}
+
+// What is one's own may be written, and neither resized nor given away.
+void try_to_resize(int fd, const std::string& what) {
+  SCOPED_TRACE(what);
+  struct stat status {};
+  ASSERT_EQ(::fstat(fd, &status), 0);
+  EXPECT_EQ(outcome([&] { return ::ftruncate(fd, 0); }), EPERM);
+  EXPECT_EQ(outcome([&] { return ::ftruncate(fd, status.st_size - 4096); }), EPERM);
+  EXPECT_EQ(outcome([&] { return ::ftruncate(fd, status.st_size + 4096); }), EPERM);
+  EXPECT_EQ(outcome([&] { return ::fallocate(fd, 0, status.st_size, page); }), EPERM);
+  EXPECT_EQ(outcome([&] { return ::pwrite(fd, "x", 1, status.st_size); }), EPERM);
+  for (const int mode : {FALLOC_FL_COLLAPSE_RANGE, FALLOC_FL_INSERT_RANGE})
+    EXPECT_NE(outcome([&] { return ::fallocate(fd, mode, 0, page); }), 0);
+  for (const int seal : {F_SEAL_WRITE, F_SEAL_FUTURE_WRITE})
+    EXPECT_EQ(outcome([&] { return ::fcntl(fd, F_ADD_SEALS, seal); }), EPERM);
+  EXPECT_EQ(outcome([&] { return ::fchmod(fd, 0777); }), EPERM);
+  EXPECT_EQ(outcome([&] { return ::open(path_of(fd).c_str(), O_RDWR | O_TRUNC | O_CLOEXEC); }),
+            EACCES);
+}
+
+class HostileMemory : public testing::TestWithParam<bool> {
+ protected:
+  StageOptions options() const {
+    StageOptions options;
+    if (GetParam()) options.daemon = daemon_uid;
+    return options;
+  }
+};
+
+TEST_P(HostileMemory, GivesNobodyAWayToWriteWhatIsNotHis) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage(options());
+  Attacker attacker([&](Attack&) {
+    HostileNode node(stage.socket_path());
+    node.join(Kind::subscription, stream_topic);
+    const auto publisher = node.announced();
+    ASSERT_EQ(publisher.fds.size(), 2u);
+    node.join(Kind::publisher, open_topic);
+    const auto subscription = node.announced();
+    ASSERT_EQ(subscription.body.kind, Kind::subscription);
+    ASSERT_EQ(subscription.fds.size(), 2u) << "region and datagram bell: no eventfd for this user";
+    struct stat bell {};
+    ASSERT_EQ(::fstat(subscription.fds[1].get(), &bell), 0);
+    EXPECT_TRUE(S_ISSOCK(bell.st_mode)) << "an eventfd would let us block its other holders";
+    try_to_write(node.board_fd(), "board");
+    try_to_write(publisher.fds[0].get(), "region of the honest publisher");
+    try_to_write(publisher.fds[1].get(), "window of the honest publisher");
+    try_to_write(subscription.fds[0].get(), "region of the honest subscriber");
+    try_to_write(node.window_read_fd(), "own window, as its children get it");
+    try_to_resize(node.region_fd(), "own region");
+    try_to_resize(node.window_fd(), "own window");
+  });
+  attacker.end();
+  stage.honest_goes_on();
+}
+
+TEST_P(HostileMemory, GivesAnObserverNoWayToWrite) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage(options());
+  Attacker attacker([&](Attack&) {
+    WireClient observer(stage.socket_path());
+    wire::Observe observe{};
+    observe.fingerprint = abi::fingerprint();
+    Incoming observed = observer.ask(Opcode::observe, observe);
+    ASSERT_EQ(observed.opcode(), Opcode::observed) << observed.refused_text();
+    ASSERT_EQ(observed.fds.size(), 1u);
+    try_to_write(observed.fds[0].get(), "board");
+    observer.send(Opcode::dump, wire::Dump{});
+    unsigned regions = 0;
+    for (;;) {
+      Incoming packet = observer.next();
+      if (packet.bytes.empty() || packet.opcode() == Opcode::dump_end) break;
+      EXPECT_LE(packet.fds.size(), 1u);
+      for (const UniqueFd& fd : packet.fds) {
+        ++regions;
+        struct stat status {};
+        ASSERT_EQ(::fstat(fd.get(), &status), 0);
+        EXPECT_EQ(status.st_size, off_t{1} << 30) << "a region, and no window";
+        try_to_write(fd.get(), "region of a process");
+      }
+    }
+    EXPECT_EQ(regions, 2u);
+  });
+  attacker.end();
+}
+
+// The long way round: through the processes that have the memory for writing.
+TEST_P(HostileMemory, KeepsOthersOutOfTheProcessesThatMayWrite) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage(options());
+  Attacker attacker([&](Attack&) {
+    for (const pid_t pid : {stage.daemon().pid(), stage.publisher().pid()}) {
+      SCOPED_TRACE(pid == stage.daemon().pid() ? "daemon" : "honest publisher");
+      const std::string proc = "/proc/" + std::to_string(pid);
+      for (const char* const file : {"/mem", "/maps", "/fd/0", "/map_files"})
+        EXPECT_EQ(outcome([&] { return ::open((proc + file).c_str(), O_RDONLY | O_CLOEXEC); }),
+                  EACCES)
+            << file;
+      int here = 0;
+      const int error = write_vm(pid, &here);
+      EXPECT_EQ(error, EPERM);
+      EXPECT_EQ(outcome([&] { return ::ptrace(PTRACE_SEIZE, pid, nullptr, nullptr); }), EPERM);
+      EXPECT_EQ(outcome([&] { return ::kill(pid, SIGSTOP); }), EPERM);
+      const UniqueFd process(static_cast<int>(::syscall(SYS_pidfd_open, pid, 0)));
+      ASSERT_TRUE(process);
+      EXPECT_EQ(outcome([&] { return ::syscall(SYS_pidfd_getfd, process.get(), 3, 0); }), EPERM);
+    }
+  });
+  attacker.end();
+  stage.honest_goes_on();
+}
+
+// Pages of one's own can be taken away under everybody's feet: they read zero, nobody faults.
+TEST_P(HostileMemory, TakesNoReaderDownByGivingItsOwnMemoryBack) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage(options());
+  Chance chance(1);
+  Attacker attacker([&](Attack& attack) {
+    HostileNode node(stage.socket_path());
+    const auto publisher = node.join(Kind::publisher, open_topic);
+    const auto subscription = node.join(Kind::subscription, stream_topic);
+    const auto queue = node.queue(publisher);
+    const auto about = [&] {
+      for (;;) {
+        auto announced = node.announced();
+        if (announced.body.kind == Kind::subscription || announced.fds.empty()) return announced;
+      }
+    }();
+    ASSERT_EQ(about.fds.size(), 2u);
+    const Doorbell bell(UniqueFd(::dup(about.fds[1].get())));
+    attack.ready();
+    for (std::uint64_t round = 0; attack.goes_on(); ++round) {
+      for (std::uint64_t i = 0; i < 20; ++i)
+        node.commit(publisher, node.open_window().base + (round * 20 + i) % 4096 * 64, flat_bytes);
+      static_cast<void>(bell.ring());
+      ::usleep(static_cast<useconds_t>(chance.below(500)));
+      const int hole = FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE;
+      EXPECT_EQ(::fallocate(node.window_fd(), hole, 0, 1 << 20), 0);
+      // Its own descriptors of itself: header, queue, link lines.
+      EXPECT_EQ(::fallocate(node.region_fd(), hole, 0, page), 0);
+      if (round % 2 == 0) {
+        EXPECT_EQ(::fallocate(node.region_fd(), hole, static_cast<off_t>(publisher.extent),
+                              abi::publisher_extent_bytes),
+                  0);
+      }
+      EXPECT_EQ(::fallocate(node.region_fd(), hole, static_cast<off_t>(subscription.extent),
+                            abi::subscription_extent_bytes),
+                0);
+      node.frontier().store(1 << 20);
+      if (round % 2 == 0) queue.head().store(abi::pack_entry(publisher.first_sequence, 0));
+      ++attack.word(0);
+    }
+  });
+  ASSERT_TRUE(attacker.wait_until_ready());
+  stage.honest_goes_on();
+  EXPECT_TRUE(eventually([&] { return attacker.word(0) > 100 && stage.state().watched > 100; }))
+      << "nobody read what was taken away";
+  attacker.kill();
+  stage.honest_goes_on();
+  stage.honest_is_served();
+}
+
+// Reading a hole through a mapping makes a page: it is one's own memory that is spent, within the
+// length of what one was given.
+TEST_P(HostileMemory, LetsAReaderSpendOnlyMemoryOnHolesAndBreakNothing) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage(options());
+  Attacker attacker([&](Attack&) {
+    HostileNode node(stage.socket_path());
+    node.join(Kind::subscription, stream_topic);
+    const auto publisher = node.announced();
+    ASSERT_EQ(publisher.body.window_count, 1u);
+    const std::uint64_t bytes = publisher.body.window[0].bytes;
+    const Mapping window =
+        std::move(Mapping::map(publisher.fds[1].get(), bytes, Mapping::Access::read).value());
+    unsigned sum = 0;
+    for (std::uint64_t at = 0; at < bytes; at += page)
+      sum += static_cast<unsigned>(window.base()[at]);
+    struct stat status {};
+    ASSERT_EQ(::fstat(publisher.fds[1].get(), &status), 0);
+    EXPECT_LE(static_cast<std::uint64_t>(status.st_blocks) * 512, bytes) << sum;
+    EXPECT_EQ(static_cast<std::uint64_t>(status.st_size), bytes);
+  });
+  attacker.end();
+  stage.honest_goes_on();
+}
+
+INSTANTIATE_TEST_SUITE_P(Daemon, HostileMemory, testing::Bool(),
+                         [](const testing::TestParamInfo<bool>& daemon) {
+                           return std::string(daemon.param ? "AsAUserOfItsOwn" : "AsRoot");
+                         });
+
+}  // namespace
+}  // namespace agnocast::test

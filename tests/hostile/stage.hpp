@@ -1,0 +1,143 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// The stage of the hostile tests: the real daemon, an honest pair of one user that never stops, and
+// attackers of another one.
+//
+//   Stage stage;                          daemon with rules and quotas, pair started and matched
+//   Attacker attacker(stage, [](Attack& attack) { … attack.ready(); while (attack.goes_on()) …; });
+//   attacker.wait_until_ready();
+//   stage.honest_goes_on();               while the attack lasts
+//   attacker.end();                       what the body expected, and did not get, fails the test
+//   stage.honest_lost_nothing();
+//
+// Attackers are children that gave their rights away: gtest's EXPECT works in them. The honest
+// processes are programs of their own, because the library's hook and threads belong to a process.
+#pragma once
+
+#include <agnocast/abi/observe.hpp>
+#include <tests/support/child.hpp>
+#include <tests/support/daemon_process.hpp>
+#include <tests/support/steered_process.hpp>
+#include <tests/support/wire_client.hpp>
+
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <array>
+#include <atomic>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <random>
+#include <string>
+
+// First line of every test of this folder.
+#define AGNOCAST_NEEDS_TWO_USERS() \
+  if (::geteuid() != 0) GTEST_SKIP() << "needs root and a second uid"
+
+namespace agnocast::test {
+
+inline constexpr uid_t honest_uid = 65533, hostile_uid = 65534, daemon_uid = 65532;
+/// Topic on which only the honest user may publish, and one that is open to everybody.
+inline constexpr const char* stream_topic = "/stream";
+inline constexpr const char* open_topic = "/open";
+
+struct StageOptions {
+  std::optional<uid_t> daemon = {};  ///< none: root
+  std::string quota = "held_messages = 400\n";
+  std::string more = {};  ///< further text of the configuration
+};
+
+class Stage {
+ public:
+  explicit Stage(const StageOptions& options = {});
+  ~Stage();
+
+  DaemonProcess& daemon() noexcept { return daemon_; }
+  const std::string& socket_path() const noexcept { return daemon_.socket_path(); }
+  SteeredProcess& publisher() noexcept { return *publisher_; }
+  SteeredProcess& subscriber() noexcept { return *subscriber_; }
+
+  /// Another 100 messages are published and have arrived since now. That is what "is not blocked"
+  /// means: a publisher that waits for somebody, or a reader that starves, never gets there.
+  void honest_goes_on();
+  /// Requests of the honest subscriber's process are answered with what it asked for.
+  void honest_is_served();
+  /// Ends the stream; every message of it has arrived, once, in order, whole. The daemon runs.
+  void honest_lost_nothing();
+
+  struct State {
+    std::uint64_t published = 0, refused = 0, received = 0, wrong = 0, lost = 0;
+    std::uint64_t watched = 0, low = 0, high = 0, watch_lost = 0;
+    std::string refusal;
+  };
+  /// Of both processes together.
+  State state();
+  /// What the daemon counts.
+  abi::wire::DaemonCounters counters();
+
+ private:
+  DaemonProcess daemon_;
+  std::unique_ptr<SteeredProcess> subscriber_, publisher_;
+  std::uint64_t served_ = 0;
+  bool judged_ = false;
+};
+
+/// An attacker's view of its test: shared words, and when to stop.
+class Attack {
+ public:
+  using Word = std::atomic<std::uint64_t>;
+  Attack(Word* words, int stop, int ready) : words_(words), stop_(stop), ready_(ready) {}
+  /// The attack is under way.
+  void ready();
+  /// Until the test says end(). The attacker looks whenever it likes.
+  bool goes_on() const;
+  /// Words that the test reads.
+  Word& word(std::size_t index) { return words_[index]; }
+
+ private:
+  Word* words_;
+  int stop_, ready_;
+};
+
+class Attacker {
+ public:
+  explicit Attacker(std::function<void(Attack&)> body, uid_t uid = hostile_uid);
+  ~Attacker();
+  Attacker(const Attacker&) = delete;
+  Attacker& operator=(const Attacker&) = delete;
+
+  /// False, and the test has failed, when it ended before.
+  bool wait_until_ready();
+  std::uint64_t word(std::size_t index) const { return words_[index].load(); }
+  pid_t pid() const noexcept { return child_->pid(); }
+  /// Asks it to stop and waits; the test fails with it.
+  void end();
+  /// SIGKILL, in the middle of whatever it does.
+  void kill();
+
+ private:
+  static constexpr std::size_t word_count = 16;
+  Attack::Word* words_;
+  UniqueFd stop_, ready_;
+  std::unique_ptr<Child> child_;
+};
+
+/// A seeded source of bytes; the seed is printed, AGNOCAST_SEED= repeats it.
+class Chance {
+ public:
+  explicit Chance(std::uint64_t seed);
+  std::uint64_t operator()() { return engine_(); }
+  std::uint64_t below(std::uint64_t end) { return engine_() % end; }
+  /// What breaks arithmetic more often than chance does.
+  std::uint64_t nasty();
+
+ private:
+  std::mt19937_64 engine_;
+};
+
+/// How long an attack lasts: AGNOCAST_ATTACK_SECONDS, 2 by default.
+std::chrono::milliseconds attack_time();
+
+}  // namespace agnocast::test

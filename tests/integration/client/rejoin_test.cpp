@@ -1,0 +1,310 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: whatever happens to a connection, no message is lost or comes twice, every request is done
+// once, and what happened meanwhile is heard afterwards.
+// Method: real daemon, real processes. Connections are ended from outside, under the hands of both
+// sides; who is stopped (SIGSTOP) is away for as long as the test wants.
+
+#include <agnocast/error.hpp>
+#include <tests/support/client_tool.hpp>
+#include <tests/support/daemon_process.hpp>
+#include <tests/support/foreign_socket.hpp>
+
+#include <gtest/gtest.h>
+
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+namespace agnocast {
+namespace {
+
+using test::ClientTool;
+using test::DaemonProcess;
+using test::end_connection;
+using test::eventually;
+using test::ForeignSocket;
+
+std::string island(Errc reason) { return "island " + std::to_string(static_cast<int>(reason)); }
+std::string error_of(const std::string& answer) { return answer.substr(0, answer.find(' ', 6)); }
+std::string error(Errc code) { return "error " + std::to_string(static_cast<int>(code)); }
+
+/// Stops a process for a while.
+class Stopped {
+ public:
+  explicit Stopped(pid_t pid) : pid_(pid) {
+    ::kill(pid, SIGSTOP);
+    int status = 0;
+    ::waitpid(pid, &status, WUNTRACED);
+  }
+  ~Stopped() { ::kill(pid_, SIGCONT); }
+  Stopped(const Stopped&) = delete;
+  Stopped& operator=(const Stopped&) = delete;
+
+ private:
+  pid_t pid_;
+};
+
+/// Takes and releases until nothing is there any more: the numbers, each followed by a space.
+std::string take_all(ClientTool& subscriber) {
+  std::string numbers;
+  for (;;) {
+    const std::string number = subscriber.ask("take");
+    if (number == "none") return numbers;
+    numbers += number + " ";
+    EXPECT_EQ(subscriber.ask("release"), "ok");
+  }
+}
+
+TEST(Rejoin, NoMessageIsLostOrComesTwice) {
+  DaemonProcess daemon;
+  ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
+  ASSERT_EQ(subscriber.ask("sub /t 100"), "ok");
+  ASSERT_EQ(publisher.ask("pub /t 1"), "ok");
+  ASSERT_TRUE(publisher.eventually("matched", "1"));
+  int ended = 0;
+  for (int number = 1; number <= 1000; ++number) {
+    // Also while it is coming back: what is ended is whatever there is.
+    if (number % 3 == 0) ended += end_connection(publisher.pid()) ? 1 : 0;
+    if (number % 4 == 0) ended += end_connection(subscriber.pid()) ? 1 : 0;
+    subscriber.tell("wait 10000");
+    ASSERT_EQ(publisher.ask("publish 1 100"), "ok") << number;
+    ASSERT_EQ(subscriber.answer(), "news") << number;
+    ASSERT_EQ(take_all(subscriber), std::to_string(number) + " ");
+  }
+  EXPECT_GT(ended, 10);
+  ASSERT_TRUE(subscriber.eventually("state", "connected"));
+  ASSERT_TRUE(publisher.eventually("state", "connected"));
+  EXPECT_EQ(subscriber.ask("lost"), "0");
+  EXPECT_EQ(subscriber.ask("links"), "1");
+  EXPECT_EQ(publisher.ask("matched"), "1");
+  EXPECT_TRUE(publisher.eventually("allocated", "0"));
+}
+
+TEST(Rejoin, WhoComesAndGoesMeanwhileIsHeardToTheLastMessage) {
+  DaemonProcess daemon;
+  ClientTool subscriber(daemon.socket_path());
+  auto known = std::make_unique<ClientTool>(daemon.socket_path());
+  ASSERT_EQ(subscriber.ask("sub /t 100"), "ok");
+  ASSERT_EQ(known->ask("pub /t 10"), "ok");
+  ASSERT_TRUE(known->eventually("matched", "1"));
+  ASSERT_EQ(known->ask("publish 1 10"), "ok");
+  ASSERT_EQ(subscriber.ask("wait 10000"), "news");
+  ASSERT_EQ(take_all(subscriber), "1 ");
+  ClientTool stays(daemon.socket_path());
+  {
+    const Stopped away(subscriber.pid());
+    ASSERT_TRUE(end_connection(subscriber.pid()));
+    ASSERT_EQ(known->ask("publish 2 10"), "ok");
+    known.reset();  // killed
+    ASSERT_TRUE(daemon.wait_for_log("client gone client=1"));
+    {
+      ClientTool passes_by(daemon.socket_path());
+      ASSERT_EQ(passes_by.ask("pub /t 10"), "ok");
+      ASSERT_EQ(passes_by.ask("publish 3 1000"), "ok");
+    }
+    ASSERT_TRUE(daemon.wait_for_log("client gone client=2"));
+    ASSERT_EQ(stays.ask("pub /t 10"), "ok");
+    ASSERT_EQ(stays.ask("publish 1 10"), "ok");
+  }
+  std::string heard;
+  EXPECT_TRUE(eventually([&] {
+    heard += take_all(subscriber);
+    return heard.size() >= 12;
+  }));
+  EXPECT_EQ(heard.size(), 12u);
+  // Every publisher's own messages in their order; who was linked first is drained first.
+  EXPECT_EQ(heard.substr(0, 4), "2 3 ") << heard;
+  EXPECT_NE(heard.find("1 2 3 "), std::string::npos) << heard;
+  EXPECT_TRUE(subscriber.eventually("links", "1")) << "the dead are unlinked";
+  ASSERT_TRUE(stays.eventually("matched", "1"));
+  ASSERT_EQ(stays.ask("publish 1 10"), "ok");
+  ASSERT_EQ(subscriber.ask("wait 10000"), "news");
+  EXPECT_EQ(take_all(subscriber), "2 ");
+  EXPECT_EQ(subscriber.ask("lost"), "0");
+}
+
+TEST(Rejoin, APublisherHearsOfSubscriptionsThatCameAndWentMeanwhile) {
+  DaemonProcess daemon;
+  ClientTool publisher(daemon.socket_path()), comes(daemon.socket_path()),
+      leaves(daemon.socket_path());
+  auto dies = std::make_unique<ClientTool>(daemon.socket_path());
+  ASSERT_EQ(publisher.ask("pub /t 1"), "ok");
+  ASSERT_EQ(leaves.ask("sub /t 5"), "ok");
+  ASSERT_EQ(dies->ask("sub /t 5"), "ok");
+  ASSERT_TRUE(publisher.eventually("matched", "2"));
+  ASSERT_EQ(publisher.ask("publish 1 10"), "ok");
+  ASSERT_EQ(dies->ask("wait 10000"), "news");
+  ASSERT_EQ(dies->ask("take"), "1");
+  {
+    const Stopped away(publisher.pid());
+    ASSERT_TRUE(end_connection(publisher.pid()));
+    dies.reset();
+    ASSERT_TRUE(daemon.wait_for_log("client gone"));
+    ASSERT_EQ(leaves.ask("unsub"), "ok");
+    ASSERT_EQ(comes.ask("sub /t 5"), "ok");
+  }
+  EXPECT_TRUE(publisher.eventually("matched", "1"));
+  EXPECT_TRUE(publisher.eventually("allocated", "0")) << "what the dead one held is free";
+  ASSERT_EQ(publisher.ask("publish 1 10"), "ok");
+  ASSERT_EQ(comes.ask("wait 10000"), "news");
+  EXPECT_EQ(take_all(comes), "2 ");
+}
+
+TEST(Rejoin, AHeapThatGrewMeanwhileIsRead) {
+  DaemonProcess daemon;
+  ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
+  ASSERT_EQ(subscriber.ask("sub /t 100"), "ok");
+  ASSERT_EQ(publisher.ask("pub /t 1"), "ok");
+  ASSERT_TRUE(publisher.eventually("matched", "1"));
+  constexpr int count = 90;
+  {
+    const Stopped away(subscriber.pid());
+    ASSERT_TRUE(end_connection(subscriber.pid()));
+    // A megabyte each, all unread: more than the first window of 64 MiB.
+    for (int i = 0; i < count; ++i) ASSERT_EQ(publisher.ask("publish 1 130000"), "ok") << i;
+  }
+  std::string heard, expected;
+  for (int i = 1; i <= count; ++i) expected += std::to_string(i) + " ";
+  EXPECT_TRUE(eventually([&] {
+    heard += take_all(subscriber);
+    return heard.size() >= expected.size();
+  }));
+  EXPECT_EQ(heard, expected);
+}
+
+TEST(Rejoin, ARequestWhoseAnswerIsLostIsDoneOnce) {
+  DaemonProcess daemon({.config = "[heap]\nwindow_bytes = \"64MiB\"\n[limits]\n"
+                                  "publishers_per_topic = 1\nsubscriptions_per_topic = 1\n"});
+  ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
+  // Sent while the daemon is stopped; the connection ends before it can answer. It reads and does
+  // what was sent, and nobody hears of it.
+  const auto ask_unanswered = [&](ClientTool& client, const std::string& line) {
+    {
+      const Stopped away(daemon.pid());
+      ForeignSocket socket(client.pid());
+      EXPECT_TRUE(socket);
+      client.tell(line);
+      EXPECT_TRUE(eventually([&] { return socket.has_unread(); })) << line;
+      EXPECT_TRUE(socket.end_connection());
+    }
+    return client.answer();
+  };
+  // Hello is not repeated; the first endpoints of both get it out of the way.
+  ASSERT_EQ(publisher.ask("connect"), "ok");
+  ASSERT_EQ(subscriber.ask("connect"), "ok");
+  for (int round = 1; round <= 3; ++round) {
+    // In the first round an executor and a window come before the endpoints.
+    ASSERT_EQ(ask_unanswered(subscriber, "sub /t 5"), "ok") << round;
+    ASSERT_EQ(ask_unanswered(publisher, "pub /t 1"), "ok") << round;
+    ASSERT_TRUE(publisher.eventually("matched", "1")) << round;
+    EXPECT_EQ(subscriber.ask("links"), "1");
+    ASSERT_EQ(publisher.ask("publish 1 10"), "ok");
+    ASSERT_EQ(subscriber.ask("wait 10000"), "news");
+    ASSERT_EQ(take_all(subscriber), "1 ");
+    ASSERT_EQ(ask_unanswered(subscriber, "unsub"), "ok") << round;
+    ASSERT_EQ(ask_unanswered(publisher, "unpub"), "ok") << round;
+    // There is one place for each, so the next round finds it free again or fails.
+    ASSERT_TRUE(publisher.eventually("pub /t 1", "ok")) << round;
+    ASSERT_EQ(publisher.ask("unpub"), "ok");
+    ASSERT_TRUE(subscriber.eventually("sub /t 1", "ok")) << round;
+    ASSERT_EQ(subscriber.ask("unsub"), "ok");
+    ASSERT_TRUE(publisher.eventually("pub /t 1", "ok")) << round;
+    ASSERT_EQ(publisher.ask("unpub"), "ok");
+    ASSERT_TRUE(subscriber.eventually("sub /t 1", "ok")) << round;
+    ASSERT_EQ(subscriber.ask("unsub"), "ok");
+  }
+}
+
+TEST(Rejoin, ACreationThatWasGivenUpLeavesNothingBehind) {
+  DaemonProcess daemon({.config = "[heap]\nwindow_bytes = \"64MiB\"\n[limits]\n"
+                                  "publishers_per_topic = 1\nsubscriptions_per_topic = 1\n"});
+  for (const bool connection_ends : {false, true}) {
+    ClientTool first(daemon.socket_path()), second(daemon.socket_path());
+    // Heap and executor are there already: what is given up is the endpoint.
+    ASSERT_EQ(first.ask("pub /other 1"), "ok");
+    ASSERT_EQ(first.ask("unpub"), "ok");
+    ASSERT_EQ(second.ask("sub /other 1"), "ok");
+    ASSERT_EQ(second.ask("unsub"), "ok");
+    {
+      const Stopped away(daemon.pid());
+      first.tell("pub /t 1");
+      second.tell("sub /t 5");
+      EXPECT_EQ(error_of(first.answer()), error(Errc::daemon_not_running));
+      EXPECT_EQ(error_of(second.answer()), error(Errc::daemon_not_running));
+      if (connection_ends) {
+        ASSERT_TRUE(end_connection(first.pid()));
+        ASSERT_TRUE(end_connection(second.pid()));
+      }
+    }
+    EXPECT_TRUE(first.eventually("pub /t 1", "ok")) << "its place is free again";
+    EXPECT_TRUE(second.eventually("sub /t 5", "ok"));
+    ASSERT_TRUE(first.eventually("matched", "1"));
+    ASSERT_EQ(first.ask("publish 1 10"), "ok");
+    ASSERT_EQ(second.ask("wait 10000"), "news");
+    EXPECT_EQ(take_all(second), "1 ");
+  }
+}
+
+TEST(Rejoin, WhatIsDestroyedMeanwhileHasLeftAfterwards) {
+  DaemonProcess daemon;
+  ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path()),
+      reader(daemon.socket_path());
+  ASSERT_EQ(subscriber.ask("sub /t 2 all"), "ok");
+  ASSERT_EQ(publisher.ask("pub /t 100 all"), "ok");
+  ASSERT_EQ(reader.ask("sub /t 1"), "ok");
+  ASSERT_TRUE(publisher.eventually("matched", "2"));
+  {
+    const Stopped away(daemon.pid());
+    ASSERT_TRUE(end_connection(subscriber.pid()));
+    ASSERT_TRUE(subscriber.eventually("state", "reconnecting"));
+    ASSERT_EQ(subscriber.ask("unsub"), "ok");
+    EXPECT_NE(publisher.ask("publish 5 10"), "ok") << "the daemon has not heard of it";
+  }
+  EXPECT_TRUE(publisher.eventually("publish 5 10", "ok"));
+  EXPECT_TRUE(publisher.eventually("matched", "1"));
+  {
+    const Stopped away(daemon.pid());
+    ASSERT_TRUE(end_connection(publisher.pid()));
+    ASSERT_TRUE(publisher.eventually("state", "reconnecting"));
+    ASSERT_EQ(publisher.ask("unpub"), "ok");
+    EXPECT_EQ(reader.ask("links"), "1");
+  }
+  ASSERT_EQ(reader.ask("wait 10000"), "news");
+  EXPECT_NE(take_all(reader), "") << "what it published before is delivered";
+  EXPECT_TRUE(reader.eventually("links", "0"));
+}
+
+TEST(Rejoin, ADaemonThatKnowsNobodyLeavesAnIsland) {
+  auto daemon = std::make_unique<DaemonProcess>();
+  const std::string socket = daemon->socket_path();
+  ClientTool publisher(socket), subscriber(socket);
+  EXPECT_EQ(publisher.ask("state"), "unconnected");
+  ASSERT_EQ(subscriber.ask("sub /t 5"), "ok");
+  ASSERT_EQ(publisher.ask("pub /t 1"), "ok");
+  ASSERT_TRUE(publisher.eventually("matched", "1"));
+  EXPECT_EQ(publisher.ask("state"), "connected");
+  daemon->kill();
+  ASSERT_TRUE(publisher.eventually("state", "reconnecting"));
+  const std::string refused = subscriber.ask("pub /t 1");
+  EXPECT_EQ(error_of(refused), error(Errc::daemon_not_running)) << refused;
+  DaemonProcess other({.socket = socket});
+  for (ClientTool* const client : {&publisher, &subscriber}) {
+    ASSERT_TRUE(client->eventually("state", island(Errc::started_anew)));
+    EXPECT_EQ(error_of(client->ask("sub /u 1")), error(Errc::started_anew));
+  }
+  // More messages than slots: passes are made for ever.
+  for (int number = 1; number <= 500; ++number) {
+    subscriber.tell("wait 10000");
+    ASSERT_EQ(publisher.ask("publish 1 100"), "ok") << number;
+    ASSERT_EQ(subscriber.answer(), "news") << number;
+    ASSERT_EQ(take_all(subscriber), std::to_string(number) + " ");
+  }
+  EXPECT_TRUE(publisher.eventually("allocated", "0"));
+  EXPECT_EQ(subscriber.ask("unsub"), "ok") << "nothing hangs";
+  EXPECT_EQ(publisher.ask("unpub"), "ok");
+}
+
+}  // namespace
+}  // namespace agnocast

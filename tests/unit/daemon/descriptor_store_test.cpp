@@ -1,0 +1,159 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: what is put reaches the manager with its name and its descriptor, what was kept is taken once
+// each, and what nobody takes is removed. Method: a manager of our own: a socket for the datagrams,
+// and a child that gets descriptors as LISTEN_FDS.
+
+#include <daemon/descriptor_store.hpp>
+#include <tests/support/child.hpp>
+#include <tests/support/own_process.hpp>
+
+#include <fcntl.h>
+#include <gtest/gtest.h>
+#include <sys/eventfd.h>
+#include <sys/socket.h>
+#include <sys/un.h>
+#include <unistd.h>
+
+#include <array>
+#include <cstdlib>
+#include <cstring>
+#include <string>
+#include <thread>
+#include <vector>
+
+namespace agnocast::daemon {
+namespace {
+
+struct Received {
+  std::string text;
+  std::vector<UniqueFd> fds;
+};
+
+class Manager {
+ public:
+  Manager() {
+    const UniqueFd made(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0));
+    socket_.reset(::fcntl(made.get(), F_DUPFD_CLOEXEC, 32));  // clear of what a test passes on
+    sockaddr_un address{};
+    address.sun_family = AF_UNIX;
+    socklen_t bytes = sizeof(sa_family_t);  // the kernel finds an abstract name
+    EXPECT_EQ(::bind(socket_.get(), reinterpret_cast<sockaddr*>(&address), bytes), 0);
+    bytes = sizeof address;
+    ::getsockname(socket_.get(), reinterpret_cast<sockaddr*>(&address), &bytes);
+    address.sun_path[0] = '@';
+    const std::string name(address.sun_path, bytes - offsetof(sockaddr_un, sun_path));
+    ::setenv("NOTIFY_SOCKET", name.c_str(), 1);
+  }
+  ~Manager() { ::unsetenv("NOTIFY_SOCKET"); }
+  Received receive() {
+    Received received;
+    std::array<char, 512> text{};
+    iovec data{text.data(), text.size()};
+    alignas(cmsghdr) std::array<char, 256> control{};
+    msghdr message{};
+    message.msg_iov = &data;
+    message.msg_iovlen = 1;
+    message.msg_control = control.data();
+    message.msg_controllen = control.size();
+    const ssize_t bytes = ::recvmsg(socket_.get(), &message, MSG_CMSG_CLOEXEC);
+    if (bytes > 0) received.text.assign(text.data(), static_cast<std::size_t>(bytes));
+    for (cmsghdr* part = CMSG_FIRSTHDR(&message); part != nullptr;
+         part = CMSG_NXTHDR(&message, part)) {
+      if (part->cmsg_type != SCM_RIGHTS) continue;
+      for (std::size_t i = 0; i < (part->cmsg_len - CMSG_LEN(0)) / sizeof(int); ++i) {
+        int fd = -1;
+        std::memcpy(&fd, CMSG_DATA(part) + i * sizeof fd, sizeof fd);
+        received.fds.emplace_back(fd);
+      }
+    }
+    return received;
+  }
+
+ private:
+  UniqueFd socket_;
+};
+
+TEST(DescriptorStore, KeepsNothingWithoutAManagerAndSaysSo) {
+  ::unsetenv("NOTIFY_SOCKET");
+  DescriptorStore none;
+  EXPECT_FALSE(none.keeps());
+  EXPECT_TRUE(none.put("r1", 0));
+  none.remove("r1");
+  EXPECT_FALSE(none.take("r1"));
+  const auto refused = DescriptorStore::of_manager();
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().code, Errc::invalid_argument);
+}
+
+TEST(DescriptorStore, NamesWhatItPutsAndRemovesOnlyWhatIsThere) {
+  Manager manager;
+  auto store = DescriptorStore::of_manager();
+  ASSERT_TRUE(store) << store.error().what;
+  const UniqueFd event(::eventfd(5, EFD_CLOEXEC));
+  ASSERT_TRUE(store->put(DescriptorStore::eventfd(ClientIndex{7}, 3), event.get()));
+  const Received put = manager.receive();
+  EXPECT_EQ(put.text, "FDSTORE=1\nFDPOLL=0\nFDNAME=e7.3");
+  ASSERT_EQ(put.fds.size(), 1u);
+  std::uint64_t value = 0;
+  EXPECT_EQ(::read(put.fds[0].get(), &value, sizeof value), ssize_t{8});
+  EXPECT_EQ(value, 5u);
+  store->remove("never");
+  store->remove("e7.3");
+  EXPECT_EQ(manager.receive().text, "FDSTOREREMOVE=1\nFDNAME=e7.3");
+  EXPECT_EQ(DescriptorStore::region(ClientIndex{12}), "r12");
+  EXPECT_EQ(DescriptorStore::process(ClientIndex{0}), "p0");
+  EXPECT_EQ(DescriptorStore::window(ClientIndex{2047}, 7), "w2047.7");
+}
+
+TEST(DescriptorStore, StopsWhereTheManagerDoes) {
+  Manager manager;
+  ::setenv("FDSTORE", "1", 1);
+  auto store = DescriptorStore::of_manager();
+  ::unsetenv("FDSTORE");
+  ASSERT_TRUE(store);
+  const UniqueFd event(::eventfd(0, EFD_CLOEXEC));
+  ASSERT_TRUE(store->put("r1", event.get()));
+  const auto full = store->put("r2", event.get());
+  ASSERT_FALSE(full);
+  EXPECT_EQ(full.error().code, Errc::limit_reached);
+  store->remove("r1");
+  EXPECT_TRUE(store->put("r2", event.get()));
+}
+
+TEST(DescriptorStore, TakesEachOnceAndRemovesWhatNobodyTakes) {
+  Manager manager;
+  EXPECT_TRUE(test::in_own_process([&] {
+    // Whatever the test program has there is not needed in here.
+    for (const int fd : {3, 4}) {
+      const int event = ::eventfd(static_cast<unsigned>(fd), 0);
+      ASSERT_GE(event, 0);
+      if (event != fd) {
+        ASSERT_EQ(::dup2(event, fd), fd);
+      }
+    }
+    ::setenv("LISTEN_FDS", "2", 1);
+    ::setenv("LISTEN_PID", std::to_string(::getpid()).c_str(), 1);
+    ::setenv("LISTEN_FDNAMES", "board:r9", 1);
+    auto store = DescriptorStore::of_manager();
+    ASSERT_TRUE(store);
+    EXPECT_EQ(std::getenv("LISTEN_FDS"), nullptr) << "no child of ours is meant";
+    EXPECT_TRUE(store->has("board"));
+    const UniqueFd board = store->take("board");
+    ASSERT_EQ(board.get(), 3);
+    EXPECT_NE(::fcntl(3, F_GETFD) & FD_CLOEXEC, 0);
+    EXPECT_FALSE(store->take("board"));
+    EXPECT_EQ(store->left_over(), std::vector<std::string>{"r9"});
+    std::thread answering([&] {
+      EXPECT_EQ(manager.receive().text, "FDSTOREREMOVE=1\nFDNAME=r9");
+      EXPECT_EQ(manager.receive().text, "BARRIER=1");  // its descriptor is closed: the answer
+    });
+    EXPECT_EQ(store->remove_left_over(), 1u);
+    answering.join();
+    EXPECT_EQ(store->remove_left_over(), 0u);
+    EXPECT_LT(::fcntl(4, F_GETFD), 0) << "it is closed here as well";
+  }));
+}
+
+}  // namespace
+}  // namespace agnocast::daemon
