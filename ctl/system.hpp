@@ -13,6 +13,7 @@
 #include <base/memory_policy.hpp>
 #include <base/packet_socket.hpp>
 #include <client/dataplane/views.hpp>
+#include <ctl/journal.hpp>
 #include <ctl/problem.hpp>
 
 #include <cstddef>
@@ -74,6 +75,8 @@ class Observer {
   static Outcome<Observer> connect(const std::string& socket);
   /// One moment.
   Outcome<System> look();
+  /// The newest records of the daemon's log, at most `count`, up to `last` (0: the newest).
+  Outcome<Journal> read_journal(std::uint64_t last, std::uint64_t count);
   /// How long every client region is.
   std::uint64_t region_bytes() const noexcept { return region_bytes_; }
 

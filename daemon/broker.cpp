@@ -8,6 +8,7 @@
 #include <base/clock.hpp>
 #include <base/names.hpp>
 #include <base/step.hpp>
+#include <daemon/flight_recorder.hpp>
 
 #include <fcntl.h>
 #include <sys/epoll.h>
@@ -31,7 +32,7 @@ constexpr unsigned packets_per_turn = 32;
 // How often a process without a connection is looked at.
 constexpr int detached_interval_ms = 250;
 
-// A dump that an observer has not read by then is thrown away, and the observer with it.
+// What an observer has not read by then is thrown away, and the observer with it.
 constexpr std::uint64_t observer_patience_ms = 5'000;
 
 std::uint64_t now_ms() noexcept { return monotonic_ns() / 1'000'000; }
@@ -483,6 +484,9 @@ void Broker::serve(Peer& peer, const Request& request) {
     } else if constexpr (std::is_same_v<Body, wire::Dump>) {
       id = body.header.request;
       served = dump(peer, body);
+    } else if constexpr (std::is_same_v<Body, wire::ReadJournal>) {
+      id = body.header.request;
+      served = read_journal(peer, body);
     } else {
       id = body.request;
       served = refusal(body.code, body.text);
@@ -748,11 +752,19 @@ Result<void> Broker::observe(Peer& peer, const wire::Observe& request) {
 }
 
 Result<void> Broker::dump(Peer& peer, const wire::Dump& request) {
-  peer.asked_ms = now_ms();
-  for (Outgoing& packet : make_dump(registry_, facts(), request.header.request))
-    peer.session.push(std::move(packet));
-  flush(peer);
+  answer_at_length(peer, make_dump(registry_, facts(), request.header.request));
   return {};
+}
+
+Result<void> Broker::read_journal(Peer& peer, const wire::ReadJournal& request) {
+  answer_at_length(peer, make_journal(registry_, request, monotonic_ns()));
+  return {};
+}
+
+void Broker::answer_at_length(Peer& peer, std::vector<Outgoing> packets) {
+  peer.asked_ms = now_ms();
+  for (Outgoing& packet : packets) peer.session.push(std::move(packet));
+  flush(peer);
 }
 
 DumpFacts Broker::facts() const {

@@ -74,7 +74,7 @@ class Broker final : private Post {
     bool wants_writable = false;
     bool detached = false;  // without a connection, but alive and mapping its region
     bool counts_as_observer = false;
-    std::uint64_t asked_ms = 0;  // of an observer: when its last dump was made
+    std::uint64_t asked_ms = 0;  // of an observer: when its last answer was made
   };
   /// Connections of one user.
   struct Connections {
@@ -118,6 +118,8 @@ class Broker final : private Post {
   [[nodiscard]] Result<void> create(Peer& peer, const CreateRequest& request);
   [[nodiscard]] Result<void> observe(Peer& peer, const wire::Observe& request);
   [[nodiscard]] Result<void> dump(Peer& peer, const wire::Dump& request);
+  [[nodiscard]] Result<void> read_journal(Peer& peer, const wire::ReadJournal& request);
+  void answer_at_length(Peer& peer, std::vector<Outgoing> packets);
   DumpFacts facts() const;
   void drop_slow_observers(std::uint64_t now);
   void refuse(Peer& peer, std::uint64_t request, Errc code, int os_errno, std::string_view text);

@@ -152,6 +152,8 @@ Request decode_unlinked(Packet packet) {
 
 Request decode_observe(Packet packet) { return body_of<wire::Observe>(packet); }
 Request decode_dump(Packet packet) { return body_of<wire::Dump>(packet); }
+// Any numbers: what is not there is not sent.
+Request decode_read_journal(Packet packet) { return body_of<wire::ReadJournal>(packet); }
 
 struct Row {
   wire::Opcode opcode;
@@ -173,12 +175,13 @@ constexpr Row rows[] = {
     {wire::Opcode::unlinked, sizeof(wire::Unlinked), Role::client, decode_unlinked},
     {wire::Opcode::observe, sizeof(wire::Observe), Role::unknown, decode_observe},
     {wire::Opcode::dump, sizeof(wire::Dump), Role::observer, decode_dump},
+    {wire::Opcode::read_journal, sizeof(wire::ReadJournal), Role::observer, decode_read_journal},
 };
 
 // Why a connection in this role does not say that.
 const char* out_of_place(Role role, wire::Opcode opcode) noexcept {
   if (role == Role::unknown) return "the first request must be hello";
-  if (role == Role::observer) return "an observer asks for dumps and nothing else";
+  if (role == Role::observer) return "an observer only looks";
   if (opcode == wire::Opcode::hello) return "hello is said once";
   return opcode == wire::Opcode::rejoin ? "this connection has a client already"
                                         : "a client does not observe; observers connect for that";

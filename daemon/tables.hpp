@@ -16,6 +16,7 @@
 #include <agnocast/abi/observe.hpp>
 #include <agnocast/abi/wire.hpp>
 #include <journal/announce_set.hpp>
+#include <journal/record.hpp>
 
 #include <cstddef>
 #include <cstdint>
@@ -41,16 +42,7 @@ enum class ClientState : std::uint32_t {
 };
 enum class TopicState : std::uint32_t { free = 0, used = 1 };
 
-//   publisher:      free → active → orphan → over → free
-//   subscription:   free → active → leaving → over → free;  active, leaving → dead → free
-enum class EndpointState : std::uint32_t {
-  free = 0,
-  active = 1,
-  leaving = 2,  // subscription: takes no more, still holds
-  orphan = 3,   // publisher: publishes no more, is being drained
-  over = 4,     // publisher: everybody else has let go. subscription: its owner has let go
-  dead = 5,     // subscription of a dead process
-};
+using journal::EndpointState;
 
 struct WindowRecord {
   std::uint64_t base;
