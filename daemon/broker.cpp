@@ -9,6 +9,7 @@
 #include <base/names.hpp>
 #include <base/step.hpp>
 #include <daemon/flight_recorder.hpp>
+#include <journal/cases.hpp>
 
 #include <fcntl.h>
 #include <sys/epoll.h>
@@ -564,17 +565,34 @@ Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
 
 // The connection that the process had before.
 Result<Broker::Peer*> Broker::lost_peer(const Peer& peer, const wire::Rejoin& request) {
+  using journal::RejoinDecision;
   const ClientIndex client{static_cast<std::uint32_t>(request.client)};
-  if (request.incarnation != registry_.incarnation() || number(client) >= registry_.client_high() ||
-      registry_.client(client).state == ClientState::free ||
-      registry_.client(client).generation != request.client_generation)
-    return refusal(Errc::started_anew, "the daemon does not know this process");
-  Peer* const before = by_client_[number(client)];
-  if (!registry_.is_alive(client) || before == nullptr)
-    return refusal(Errc::revoked, "the membership of this process is over");
-  if (!same_process(before->session.identity().process, peer.session.identity().process))
-    return refusal(Errc::permission_denied, "that is the place of another process");
-  return before;
+  const bool is_place = number(client) < registry_.client_high();
+  Peer* const before = is_place ? by_client_[number(client)] : nullptr;
+  journal::RejoinFacts facts;
+  facts.same_layout = request.fingerprint == abi::fingerprint();
+  facts.confirmed = peer.session.identity().confirmed;
+  facts.same_incarnation = request.incarnation == registry_.incarnation();
+  facts.same_generation =
+      is_place && registry_.client(client).generation == request.client_generation;
+  if (is_place && registry_.client(client).state != ClientState::free)
+    facts.state = registry_.is_alive(client) && before != nullptr ? journal::rejoin::alive
+                                                                  : journal::rejoin::dead;
+  facts.same_process = before != nullptr && same_process(before->session.identity().process,
+                                                         peer.session.identity().process);
+  switch (journal::decide_rejoin(facts)) {
+    case RejoinDecision::take_back:
+      return before;
+    case RejoinDecision::started_anew:
+      return refusal(Errc::started_anew, "the daemon does not know this process");
+    case RejoinDecision::revoked:
+      return refusal(Errc::revoked, "the membership of this process is over");
+    case RejoinDecision::layout_mismatch:
+    case RejoinDecision::permission_denied:
+      break;
+  }
+  // check_caller() has said the other reasons for these two.
+  return refusal(Errc::permission_denied, "that is the place of another process");
 }
 
 Result<void> Broker::rejoin(Peer& peer, const wire::Rejoin& request) {
@@ -608,6 +626,7 @@ Result<void> Broker::open_window(Peer& peer, const wire::WindowRequest& request)
     return refusal(Errc::protocol_violation, "windows are opened one after the other");
   Result<SharedFd> writer = SharedFd();
   if (request.window < record.window_count) {
+    ++registry_.counters().requests_answered_again;
     writer = regions_.window_writer(client, request.window);  // asked for again
     if (!writer) return tl::unexpected(writer.error());
   } else {
@@ -653,16 +672,23 @@ Result<void> Broker::open_window(Peer& peer, const wire::WindowRequest& request)
 }
 
 Result<void> Broker::admit_executor(ClientIndex client, const ExecutorRequest& request) {
-  if (!doorbells_.is_open(client, request.executor))
-    return check_limit(registry_.usage_of(registry_.client(client).uid).executors, 1,
-                       options_.config.quota.executors, "[quota] executors");
+  namespace found = journal::request;
   const auto& endpoints = registry_.endpoints_of(client);
   const bool in_use = std::any_of(endpoints.begin(), endpoints.end(), [&](const EndpointRef& ref) {
     return ref.kind == Kind::subscription &&
            registry_.subscription(ref.topic, ref.index).executor == request.executor;
   });
-  if (!request.again || in_use) return refusal(Errc::protocol_violation, "the executor is open");
+  const bool is_open = doorbells_.is_open(client, request.executor);
+  if (journal::decide_request(found::open_executor, request.again,
+                              !is_open ? found::not_done
+                              : in_use ? found::used
+                                       : found::done) != journal::RequestDecision::carry_out)
+    return refusal(Errc::protocol_violation, "the executor is open");
+  if (!is_open)
+    return check_limit(registry_.usage_of(registry_.client(client).uid).executors, 1,
+                       options_.config.quota.executors, "[quota] executors");
   // The bells were lost with the answer.
+  ++registry_.counters().requests_answered_again;
   doorbells_.close(client, request.executor);
   return {};
 }

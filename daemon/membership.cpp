@@ -4,6 +4,7 @@
 
 #include <base/check.hpp>
 #include <base/step.hpp>
+#include <journal/cases.hpp>
 
 #include <algorithm>
 
@@ -28,6 +29,14 @@ wire::Reference reference_to(const EndpointRef& ref, std::uint64_t generation,
 EndpointRef ref_of(const wire::Reference& reference) noexcept {
   return {reference.kind, static_cast<TopicIndex>(reference.topic),
           static_cast<std::uint32_t>(reference.index)};
+}
+
+/// The request was carried out and its answer was lost. What is to be refused is refused by
+/// the checks that follow.
+bool is_done_before(std::uint8_t what, bool again, bool is_so) noexcept {
+  return journal::decide_request(what, again,
+                                 is_so ? journal::request::done : journal::request::not_done) ==
+         journal::RequestDecision::say_done;
 }
 
 bool matches(const PublisherRecord& publisher, const SubscriptionRecord& subscription) noexcept {
@@ -159,6 +168,7 @@ void Membership::answer_creation(const EndpointRef& ref, std::uint64_t request) 
 bool Membership::answer_again(ClientIndex client, const CreateRequest& request) {
   const auto ref = registry_.find_creation(client, request.kind, request.request);
   if (!ref) return false;
+  ++registry_.counters().requests_answered_again;
   answer_creation(*ref, request.request);
   // What was announced before this answer was for an endpoint that the process did not know yet.
   announce_to_owner(*ref);
@@ -474,7 +484,10 @@ bool Membership::is_drained(ClientIndex client, const wire::Reference& reference
 
 Result<void> Membership::leave(ClientIndex client, const LeaveRequest& request) {
   const wire::Reference& reference = request.reference;
-  if (request.again && !is_active(client, reference)) return say_done(client, reference);
+  if (is_done_before(journal::request::leave, request.again, !is_active(client, reference))) {
+    ++registry_.counters().requests_answered_again;
+    return say_done(client, reference);
+  }
   if (!is_own(client, reference))
     return fail(Errc::protocol_violation, "this is not an endpoint of the process");
   const EndpointRef ref = ref_of(reference);
@@ -498,7 +511,10 @@ Result<void> Membership::leave(ClientIndex client, const LeaveRequest& request) 
 
 Result<void> Membership::drained(ClientIndex client, const DrainedRequest& request) {
   const wire::Reference& reference = request.reference;
-  if (request.again && is_drained(client, reference)) return say_done(client, reference);
+  if (is_done_before(journal::request::drained, request.again, is_drained(client, reference))) {
+    ++registry_.counters().requests_answered_again;
+    return say_done(client, reference);
+  }
   if (!is_own(client, reference))
     return fail(Errc::protocol_violation, "this is not an endpoint of the process");
   const EndpointRef ref = ref_of(reference);
