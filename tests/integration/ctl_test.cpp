@@ -381,6 +381,25 @@ TEST(CtlJournal, TellsADeathAndWhatItLeft) {
                 "rolled back, 0 rolled forward, 0 corrupt\nrestarts       0 of the daemon"));
 }
 
+TEST(CtlJournal, GoesOnOverARestartAndTellsIt) {
+  DaemonProcess daemon;
+  const std::string& socket = daemon.socket_path();
+  die_while_publishing(socket);
+  const auto counters = [&] { return run_ctl(socket, {"status", "-j"}).json()["counters"]; };
+  ASSERT_TRUE(eventually([&] { return counters()["processes_died"] == 1; }));
+  const pid_t old = daemon.kill_worker();
+  ASSERT_TRUE(daemon.wait_for_next(old)) << daemon.log();
+  const auto after = counters();
+  EXPECT_EQ(after["processes_died"], 1) << "counters outlive the daemon";
+  EXPECT_EQ(after["intents_rolled_back"], 1);
+  EXPECT_EQ(after["restarts"], 1);
+  const std::string out = run_ctl(socket, {"journal"}).out;
+  EXPECT_THAT(out, HasSubstr("last message rolled back\n")) << "and so does the journal";
+  EXPECT_THAT(out, HasSubstr("agnocastd (pid " + std::to_string(daemon.pid()) +
+                             "): took over, nothing was under way, 0 processes had died, 0 words "
+                             "of the board written again\n"));
+}
+
 TEST(CtlJournal, SaysThatOlderOnesAreOverwritten) {
   DaemonProcess daemon;
   Node a(daemon.socket_path());
