@@ -176,7 +176,7 @@ TEST(DaemonRestart, GoesOnAsTheSameIncarnationWithEverythingItKnew) {
     WireClient other(daemon.socket_path());
     EXPECT_EQ(other.hello().opcode(), wire::Opcode::welcome);
     const auto window = other.open_window(0).as<wire::WindowOpened>();
-    EXPECT_EQ(window.base, before.processes[0].window[0].base + window.bytes);
+    EXPECT_EQ(window.base, late.welcome().arena_base + window.bytes) << "the first one is taken";
     EXPECT_EQ(daemon.log().find(" board_words_repaired=0 ") != std::string::npos, true);
     EXPECT_EQ(daemon.log().find("client lost"), std::string::npos) << daemon.log();
     EXPECT_EQ(daemon.stop(), 0);
@@ -250,6 +250,42 @@ TEST(DaemonRestart, RepairsWhoEndedWhileItWasAwayAndDeliversWhatTheyHadCommitted
   WireClient next(daemon.socket_path());
   EXPECT_EQ(next.hello().as<wire::Welcome>().client, 2u);
   EXPECT_NE(next.open_window(0).as<wire::WindowOpened>().base, subscriber.welcome().arena_base);
+}
+
+TEST(DaemonRestart, TakesBackWhoComesAgainAndTellsHimWhatHappenedMeanwhile) {
+  for (const bool meanwhile : {false, true}) {
+    SCOPED_TRACE(meanwhile ? "the publisher ends while the daemon is away" : "everybody lives");
+    DaemonProcess daemon;
+    WireNode subscriber(daemon.socket_path());
+    ASSERT_TRUE(subscriber.create_subscription(topic_name, deep));
+    const std::uint64_t creation = subscriber.wire().last_request();
+    Child publisher = publisher_child(daemon.socket_path());
+    ASSERT_TRUE(subscriber.wait_for([&] { return subscriber.link_count() == 1; }));
+    ASSERT_EQ(publisher.command('w'), '+');
+    {
+      Absence away(daemon);
+      if (meanwhile) publisher.end();
+    }
+    WireClient& wire = subscriber.wire();
+    wire.connect_again(daemon.socket_path());
+    ASSERT_EQ(wire.rejoin(subscriber.welcome()).opcode(), wire::Opcode::rejoined);
+    const auto own = wire.expect<wire::Own>(wire::Opcode::own);
+    EXPECT_EQ(own.generation, subscriber.subscription().generation);
+    EXPECT_EQ(own.creation, creation);
+    std::vector<UniqueFd> fds;
+    const auto about = wire.expect<wire::Announcement>(wire::Opcode::announce, &fds);
+    EXPECT_EQ(fds.size(), 2u) << "region and window, also of the dead";
+    if (meanwhile) {
+      EXPECT_EQ(wire.expect<wire::Orphaned>(wire::Opcode::orphaned).generation, about.generation);
+    }
+    EXPECT_EQ(wire.expect<wire::Reference>(wire::Opcode::region).index, about.client);
+    // The answer to a creation of the former life, and a creation of this one.
+    const Incoming again = wire.ask_again(wire::Opcode::create_subscription,
+                                          WireClient::endpoint(topic_name, deep), creation);
+    EXPECT_EQ(again.as<wire::EndpointCreated>().generation, own.generation);
+    EXPECT_EQ(wire.create_subscription("/new", deep).opcode(), wire::Opcode::endpoint_created);
+    EXPECT_EQ(wire_dump(daemon.socket_path()).process(0)->state, wire::ProcessState::connected);
+  }
 }
 
 TEST(DaemonRestart, NoticesThatAProcessBecameAnotherProgramMeanwhile) {
