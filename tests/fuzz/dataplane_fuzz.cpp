@@ -35,6 +35,7 @@ void require(bool condition) {
   if (!condition) std::abort();
 }
 
+constexpr int step_count_max = 300;
 constexpr std::uint64_t extent = abi::page_bytes, slots = 128, quota = 4, generation = 7;
 constexpr std::uint64_t window_base = 0x200000000000, window_bytes = 1 << 20, message_bytes = 16;
 
@@ -122,7 +123,7 @@ void read_from_a_liar(FuzzedDataProvider& input) {
   require(link.link(input.ConsumeBool()));
   Window window{&queue};
   std::deque<std::uint64_t> held;
-  while (input.remaining_bytes() > 0) {
+  for (int step = 0; step < step_count_max && input.remaining_bytes() > 0; ++step) {
     switch (input.ConsumeIntegralInRange(0, 7)) {
       case 0:
       case 1: {
@@ -228,7 +229,7 @@ void publish_to_a_liar(FuzzedDataProvider& input) {
   Window window{&queue};
   std::deque<Taken> held;
   std::uint64_t number = 0;
-  while (input.remaining_bytes() > 0) {
+  for (int step = 0; step < step_count_max && input.remaining_bytes() > 0; ++step) {
     switch (input.ConsumeIntegralInRange(0, 7)) {
       case 0: {
         const std::uint64_t at =
