@@ -30,6 +30,8 @@ namespace {
 
 // Packets of one connection handled in a row; the others must not wait for a flood.
 constexpr unsigned packets_per_turn = 32;
+// Likewise connections: whoever connects again and again, refused or not, is never done.
+constexpr unsigned connections_per_turn = 8;
 // How often a process without a connection is looked at.
 constexpr int detached_interval_ms = 250;
 
@@ -113,7 +115,7 @@ Result<void> Broker::start() {
 // --- connections
 
 void Broker::accept_all() {
-  for (;;) {
+  for (unsigned turn = 0; turn < connections_per_turn; ++turn) {
     auto socket = listener_.socket().accept();
     if (!socket) {
       if (socket.error().os_errno == EMFILE || socket.error().os_errno == ENFILE) {

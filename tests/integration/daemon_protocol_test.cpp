@@ -19,7 +19,6 @@
 #include <gtest/gtest.h>
 #include <sys/epoll.h>
 #include <sys/mman.h>
-#include <sys/stat.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -275,45 +274,6 @@ TEST(DaemonProtocol, AnnouncesAWindowBeforeItsOwnerHasIt) {
   EXPECT_EQ(::pwrite(again.fds[0].get(), &written, 1, 0), 1);
   EXPECT_EQ(publisher.wire.open_window(2).refused_code(), Errc::protocol_violation);
   EXPECT_EQ(stranger.wire.open_window(0).as<wire::WindowOpened>().base, window.base + window.bytes);
-}
-
-// docs/protocol.md's facts on memfds, as what our descriptors must not allow another user.
-TEST(DaemonProtocol, GivesReadersNoWayToWrite) {
-  if (::geteuid() != 0) GTEST_SKIP() << "needs root and another user";
-  DaemonProcess daemon;
-  Node publisher(daemon);
-  ASSERT_EQ(publisher.wire.open_window(0).opcode(), Opcode::window_opened);
-  publisher.publisher("/topic");
-  const int failed = in_other_user([&] {
-    Node reader(daemon);
-    reader.subscription("/topic");
-    std::vector<UniqueFd> fds;
-    reader.wire.expect<wire::Announcement>(Opcode::announce, &fds);
-    if (fds.size() != 2 || testing::Test::HasFailure()) return 50;
-    int check = 0;
-    const int descriptors[] = {reader.fds[0].get(), fds[0].get(), fds[1].get()};
-    for (const int fd : descriptors) {
-      ++check;
-      const std::string path = "/proc/self/fd/" + std::to_string(fd);
-      if (::open(path.c_str(), O_RDWR | O_CLOEXEC) >= 0) return check;
-      if (::open(path.c_str(), O_RDONLY | O_CLOEXEC) >= 0) return check;
-      if (::mmap(nullptr, 4096, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0) != MAP_FAILED)
-        return check + 10;
-      void* const at = ::mmap(nullptr, 4096, PROT_READ, MAP_SHARED, fd, 0);
-      if (at == MAP_FAILED) return check + 20;
-      if (::mprotect(at, 4096, PROT_READ | PROT_WRITE) == 0) return check + 30;
-      if (::madvise(at, 4096, MADV_REMOVE) == 0) return check + 40;
-      if (::ftruncate(fd, 0) == 0) return check + 60;
-      if (::fchmod(fd, 0777) == 0) return check + 70;
-      if (::fcntl(fd, F_ADD_SEALS, F_SEAL_WRITE) == 0) return check + 80;
-      if (::fallocate(fd, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, 0, 4096) == 0)
-        return check + 90;
-    }
-    // Even its own region cannot be resized.
-    if (::ftruncate(reader.fds[1].get(), 0) == 0) return 98;
-    return 0;
-  });
-  EXPECT_EQ(failed, 0) << "units: which descriptor; tens: what was possible";
 }
 
 TEST(DaemonProtocol, GivesAnotherUserTheDatagramBellAlone) {
