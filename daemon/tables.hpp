@@ -55,6 +55,7 @@ enum class EndpointState : std::uint32_t {
 struct WindowRecord {
   std::uint64_t base;
   std::uint64_t bytes;
+  std::uint64_t first;  // number of the first window of its group
 };
 
 struct ClientRecord {
