@@ -46,7 +46,9 @@ Object object_of(const Process& process) {
           {"subscription_count", process.subscription_count},
           {"executor_count", std::popcount(facts.executors)},
           {"window_count", facts.window_count},
-          {"window_bytes", heap_bytes_of(process)}};
+          {"window_bytes", heap_bytes_of(process)},
+          {"blocked_bytes", facts.blocked_bytes},
+          {"blocked_by", process.blocked_by}};
 }
 
 }  // namespace

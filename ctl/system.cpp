@@ -218,6 +218,7 @@ Outcome<void> Observer::accept(Received& packet, System& system, wire::DumpEnd& 
           process.facts.region_count != packet.packet.descriptor_count)
         return nonsense();
       process.name = text_of(process.facts.name);
+      process.blocked_by = text_of(process.facts.blocked_by);
       if (process.facts.region_count == 1)
         process.region_fd = std::move(packet.packet.descriptors[0]);
       system.processes.insert_or_assign(process.facts.client, std::move(process));

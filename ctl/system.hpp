@@ -29,6 +29,7 @@ namespace wire = abi::wire;
 struct Process {
   wire::DumpProcess facts{};
   std::string name;
+  std::string blocked_by;
   UniqueFd region_fd;
   /// The header and every extent that is in use; empty when the daemon had no region, or one that is
   /// not what it should be (`region_fault` says so).

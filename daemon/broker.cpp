@@ -81,11 +81,15 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
                                     options.config.limits.subscriptions_per_topic,
                                     options.config.limits.slots_per_publisher}),
       plan_(options.arena),
+      obstacles_(options.arena),
       doorbells_(listener.bells_directory(), store),
       membership_(registry_, regions_, doorbells_, *this),
       by_client_(abi::client_count_max, nullptr),
       spare_(::open("/dev/null", O_RDONLY | O_CLOEXEC)) {
   membership_.on_ended = [this](ClientIndex client) { on_ended(client); };
+  membership_.on_matched = [this](const EndpointRef& publisher, const EndpointRef& subscription) {
+    look_for_collision(publisher, subscription);
+  };
 }
 
 Result<void> Broker::found(std::uint64_t incarnation) {
@@ -306,6 +310,7 @@ void Broker::reap_peer(Peer& peer, DeathReason reason, std::string_view how) {
 void Broker::repair(ClientIndex client, DeathReason reason, std::string_view how) {
   const std::uint32_t uid = registry_.client(client).uid;
   const std::uint32_t pid = registry_.client(client).pid;
+  obstacles_.forget(client);
   const Reaped reaped = reap(client, reason, registry_, regions_, doorbells_, membership_);
   store_.remove(DescriptorStore::process(client));
   note(reaped.corrupt == 0 ? LogLevel::info : LogLevel::warning, uid, "client gone",
@@ -481,6 +486,9 @@ void Broker::serve(Peer& peer, const Request& request) {
     } else if constexpr (std::is_same_v<Body, wire::Unlinked>) {
       id = body.header.request;
       served = membership_.unlinked(*peer.session.client(), body);
+    } else if constexpr (std::is_same_v<Body, wire::Blocked>) {
+      id = body.header.request;
+      served = blocked(peer, body);
     } else if constexpr (std::is_same_v<Body, wire::Observe>) {
       id = body.header.request;
       served = observe(peer, body);
@@ -616,6 +624,7 @@ Result<void> Broker::rejoin(Peer& peer, const wire::Rejoin& request) {
   packet.incarnation = registry_.incarnation();
   reply(peer, packet_of(packet));
   membership_.welcome_back(client);
+  look_for_collisions_of_publishers(client);  // it may have been asked to move in vain
   log_.write(LogLevel::debug, "client is back",
              {{"client", number(client)}, {"pid", peer.session.identity().pid}});
   return {};
@@ -642,19 +651,16 @@ Result<void> Broker::open_window(Peer& peer, const wire::WindowRequest& request)
                                    options_.config.quota.heap_bytes, "[quota] heap_bytes");
         !allowed)
       return allowed;
-    const auto base = plan_.take();
-    if (!base)
-      return refusal(Errc::limit_reached,
-                     "[heap] arena_bytes has room for " + std::to_string(plan_.window_count()) +
-                         " windows of " + std::to_string(bytes) + " bytes, all are given out");
+    const auto window = choose_window(client);
+    if (!window) return tl::unexpected(window.error());
     AGNOCAST_CRASH_POINT(B_window_base);
     writer = regions_.open_window(client, bytes);
     if (!writer) {
-      plan_.give_back(*base);
+      plan_.give_back(window->base);
       return tl::unexpected(writer.error());
     }
     AGNOCAST_CRASH_POINT(B_window_made);
-    registry_.open_window(client, {*base, bytes});
+    registry_.open_window(client, *window);
     // Before the answer: the announcement is in a subscriber's socket before the first message lies
     // in the window.
     membership_.announce_window(client);
@@ -662,13 +668,16 @@ Result<void> Broker::open_window(Peer& peer, const wire::WindowRequest& request)
                {{"client", number(client)},
                 {"pid", peer.session.identity().pid},
                 {"window", request.window},
-                {"base", hexadecimal(*base)},
+                {"first", window->first},
+                {"base", hexadecimal(window->base)},
                 {"bytes", bytes}});
+    look_for_collisions_of_publishers(client);
   }
   auto packet = make_body<wire::WindowOpened>(wire::Opcode::window_opened, request.header.request);
   packet.window = request.window;
   packet.base = record.window[request.window].base;
   packet.bytes = record.window[request.window].bytes;
+  packet.first = record.window[request.window].first;
   reply(peer, packet_of(packet), {*writer, regions_.window_readers(client)[request.window]});
   return {};
 }
@@ -835,6 +844,10 @@ DumpFacts Broker::facts() const {
       process.state = peer->detached ? wire::ProcessState::orphaned : wire::ProcessState::connected;
     process.age_ns = now - registry_.client(client).since_ns;
     process.region = regions_.region_reader(client);
+    for (const Obstacles::Claim& claim : obstacles_.of(client)) {
+      process.blocked_bytes += claim.bytes;
+      if (process.blocked_by.empty()) process.blocked_by = claim.what;
+    }
     return process;
   };
   return facts;

@@ -232,10 +232,12 @@ void Membership::announce_publisher(TopicIndex topic, std::uint32_t index,
   const ClientRecord& owner = registry_.client(publisher.client);
   for (const SharedFd& reader : regions_.window_readers(publisher.client)) {
     const WindowRecord& window = owner.window[packet.window_count];
-    packet.window[packet.window_count++] = {window.base, window.bytes};
+    packet.window[packet.window_count++] = {window.base, window.bytes, window.first};
     fds.push_back(reader);
   }
   announce({Kind::publisher, topic, index}, member.client, packet, std::move(fds));
+  if (on_matched)
+    on_matched({Kind::publisher, topic, index}, {Kind::subscription, topic, subscription});
 }
 
 void Membership::announce_subscription(TopicIndex topic, std::uint32_t index,
@@ -286,6 +288,7 @@ void Membership::announce_window(ClientIndex owner) {
   packet.window = record.window_count - 1;
   packet.base = record.window[packet.window].base;
   packet.bytes = record.window[packet.window].bytes;
+  packet.first = record.window[packet.window].first;
   const SharedFd reader = regions_.window_readers(owner).back();
   for_each_told(record.told, [&](ClientIndex to) {
     Session* const session = post_.session_of(to);

@@ -150,6 +150,15 @@ Request decode_unlinked(Packet packet) {
   return body;
 }
 
+Request decode_blocked(Packet packet) {
+  const auto body = body_of<wire::Blocked>(packet);
+  std::string_view what;
+  if (!text_of(body.what, what))
+    return refuse(body.header, Errc::protocol_violation,
+                  "the text of a blocked range does not end");
+  return body;
+}
+
 Request decode_observe(Packet packet) { return body_of<wire::Observe>(packet); }
 Request decode_dump(Packet packet) { return body_of<wire::Dump>(packet); }
 // Any numbers: what is not there is not sent.
@@ -173,6 +182,7 @@ constexpr Row rows[] = {
     {wire::Opcode::drained, sizeof(wire::Reference), Role::client,
      decode_reference<DrainedRequest>},
     {wire::Opcode::unlinked, sizeof(wire::Unlinked), Role::client, decode_unlinked},
+    {wire::Opcode::blocked, sizeof(wire::Blocked), Role::client, decode_blocked},
     {wire::Opcode::observe, sizeof(wire::Observe), Role::unknown, decode_observe},
     {wire::Opcode::dump, sizeof(wire::Dump), Role::observer, decode_dump},
     {wire::Opcode::read_journal, sizeof(wire::ReadJournal), Role::observer, decode_read_journal},

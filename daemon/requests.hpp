@@ -62,7 +62,7 @@ struct Rejected {
 
 using Request = std::variant<wire::Hello, wire::Rejoin, wire::WindowRequest, ExecutorRequest,
                              CreateRequest, LeaveRequest, DrainedRequest, wire::Unlinked,
-                             wire::Observe, wire::Dump, wire::ReadJournal, Rejected>;
+                             wire::Blocked, wire::Observe, wire::Dump, wire::ReadJournal, Rejected>;
 
 /// How far a connection has come, and so what may be said on it: hello or rejoin makes it a client,
 /// observe an observer, for good.

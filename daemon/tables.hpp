@@ -47,6 +47,7 @@ using journal::EndpointState;
 struct WindowRecord {
   std::uint64_t base;
   std::uint64_t bytes;
+  std::uint64_t first;  // number of the first window of its group
 };
 
 struct ClientRecord {

@@ -28,7 +28,7 @@ namespace agnocast::journal {
   X(free_subscription, 9, "topic index generation client")                                        \
   X(client_dead, 10, "client generation reason death_count")                                      \
   X(client_end, 11, "client generation")                                                          \
-  X(open_window, 12, "client window base bytes generation")                                       \
+  X(open_window, 12, "client window base bytes generation first")                                 \
   X(add_topic, 15, "topic generation domain layout_hash")                                         \
   X(open_executor, 16, "client executor generation")                                              \
   X(free_topic, 17, "topic generation")                                                           \

@@ -784,6 +784,70 @@ TEST(DaemonProtocol, KeepsWhatASlowClientHasNotReadInOrder) {
   honest.round();
 }
 
+std::uint64_t say_blocked(WireClient& client, std::uint64_t base, std::uint64_t bytes) {
+  wire::Blocked body{};
+  body.base = base;
+  body.bytes = bytes;
+  body.what = wire_name("a test");
+  return client.send(Opcode::blocked, body);
+}
+
+TEST(DaemonProtocol, AsksAHeapToMoveForAReaderThatCannotMapIt) {
+  DaemonProcess daemon;
+  WireClient publisher(daemon.socket_path()), reader(daemon.socket_path());
+  publisher.hello();
+  const auto window = publisher.open_window(0).as<wire::WindowOpened>();
+  EXPECT_EQ(window.first, 0u);
+  ASSERT_EQ(publisher.create_publisher("/topic").opcode(), Opcode::endpoint_created);
+  reader.hello();
+  say_blocked(reader, window.base + window.bytes / 2, abi::window_granule_bytes);
+  say_blocked(reader, window.base + window.bytes, window.bytes);
+  reader.open_executor();
+  ASSERT_EQ(reader.create_subscription("/topic").opcode(), Opcode::endpoint_created);
+
+  const auto announced = reader.expect<wire::Announcement>(Opcode::announce);
+  ASSERT_EQ(announced.window_count, 1u) << "it is announced like any other";
+  const auto told = reader.expect<wire::Notice>(Opcode::notice);
+  EXPECT_EQ(told.code, static_cast<std::uint32_t>(Errc::arena_occupied));
+  EXPECT_NE(std::string(told.text.text).find("a test"), std::string::npos) << told.text.text;
+  EXPECT_EQ(publisher.expect<wire::Notice>(Opcode::notice).code, told.code);
+  EXPECT_EQ(publisher.expect<wire::MoveHeap>(Opcode::move_heap).window, 1u);
+
+  const auto next = publisher.open_window(1).as<wire::WindowOpened>();
+  EXPECT_EQ(next.first, 1u) << "a group of its own";
+  EXPECT_EQ(next.base, window.base + 2 * window.bytes) << "where the reader has nothing";
+  const auto again = publisher.open_window(1).as<wire::WindowOpened>();
+  EXPECT_EQ(again.first, 1u);
+  const auto more = publisher.open_window(2).as<wire::WindowOpened>();
+  EXPECT_EQ(more.first, 1u) << "growth within the group";
+  EXPECT_EQ(reader.expect<wire::WindowAnnounced>(Opcode::window_announced).first, 1u);
+  EXPECT_EQ(reader.expect<wire::WindowAnnounced>(Opcode::window_announced).first, 1u);
+}
+
+TEST(DaemonProtocol, RefusesBlockedRangesThatCannotBeAndLetsNobodyBlockEverything) {
+  DaemonProcess daemon;
+  WireClient hostile(daemon.socket_path()), honest(daemon.socket_path());
+  const auto arena = hostile.hello().as<wire::Welcome>();
+  const auto refused = [&](std::uint64_t base, std::uint64_t bytes) {
+    const std::uint64_t request = say_blocked(hostile, base, bytes);
+    bool was = false;
+    for (const Incoming& packet : hostile.drain())
+      was = was || (packet.header().request == request && packet.opcode() == Opcode::refused);
+    return was;
+  };
+  EXPECT_TRUE(refused(0, 4096));
+  EXPECT_TRUE(refused(arena.arena_base, 0));
+  EXPECT_TRUE(refused(arena.arena_base, arena.arena_bytes + 1));
+  EXPECT_TRUE(refused(~std::uint64_t{0}, ~std::uint64_t{0}));
+  EXPECT_FALSE(refused(arena.arena_base, arena.arena_bytes)) << "all of it";
+  for (std::uint64_t i = 1; i < abi::blocked_count_max; ++i)
+    EXPECT_FALSE(refused(arena.arena_base, i * abi::window_granule_bytes)) << i;
+  EXPECT_TRUE(refused(arena.arena_base, 4096)) << "one too many";
+  EXPECT_EQ(hostile.open_window(0).refused_code(), Errc::arena_occupied) << "in its own way";
+  honest.hello();
+  EXPECT_EQ(honest.open_window(0).opcode(), Opcode::window_opened);
+}
+
 TEST(DaemonProtocol, DisconnectsAClientThatDoesNotRead) {
   DaemonProcess daemon({.config = "[quota]\nheld_messages = \"unlimited\"\n"});
   HonestPair honest(daemon);

@@ -143,7 +143,7 @@ TEST_F(RegistryTest, CountsPerUser) {
   publisher(a, t);
   subscription(b, t, 1, 7);
   subscription(c, t);
-  registry.open_window(a, {0x1000, 4096});
+  registry.open_window(a, {0x1000, 4096, 0});
   registry.open_executor(b, 0);
   registry.open_executor(b, 5);
   const Usage usage = registry.usage_of(1);
