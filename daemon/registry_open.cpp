@@ -100,7 +100,7 @@ void Registry::create(std::uint64_t incarnation, const Founding& founding) {
   header.arena_bytes = founding.arena_bytes;
   header.window_bytes = founding.window_bytes;
   header.began_ns = founding.now_ns;
-  std::memcpy(header.bells, founding.bells.data(), founding.bells.size());
+  founding.bells.copy(header.bells, founding.bells.size());
   auto* const board = reinterpret_cast<abi::BoardHeader*>(board_);
   board->fingerprint.store(abi::fingerprint(), std::memory_order_relaxed);
   board->incarnation.store(incarnation, std::memory_order_relaxed);

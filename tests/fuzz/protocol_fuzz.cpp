@@ -110,13 +110,12 @@ class Plane : public Post {
  public:
   explicit Plane(FuzzedDataProvider& input)
       : input_(input),
-        regions_(std::move(Regions::create().value())),
+        regions_(std::move(Regions::create(store_).value())),
         registry_(regions_.memory(), capacity),
         plan_(Arena{std::uint64_t{1} << 45, window_count * window_bytes, window_bytes}),
-        doorbells_(bells_directory()),
+        doorbells_(bells_directory(), store_),
         membership_(registry_, regions_, doorbells_, *this) {
     registry_.create(1);
-    regions_.sign_board(1);
     membership_.on_ended = [this](ClientIndex client) {
       regions_.close_client(client);
       const ClientRecord& record = registry_.client(client);
@@ -644,6 +643,7 @@ class Plane : public Post {
   }
 
   FuzzedDataProvider& input_;
+  DescriptorStore store_;
   Regions regions_;
   Registry registry_;
   AddressPlan plan_;
