@@ -38,16 +38,11 @@ void* reserve_unlocked(void* wanted, std::uint64_t bytes, int where) noexcept {
   return whole;
 }
 
-tl::unexpected<Failure> refusal_of(std::uint64_t bytes) noexcept {
+tl::unexpected<Failure> refusal_of(std::uint64_t bytes, const char* what) noexcept {
   const int why = errno;
   if (why == EAGAIN) return tl::unexpected(lock_refusal(bytes));
-  rlimit limit{};
-  if (why != ENOMEM || ::getrlimit(RLIMIT_AS, &limit) != 0 || limit.rlim_cur == RLIM_INFINITY)
-    return fail(Errc::os_failure, "reserving addresses", why);
-  char text[128];
-  std::snprintf(text, sizeof text, "RLIMIT_AS is %ju bytes, %ju more are needed",
-                std::uintmax_t{limit.rlim_cur}, std::uintmax_t{bytes});
-  return fail_with(Errc::address_limit, text);
+  if (why == ENOMEM) return tl::unexpected(no_memory(bytes, what));
+  return fail(Errc::os_failure, what, why);
 }
 
 // The line "VmLck: N kB" of /proc/self/status, in bytes; 0 if it cannot be read.
@@ -73,19 +68,27 @@ Failure lock_refusal(std::uint64_t bytes) noexcept {
   return failure_with(Errc::lock_limit, text);
 }
 
+Failure no_memory(std::uint64_t bytes, const char* what) noexcept {
+  rlimit limit{};
+  if (::getrlimit(RLIMIT_AS, &limit) != 0 || limit.rlim_cur == RLIM_INFINITY)
+    return {Errc::os_failure, ENOMEM, what};
+  char text[128];
+  std::snprintf(text, sizeof text, "RLIMIT_AS is %ju bytes, %ju more are needed",
+                std::uintmax_t{limit.rlim_cur}, std::uintmax_t{bytes});
+  return failure_with(Errc::address_limit, text);
+}
+
 Result<Mapping> Mapping::map(int fd, std::uint64_t bytes, Access access) noexcept {
   const int protection = access == Access::read ? PROT_READ : PROT_READ | PROT_WRITE;
   void* at = ::mmap(nullptr, bytes, protection, MAP_SHARED, fd, 0);
-  if (at == MAP_FAILED && errno == EAGAIN) return tl::unexpected(lock_refusal(bytes));
-  if (at == MAP_FAILED) return fail(Errc::os_failure, "mapping a shared region", errno);
+  if (at == MAP_FAILED) return refusal_of(bytes, "mapping a shared region");
   if (access == Access::read) ::madvise(at, bytes, MADV_DONTDUMP);
   return Mapping(static_cast<std::byte*>(at), bytes);
 }
 
 Result<Mapping> Mapping::map_private(std::uint64_t bytes) noexcept {
   void* at = ::mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
-  if (at == MAP_FAILED && errno == EAGAIN) return tl::unexpected(lock_refusal(bytes));
-  if (at == MAP_FAILED) return fail(Errc::os_failure, "mapping private memory", errno);
+  if (at == MAP_FAILED) return refusal_of(bytes, "mapping private memory");
   return Mapping(static_cast<std::byte*>(at), bytes);
 }
 
@@ -95,7 +98,7 @@ Result<Mapping> Mapping::reserve(std::uint64_t address, std::uint64_t bytes) noe
   const int where = address != 0 ? MAP_FIXED_NOREPLACE : 0;
   void* at = ::mmap(wanted, bytes, PROT_NONE, reserved | where, -1, 0);
   if (at == MAP_FAILED && errno == EAGAIN) at = reserve_unlocked(wanted, bytes, where);
-  if (at == MAP_FAILED) return refusal_of(bytes);
+  if (at == MAP_FAILED) return refusal_of(bytes, "reserving addresses");
   if (address != 0 && at != wanted) {  // a kernel before 4.17 takes the address as a hint
     ::munmap(at, bytes);
     return fail(Errc::os_failure, "reserving addresses", EEXIST);

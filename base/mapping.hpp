@@ -30,9 +30,9 @@ class Mapping {
   ~Mapping() { reset(); }
 
   /// Maps `bytes` of `fd` shared, anywhere. A read mapping is left out of core dumps: it is
-  /// somebody else's memory. Errors: os_failure, lock_limit.
+  /// somebody else's memory. Errors: os_failure, address_limit, lock_limit.
   [[nodiscard]] static Result<Mapping> map(int fd, std::uint64_t bytes, Access access) noexcept;
-  /// Private zeroed memory, anywhere. Errors: os_failure, lock_limit.
+  /// Private zeroed memory, anywhere. Errors: os_failure, address_limit, lock_limit.
   [[nodiscard]] static Result<Mapping> map_private(std::uint64_t bytes) noexcept;
   /// Addresses without memory (PROT_NONE). At `address` exactly if it is not zero; EEXIST when
   /// something is in the way. Reserved addresses do not count against RLIMIT_MEMLOCK, also in a
@@ -57,5 +57,7 @@ class Mapping {
 /// Why mmap answered EAGAIN to `bytes`: the limit of locked memory, how much of it is used, what is
 /// needed.
 Failure lock_refusal(std::uint64_t bytes) noexcept;
+/// Why it answered ENOMEM: the limit of addresses if there is one (address_limit), else os_failure.
+Failure no_memory(std::uint64_t bytes, const char* what) noexcept;
 
 }  // namespace agnocast

@@ -130,6 +130,14 @@ class Connection {
     body.header = {opcode, sizeof(T), introduction_id};
     return introduce_bytes({reinterpret_cast<const std::byte*>(&body), sizeof(T)});
   }
+  /// Sends `body` ahead of everything that waits for open(): what the daemon has to know before it
+  /// serves a request. Expects no answer.
+  template <class T>
+  void state(abi::wire::Opcode opcode, T body) {
+    body.header = {opcode, sizeof(T), 0};
+    const std::lock_guard lock(mutex_);
+    send({reinterpret_cast<const std::byte*>(&body), sizeof(T)});
+  }
   /// The daemon knows us: everything that waits is sent.
   void open();
   /// The socket is of no use any more.

@@ -71,22 +71,6 @@ std::string process_name() {
   return name;
 }
 
-/// What lies inside [base, base + bytes), as /proc/self/maps tells it.
-std::string what_lies_in(std::uint64_t base, std::uint64_t bytes) {
-  std::FILE* const maps = std::fopen("/proc/self/maps", "re");
-  if (maps == nullptr) return {};
-  char line[512];
-  std::string found;
-  while (found.empty() && std::fgets(line, sizeof line, maps) != nullptr) {
-    unsigned long long begin = 0, end = 0;
-    if (std::sscanf(line, "%llx-%llx", &begin, &end) == 2 && end > base && begin < base + bytes)
-      found = line;
-  }
-  std::fclose(maps);
-  while (!found.empty() && (found.back() == '\n' || found.back() == ' ')) found.pop_back();
-  return found;
-}
-
 // Destructors of messages run on it. Under mlockall all of it is memory: not the default of 8 MiB.
 constexpr std::size_t control_stack_bytes = std::size_t{1} << 20;
 
@@ -135,7 +119,7 @@ Result<void> Context::connect() {
   if (!done) {
     connection_.reset();
     region_ = {};
-    arena_.reset();
+    arena_ = {};
     board_ = {};
     return done;
   }
@@ -182,8 +166,10 @@ Result<void> Context::say_hello() {
 
 Result<void> Context::map_regions(const wire::Welcome& welcome, std::span<UniqueFd> fds) {
   AGNOCAST_CRASH_POINT(C_arena);
-  if (Result<void> reserved = reserve_arena(welcome.arena_base, welcome.arena_bytes); !reserved)
-    return reserved;
+  Result<Arena> arena = Arena::reserve(welcome.arena_base, welcome.arena_bytes);
+  if (!arena) return tl::unexpected<Failure>(arena.error());
+  arena_ = std::move(*arena);
+  say_blocked();
   AGNOCAST_CRASH_POINT(C_regions);
   Result<SparseRegion> board =
       SparseRegion::make(std::move(fds[0]), abi::board_bytes, Mapping::Access::read);
@@ -251,19 +237,15 @@ Result<void> Context::start_thread() {
   return fail(Errc::os_failure, "starting the control thread", refused);
 }
 
-Result<void> Context::reserve_arena(std::uint64_t base, std::uint64_t bytes) {
-  Result<Mapping> arena = Mapping::reserve(base, bytes);
-  if (!arena) {
-    if (arena.error().os_errno == EEXIST) {
-      char range[64];
-      std::snprintf(range, sizeof range, "0x%jx-0x%jx has ", std::uintmax_t{base},
-                    std::uintmax_t{base + bytes});
-      return fail_with(Errc::arena_occupied, range + what_lies_in(base, bytes));
-    }
-    return tl::unexpected<Failure>(arena.error());
+// Ahead of all requests: what the daemon gives must not lie there.
+void Context::say_blocked() {
+  for (const Arena::Blocked& range : arena_.blocked()) {
+    wire::Blocked body{};
+    body.base = range.base;
+    body.bytes = range.bytes;
+    write_name(body.what, std::string_view(range.what).substr(0, sizeof body.what.text - 1));
+    connection_->state(Opcode::blocked, body);
   }
-  arena_ = std::move(*arena);
-  return {};
 }
 
 void Context::wake_control() noexcept {
@@ -312,8 +294,8 @@ Result<void> Context::open_heap() {
 // Ahead of need: malloc never waits for the daemon. While the answer is on its way, or when it is a
 // refusal, the heap does with what it has.
 void Context::ask_for_window() {
-  if (!heap_is_open_.load(std::memory_order_acquire) || window_asked_ || !heap_->wants_window())
-    return;
+  if (!heap_is_open_.load(std::memory_order_acquire) || window_asked_) return;
+  if (move_to_ != window_count_ && !heap_->wants_window()) return;
   if (std::chrono::steady_clock::now() < window_again_) return;
   window_asked_ = true;
   wire::WindowRequest request{};
@@ -340,7 +322,7 @@ bool Context::add_window(Incoming& answer) noexcept {
   const auto fds = answer.packet.fds();
   return opened.window == window_count_ &&
          heap_->add_window(region_.base(), opened.window, opened.base, opened.bytes, fds[0].get(),
-                           fds[1].get());
+                           fds[1].get(), opened.first == opened.window);
 }
 
 namespace {

@@ -15,6 +15,7 @@
 #include <agnocast/result.hpp>
 #include <base/doorbell.hpp>
 #include <base/mapping.hpp>
+#include <client/arena.hpp>
 #include <client/connection.hpp>
 #include <client/departure.hpp>
 #include <client/heap.hpp>
@@ -123,7 +124,7 @@ class Context {
   Result<void> map_regions(const abi::wire::Welcome& welcome, std::span<UniqueFd> fds);
   Result<void> start_control_thread();
   Result<void> start_thread();
-  Result<void> reserve_arena(std::uint64_t base, std::uint64_t bytes);
+  void say_blocked();
   Result<void> open_heap();
   Result<void> open_extents(const abi::wire::EndpointCreated& made, std::uint64_t bytes);
   std::shared_ptr<Sleeper> lend(std::unique_ptr<Sleeper> sleeper);
@@ -141,6 +142,9 @@ class Context {
   void on_orphaned(Incoming& packet);
   void on_kick(Incoming& packet);
   void on_notice(Incoming& packet);
+  void on_move_heap(Incoming& packet);
+  Result<void> add_window_of(KnownPeer& known, bool own, const PeerHeap::Announced& window,
+                             UniqueFd fd);
 
   // control thread: coming back
   void reconnect();
@@ -179,7 +183,7 @@ class Context {
   std::atomic<bool> is_connected_{false};  // a forked child inherits it
   std::string socket_path_;
   std::unique_ptr<Connection> connection_;
-  Mapping arena_;
+  Arena arena_;
   SparseRegion board_, region_;
   std::uint64_t incarnation_ = 0, client_ = 0, client_generation_ = 0;
   HeapScope scope_ = HeapScope::loan;
@@ -187,6 +191,7 @@ class Context {
   std::atomic<bool> heap_is_open_{false};
   std::uint64_t window_count_ = 1;  // control thread only, as the next
   bool window_asked_ = false;
+  std::uint64_t move_to_ = 0;  // window that the daemon asks for, 0: none
   static constexpr std::chrono::seconds window_pause_first{1};
   std::chrono::seconds window_pause_ = window_pause_first;  // after the next refusal
   std::chrono::steady_clock::time_point window_again_{};    // not before

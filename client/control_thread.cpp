@@ -137,6 +137,9 @@ void Context::handle(Incoming& packet) {
     case Opcode::notice:
       on_notice(packet);
       break;
+    case Opcode::move_heap:
+      on_move_heap(packet);
+      break;
     case Opcode::rejoined:
       on_rejoined(packet);
       break;
@@ -191,21 +194,32 @@ std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
   }
   for (std::uint32_t i = 0; i < announcement.window_count; ++i) {
     const auto& window = announcement.window[i];
-    const std::uint64_t arena = reinterpret_cast<std::uint64_t>(arena_.base());
-    const bool inside = window.base >= arena && window.bytes <= arena_.bytes() &&
-                        window.base - arena <= arena_.bytes() - window.bytes;
-    if (!inside) return nullptr;
-    AGNOCAST_CRASH_POINT(C_peer_window);
-    Result<void> added =
-        own ? known.peer->heap().add_own(i, window.base, window.bytes)
-            : known.peer->heap().add(i, window.base, window.bytes, std::move(fds[1 + i]));
-    if (!added) return nullptr;
+    if (!add_window_of(known, own, {i, window.base, window.bytes, window.first},
+                       std::move(fds[1 + i])))
+      return nullptr;
   }
   const std::uint64_t bytes = announcement.kind == Kind::publisher ? abi::publisher_extent_bytes
                                                                    : abi::subscription_extent_bytes;
   AGNOCAST_CRASH_POINT(C_peer_extent);
   if (!known.peer->open(announcement.extent, bytes)) return nullptr;
   return use(known);
+}
+
+Result<void> Context::add_window_of(KnownPeer& known, bool own, const PeerHeap::Announced& window,
+                                    UniqueFd fd) {
+  PeerHeap& heap = known.peer->heap();
+  if (!arena_.contains(window.base, window.length))
+    return fail(Errc::protocol_violation, "a window outside the arena");
+  AGNOCAST_CRASH_POINT(C_peer_window);
+  const std::uint64_t before = heap.window_count();
+  Result<void> added = own                                      ? heap.add_own(window)
+                       : arena_.has(window.base, window.length) ? heap.add(window, std::move(fd))
+                                                                : heap.add_blocked(window);
+  if (heap.window_count() == before) return added;
+  // A taker may have found a message there already and left it.
+  const std::lock_guard lock(endpoints_);
+  for (const auto& [key, subscription] : subscriptions_) subscription->sleeper().wake();
+  return added;
 }
 
 void Context::on_announce(Incoming& packet) {
@@ -283,14 +297,9 @@ void Context::on_window(Incoming& packet) {
   if (found == peers_.end())
     return;  // unmapped meanwhile: the next announcement brings all windows
   const bool own = announced.client == client_ && announced.client_generation == client_generation_;
-  PeerHeap& heap = found->second.peer->heap();
-  AGNOCAST_CRASH_POINT(C_peer_window);
-  (void)(own ? heap.add_own(announced.window, announced.base, announced.bytes)
-             : heap.add(announced.window, announced.base, announced.bytes,
-                        std::move(packet.packet.fds()[0])));
-  // A taker may have found a message there already and left it.
-  const std::lock_guard lock(endpoints_);
-  for (const auto& [key, subscription] : subscriptions_) subscription->sleeper().wake();
+  (void)add_window_of(found->second, own,
+                      {announced.window, announced.base, announced.bytes, announced.first},
+                      std::move(packet.packet.fds()[0]));
 }
 
 void Context::on_forget(Incoming& packet) {
@@ -310,6 +319,12 @@ void Context::on_orphaned(Incoming& packet) {
     if (key.first == gone.topic)
       subscription->orphan(gone.index, gone.generation, gone.final_head == 0);
   }
+}
+
+// Somebody who reads from here has something else where this heap lies: it goes on elsewhere.
+void Context::on_move_heap(Incoming& packet) {
+  wire::MoveHeap move{};
+  if (packet.read(move)) move_to_ = move.window;
 }
 
 void Context::on_kick(Incoming& packet) {
@@ -335,6 +350,12 @@ void tell(EndpointEvents& events, const wire::Notice& notice) noexcept {
     case Errc::type_mismatch:
       events.incompatible_type();
       break;
+    case Errc::arena_occupied: {
+      wire::Name text = notice.text;
+      text.text[sizeof text.text - 1] = '\0';
+      events.heap_collision(text.text);
+      break;
+    }
     default:
       break;  // a newer daemon may say more than we know
   }

@@ -3,6 +3,7 @@
 #include <client/endpoint_events.hpp>
 #include <client/forked_child.hpp>
 
+#include <string_view>
 #include <utility>
 
 namespace agnocast {
@@ -39,6 +40,14 @@ void EndpointEvents::connection(const ConnectionInfo& info) noexcept {
   changed();
 }
 
+void EndpointEvents::heap_collision(const char* text) noexcept {
+  const std::lock_guard lock(mutex_);
+  ++now_.collisions;
+  char(&last)[sizeof last_collision_.last_text] = last_collision_.last_text;
+  last[std::string_view(text).copy(last, sizeof last - 1)] = '\0';
+  changed();
+}
+
 MatchedInfo EndpointEvents::matched_since(Counts& told) const noexcept {
   const std::uint64_t gained = now_.matched - told.matched;
   const std::uint64_t ceased = now_.ceased - told.ceased;
@@ -56,6 +65,14 @@ IncompatibleQosInfo EndpointEvents::qos_since(Counts& told) const noexcept {
 IncompatibleTypeInfo EndpointEvents::types_since(Counts& told) const noexcept {
   const std::uint64_t change = now_.types - std::exchange(told.types, now_.types);
   return {static_cast<std::int32_t>(now_.types), static_cast<std::int32_t>(change)};
+}
+
+HeapCollisionInfo EndpointEvents::collisions_since(Counts& told) const noexcept {
+  HeapCollisionInfo info = last_collision_;
+  info.total_count = static_cast<std::int32_t>(now_.collisions);
+  info.total_count_change =
+      static_cast<std::int32_t>(now_.collisions - std::exchange(told.collisions, now_.collisions));
+  return info;
 }
 
 MatchedInfo EndpointEvents::matched_status() noexcept {
@@ -76,11 +93,18 @@ IncompatibleTypeInfo EndpointEvents::incompatible_type_status() noexcept {
   return types_since(told_by_status_);
 }
 
+HeapCollisionInfo EndpointEvents::heap_collision_status() noexcept {
+  if (is_forked_child()) return {};
+  const std::lock_guard lock(mutex_);
+  return collisions_since(told_by_status_);
+}
+
 void EndpointEvents::wake_for(const detail::EventCallbacks& callbacks,
                               std::shared_ptr<Sleeper> sleeper) noexcept {
   const std::lock_guard lock(mutex_);
   wanted_ = {callbacks.matched != nullptr, callbacks.incompatible_qos != nullptr,
-             callbacks.incompatible_type != nullptr, callbacks.connection != nullptr};
+             callbacks.incompatible_type != nullptr, callbacks.connection != nullptr,
+             callbacks.heap_collision != nullptr};
   sleeper_ = std::move(sleeper);
   changed();
 }
@@ -89,7 +113,8 @@ bool EndpointEvents::look_for_pending() const noexcept {
   return (wanted_.matched && matched_changed()) ||
          (wanted_.qos && now_.qos != told_by_callback_.qos) ||
          (wanted_.types && now_.types != told_by_callback_.types) ||
-         (wanted_.connections && now_.connections != told_by_callback_.connections);
+         (wanted_.connections && now_.connections != told_by_callback_.connections) ||
+         (wanted_.collisions && now_.collisions != told_by_callback_.collisions);
 }
 
 void EndpointEvents::changed() noexcept {
@@ -117,6 +142,8 @@ bool EndpointEvents::run_one(const detail::EventCallbacks& callbacks) {
     told_by_callback_.connections = now_.connections;
     return run(callbacks.connection, ConnectionInfo(connection_));
   }
+  if (wanted_.collisions && now_.collisions != told_by_callback_.collisions)
+    return run(callbacks.heap_collision, collisions_since(told_by_callback_));
   return false;
 }
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // EndpointEvents: what happened to one endpoint besides messages: matched, incompatible QoS,
-// incompatible type, the state of the process's connection.
+// incompatible type, the state of the process's connection, heap collision.
 //
 // The control thread counts; status getters read in any thread; callbacks are run by whoever runs
 // the callbacks of the node. Counts are cumulative, so an event that comes before anybody waits for
@@ -33,12 +33,14 @@ class EndpointEvents {
   void incompatible_qos(QosPolicyKind policy) noexcept;
   void incompatible_type() noexcept;
   void connection(const ConnectionInfo& info) noexcept;
+  void heap_collision(const char* text) noexcept;
 
   // --- any thread
 
   MatchedInfo matched_status() noexcept;
   IncompatibleQosInfo incompatible_qos_status() noexcept;
   IncompatibleTypeInfo incompatible_type_status() noexcept;
+  HeapCollisionInfo heap_collision_status() noexcept;
   /// From now on a change for which there is a callback ends the sleep of whoever runs them.
   void wake_for(const detail::EventCallbacks& callbacks, std::shared_ptr<Sleeper> sleeper) noexcept;
 
@@ -55,10 +57,12 @@ class EndpointEvents {
     std::uint64_t qos = 0;
     std::uint64_t types = 0;
     std::uint64_t connections = 0;
+    std::uint64_t collisions = 0;
   };
   MatchedInfo matched_since(Counts& told) const noexcept;
   IncompatibleQosInfo qos_since(Counts& told) const noexcept;
   IncompatibleTypeInfo types_since(Counts& told) const noexcept;
+  HeapCollisionInfo collisions_since(Counts& told) const noexcept;
   void changed() noexcept;
   bool matched_changed() const noexcept {
     return now_.matched != told_by_callback_.matched || now_.ceased != told_by_callback_.ceased;
@@ -69,9 +73,10 @@ class EndpointEvents {
   Counts now_, told_by_status_, told_by_callback_;
   QosPolicyKind last_policy_ = QosPolicyKind::invalid;
   ConnectionInfo connection_;
+  HeapCollisionInfo last_collision_;
   std::atomic<bool> pending_{false};
   struct {
-    bool matched = false, qos = false, types = false, connections = false;
+    bool matched = false, qos = false, types = false, connections = false, collisions = false;
   } wanted_;
   std::shared_ptr<Sleeper> sleeper_;
 };

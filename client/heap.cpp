@@ -60,6 +60,8 @@ Result<void> result_of(int status) noexcept {
     case AGNOCAST_HEAPHOOK_FULL:
       return fail(Errc::window_exhausted, "opening a heap window");
     case AGNOCAST_HEAPHOOK_OS:
+      if (errno == ENOMEM)
+        return tl::unexpected(no_memory(AGNOCAST_HEAPHOOK_ATTACH_BYTES, "opening a heap window"));
       return fail(Errc::os_failure, "opening a heap window", errno);
     default:
       return fail(Errc::internal, "opening a heap window");
@@ -130,9 +132,11 @@ std::uint64_t end_adoption(void*) noexcept {
   return attached.hook->spilled();
 }
 WindowSet windows(void*) noexcept {
+  // What lies in windows that were given up is foreign: a reader of the message may not have them.
   WindowSet set;
+  const std::uint64_t first = attached.hook->first_window();
   const std::uint64_t count = attached.count.load(std::memory_order_acquire);
-  for (std::uint64_t i = 0; i < count; ++i) {
+  for (std::uint64_t i = first; i < count; ++i) {
     (void)set.add(attached.base[i],
                   attached.base[i] + attached.hook->frontier(static_cast<std::uint32_t>(i)));
   }
@@ -202,10 +206,16 @@ Result<void> Heap::check_interposition() const {
 }
 
 Result<void> Heap::add_window(std::byte* client_region, std::uint64_t window, std::uint64_t base,
-                              std::uint64_t length, int write_fd, int read_fd) noexcept {
+                              std::uint64_t length, int write_fd, int read_fd,
+                              bool fresh) noexcept {
   describe_window(client_region, window, base, length);
-  const agnocast_heaphook_window next{reinterpret_cast<void*>(base),     length, write_fd, read_fd,
-                                      AGNOCAST_HEAPHOOK_WINDOW_RESERVED, 0};
+  const agnocast_heaphook_window next{
+      reinterpret_cast<void*>(base),
+      length,
+      write_fd,
+      read_fd,
+      AGNOCAST_HEAPHOOK_WINDOW_RESERVED | (fresh ? AGNOCAST_HEAPHOOK_WINDOW_FRESH : 0u),
+      0};
   // Known before the hook hands out its first address: a message that lies there is resident.
   attached.base[window] = base;
   attached.count.store(window + 1, std::memory_order_release);

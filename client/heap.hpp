@@ -28,10 +28,11 @@ class Heap {
   /// Whether ordinary allocations in a scope come from this heap; found out by attach. Errors:
   /// hook_ineffective (malloc or new are not the hook's: somebody else replaced them).
   [[nodiscard]] Result<void> check_interposition() const;
-  /// The next window.
+  /// The next window; a `fresh` one is the only one to allocate from, and to publish from, from now
+  /// on, until others are added.
   [[nodiscard]] Result<void> add_window(std::byte* client_region, std::uint64_t window,
                                         std::uint64_t base, std::uint64_t length, int write_fd,
-                                        int read_fd) noexcept;
+                                        int read_fd, bool fresh) noexcept;
   /// Whoever finds the heap full from now on is told that it will not grow.
   void no_more_windows() noexcept;
   /// True when the newest window is used to three quarters, or a request did not fit.

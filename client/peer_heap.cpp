@@ -26,69 +26,89 @@ PeerHeap::~PeerHeap() {
   }
 }
 
-Result<void> PeerHeap::append(std::uint64_t window, std::uint64_t base, std::uint64_t length,
-                              UniqueFd fd, std::uint64_t opened) noexcept {
+Result<void> PeerHeap::append(const Announced& window, UniqueFd fd, std::uint64_t opened,
+                              bool is_blocked) noexcept {
   const std::lock_guard lock(growing_);
   const std::uint64_t count = count_.load(std::memory_order_relaxed);
-  if (window < count) return {};
-  if (window != count || window >= windows_.size() || base % abi::page_bytes != 0 ||
-      length % abi::page_bytes != 0 || base + length < base) {
+  if (window.number < count) return {};
+  if (window.number != count || count >= windows_.size() || window.first > window.number ||
+      window.base % abi::page_bytes != 0 || window.length % abi::page_bytes != 0 ||
+      window.base + window.length < window.base) {
     return fail(Errc::invalid_argument, "a heap window that cannot be");
   }
-  windows_[window].fd = std::move(fd);
-  windows_[window].base = base;
-  windows_[window].length = length;
-  windows_[window].opened.store(opened, std::memory_order_relaxed);
+  Window& added = windows_[count];
+  added.fd = std::move(fd);
+  added.base = window.base;
+  added.length = window.length;
+  added.first = window.first;
+  added.opened.store(opened, std::memory_order_relaxed);
+  added.is_closed.store(is_blocked, std::memory_order_relaxed);
   count_.store(count + 1, std::memory_order_release);
   return {};
 }
 
-Result<void> PeerHeap::add(std::uint64_t window, std::uint64_t base, std::uint64_t length,
-                           UniqueFd fd) noexcept {
-  return append(window, base, length, std::move(fd), 0);
+Result<void> PeerHeap::add(const Announced& window, UniqueFd fd) noexcept {
+  return append(window, std::move(fd), 0, false);
 }
 
-Result<void> PeerHeap::add_own(std::uint64_t window, std::uint64_t base,
-                               std::uint64_t length) noexcept {
-  return append(window, base, length, UniqueFd(), length);
+Result<void> PeerHeap::add_blocked(const Announced& window) noexcept {
+  return append(window, UniqueFd(), 0, true);
 }
 
-PeerHeap::Reach PeerHeap::open() noexcept {
-  // One that is added meanwhile has not been opened.
+Result<void> PeerHeap::add_own(const Announced& window) noexcept {
+  return append(window, UniqueFd(), window.length, false);
+}
+
+std::uint64_t PeerHeap::open() noexcept {
   const std::uint64_t count = window_count();
   for (std::uint64_t i = 0; i < count; ++i) {
     Window& window = windows_[i];
     const std::uint64_t frontier =
         dataplane::load_frontier<SharedMemory>(client_region_, i, window.length) &
         ~(abi::page_bytes - 1);
-    if (frontier <= window.opened.load(std::memory_order_acquire)) continue;
+    if (frontier <= window.opened.load(std::memory_order_acquire) || !window.fd) continue;
     const std::lock_guard lock(growing_);
     const std::uint64_t opened = window.opened.load(std::memory_order_relaxed);
     if (frontier <= opened) continue;
     void* const at = at_address(window.base + opened);
     AGNOCAST_CRASH_POINT(C_peer_open);
-    if (::mmap(at, frontier - opened, PROT_READ, MAP_SHARED | MAP_FIXED, window.fd.get(),
-               static_cast<off_t>(opened)) == MAP_FAILED) {
-      return Reach::refused;
-    }
+    const bool refused = ::mmap(at, frontier - opened, PROT_READ, MAP_SHARED | MAP_FIXED,
+                                window.fd.get(), static_cast<off_t>(opened)) == MAP_FAILED;
+    // A refusal: any message of the group may point beyond what is open.
+    window.is_closed.store(refused, std::memory_order_release);
+    if (refused) continue;
     ::madvise(at, frontier - opened, MADV_DONTDUMP);
     AGNOCAST_CRASH_POINT(C_peer_opened);
     window.opened.store(frontier, std::memory_order_release);
   }
-  const auto& header = *reinterpret_cast<const abi::ClientRegionHeader*>(client_region_);
-  const bool shows_more = count < abi::window_count_max &&
-                          header.window[count].base.load(std::memory_order_acquire) != 0;
-  return shows_more ? Reach::awaits_window : Reach::whole;
+  return count;
 }
 
-bool PeerHeap::contains(std::uint64_t address, std::uint64_t size) const noexcept {
-  for (std::uint64_t i = 0; i < window_count(); ++i) {
-    const Window& window = windows_[i];
-    const std::uint64_t opened = window.opened.load(std::memory_order_acquire);
-    if (address >= window.base && size <= opened && address - window.base <= opened - size)
-      return true;
+bool PeerHeap::shows(std::uint64_t window) const noexcept {
+  const auto& header = *reinterpret_cast<const abi::ClientRegionHeader*>(client_region_);
+  return window < abi::window_count_max &&
+         header.window[window].base.load(std::memory_order_acquire) != 0;
+}
+
+dataplane::Place PeerHeap::place_of(std::uint64_t address, std::uint64_t size, std::uint64_t count,
+                                    bool all_announced) const noexcept {
+  using dataplane::Place;
+  const auto opened = [](const Window& window) {
+    return window.opened.load(std::memory_order_acquire);
+  };
+  std::uint64_t found = 0;
+  while (found < count && address - windows_[found].base >= windows_[found].length) ++found;
+  // The message, or what it points to, may lie in the next one.
+  const bool group_may_grow = found == count || windows_[found].first == windows_[count - 1].first;
+  if (group_may_grow && !all_announced && shows(count)) return Place::awaited;
+  if (found == count) return Place::outside;
+  const Window& window = windows_[found];
+  for (std::uint64_t i = window.first; i < count && windows_[i].first == window.first; ++i) {
+    if (windows_[i].is_closed.load(std::memory_order_acquire)) return Place::unreachable;
   }
-  return false;
+  const std::uint64_t offset = address - window.base;
+  return size <= opened(window) && offset <= opened(window) - size ? Place::readable
+                                                                   : Place::outside;
 }
 
 }  // namespace agnocast

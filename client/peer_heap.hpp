@@ -2,8 +2,9 @@
 //
 // PeerHeap: somebody else's heap windows, read-only, at the addresses where their owner has them.
 //
-// The addresses are reserved without access by the caller (the arena, reserved at hello); only what
-// the owner's frontier says is in use gets mapped. A process that has locked its memory (mlockall)
+// The addresses are reserved without access by the caller (the arena, reserved at hello), or they are
+// blocked: something else of this process lies there, and the window is known but never mapped. Of the
+// others, only what the owner's frontier says is in use gets mapped. A process that has locked its memory (mlockall)
 // would otherwise allocate the whole window. Left out of core dumps, never populated: touching a
 // hole through a read-only mapping allocates a page.
 #pragma once
@@ -11,6 +12,7 @@
 #include <agnocast/abi/limits.hpp>
 #include <agnocast/result.hpp>
 #include <base/unique_fd.hpp>
+#include <client/dataplane/windows.hpp>
 
 #include <array>
 #include <atomic>
@@ -20,8 +22,7 @@
 
 namespace agnocast {
 
-/// Any thread may call anything. open() and contains() take a lock only after the owner's heap has
-/// grown.
+/// Any thread may call anything. open() takes a lock only after the owner's heap has grown.
 class PeerHeap {
  public:
   /// `client_region`: the owner's, mapped here; must outlive this.
@@ -32,26 +33,29 @@ class PeerHeap {
   PeerHeap(const PeerHeap&) = delete;
   PeerHeap& operator=(const PeerHeap&) = delete;
 
-  /// Window number `window` as the daemon announced it; `fd` opened for reading, [base, base +
-  /// length) reserved by the caller. Windows come in order; one that is there already is ignored.
-  /// Errors: invalid_argument.
-  [[nodiscard]] Result<void> add(std::uint64_t window, std::uint64_t base, std::uint64_t length,
-                                 UniqueFd fd) noexcept;
-  /// The same for this process's own heap, which the hook has mapped already.
-  [[nodiscard]] Result<void> add_own(std::uint64_t window, std::uint64_t base,
-                                     std::uint64_t length) noexcept;
-
-  enum class Reach : std::uint8_t {
-    whole,          ///< every window that the owner's header shows, up to its frontier
-    awaits_window,  ///< the header shows one more that has not been added yet
-    refused,        ///< the system refuses a mapping
+  /// A window as the daemon announced it.
+  struct Announced {
+    std::uint64_t number;
+    std::uint64_t base;
+    std::uint64_t length;
+    std::uint64_t first;  // of its group
   };
-  /// Makes accessible what the owner has put to use since the last call. A system call only after
-  /// growth. Whatever was committed before may have pointers into all of it, wherever its object
-  /// lies.
-  [[nodiscard]] Reach open() noexcept;
-  /// True when [address, address + size) lies in what is open. Any values.
-  bool contains(std::uint64_t address, std::uint64_t size) const noexcept;
+  /// `fd` opened for reading, the addresses reserved by the caller. Windows come in order; one that is
+  /// there already is ignored. Errors: invalid_argument.
+  [[nodiscard]] Result<void> add(const Announced& window, UniqueFd fd) noexcept;
+  /// The same where this process has something else.
+  [[nodiscard]] Result<void> add_blocked(const Announced& window) noexcept;
+  /// The same for this process's own heap, which the hook has mapped already.
+  [[nodiscard]] Result<void> add_own(const Announced& window) noexcept;
+
+  /// Makes accessible what the owner has put to use since the last call; how many windows it has
+  /// looked at: one that is added meanwhile has not been opened. A system call only after growth.
+  std::uint64_t open() noexcept;
+  /// Whether a message at [address, address + size) can be read, with all it points to, when `count`
+  /// windows have been opened. Any values. A window that the owner's header shows beyond these is
+  /// waited for, unless `all_announced`.
+  dataplane::Place place_of(std::uint64_t address, std::uint64_t size, std::uint64_t count,
+                            bool all_announced) const noexcept;
   std::uint64_t window_count() const noexcept { return count_.load(std::memory_order_acquire); }
 
  private:
@@ -59,10 +63,13 @@ class PeerHeap {
     UniqueFd fd;
     std::uint64_t base = 0;
     std::uint64_t length = 0;
+    std::uint64_t first = 0;
     std::atomic<std::uint64_t> opened{0};  // bytes; only grows
+    std::atomic<bool> is_closed{false};    // blocked, or the system refuses to map what is in use
   };
-  Result<void> append(std::uint64_t window, std::uint64_t base, std::uint64_t length, UniqueFd fd,
-                      std::uint64_t opened) noexcept;
+  Result<void> append(const Announced& window, UniqueFd fd, std::uint64_t opened,
+                      bool is_blocked) noexcept;
+  bool shows(std::uint64_t window) const noexcept;
 
   std::byte* client_region_;
   std::mutex growing_;
@@ -78,21 +85,15 @@ class HeapLook {
  public:
   HeapLook(PeerHeap& heap, bool all_announced) noexcept
       : heap_(heap), all_announced_(all_announced) {}
-  void open() noexcept {
-    reach_ = heap_.open();
-    if (all_announced_ && reach_ == PeerHeap::Reach::awaits_window) reach_ = PeerHeap::Reach::whole;
-  }
-  bool contains(std::uint64_t address, std::uint64_t size) const noexcept {
-    return reach_ == PeerHeap::Reach::whole && heap_.contains(address, size);
-  }
-  bool is_awaited(std::uint64_t, std::uint64_t) const noexcept {
-    return reach_ == PeerHeap::Reach::awaits_window;
+  void open() noexcept { count_ = heap_.open(); }
+  dataplane::Place place_of(std::uint64_t address, std::uint64_t size) const noexcept {
+    return heap_.place_of(address, size, count_, all_announced_);
   }
 
  private:
   PeerHeap& heap_;
   const bool all_announced_;
-  PeerHeap::Reach reach_ = PeerHeap::Reach::refused;
+  std::uint64_t count_ = 0;
 };
 
 }  // namespace agnocast

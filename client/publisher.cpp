@@ -132,6 +132,10 @@ IncompatibleQosInfo UntypedPublisher::incompatible_qos_status() noexcept {
   return endpoint_ != nullptr ? endpoint_->events().incompatible_qos_status()
                               : IncompatibleQosInfo{};
 }
+HeapCollisionInfo UntypedPublisher::heap_collision_status() noexcept {
+  return endpoint_ != nullptr ? endpoint_->events().heap_collision_status() : HeapCollisionInfo{};
+}
+
 IncompatibleTypeInfo UntypedPublisher::incompatible_type_status() noexcept {
   return endpoint_ != nullptr ? endpoint_->events().incompatible_type_status()
                               : IncompatibleTypeInfo{};

@@ -87,6 +87,7 @@ void Context::on_rejoined(Incoming& packet) {
   if (reconnection_.state() != Reconnection::State::rejoining || !packet.read(body) ||
       body.incarnation != incarnation_)
     return lose_connection();
+  say_blocked();  // the daemon may not be the one that knew
   connection_->open();
   reconnection_.succeeded(Reconnection::Clock::now());
   tell_state(ConnectionState::connected);

@@ -161,6 +161,10 @@ IncompatibleQosInfo UntypedSubscription::incompatible_qos_status() noexcept {
   return endpoint_ != nullptr ? endpoint_->events().incompatible_qos_status()
                               : IncompatibleQosInfo{};
 }
+HeapCollisionInfo UntypedSubscription::heap_collision_status() noexcept {
+  return endpoint_ != nullptr ? endpoint_->events().heap_collision_status() : HeapCollisionInfo{};
+}
+
 IncompatibleTypeInfo UntypedSubscription::incompatible_type_status() noexcept {
   return endpoint_ != nullptr ? endpoint_->events().incompatible_type_status()
                               : IncompatibleTypeInfo{};

@@ -90,6 +90,7 @@ std::vector<std::shared_ptr<Link>> SubscriptionEndpoint::collect_unlinked() {
     books_[link->publisher()].unlinked(link->generation());
     lost_before_ += link->core_.lost();
     malformed_before_ += link->core_.malformed();
+    unreachable_before_ += link->core_.unreachable();
     links_.erase(std::find(links_.begin(), links_.end(), link));
   }
   return over;
@@ -144,13 +145,16 @@ void SubscriptionEndpoint::drop_beyond_depth() noexcept {
 // Into the client region, where agnocast-ctl reads it.
 void SubscriptionEndpoint::note_losses(Link& link) noexcept {
   const std::uint64_t lost = link.core_.lost() - std::exchange(link.lost_noted_, link.core_.lost());
-  if (lost == 0) return;  // what is malformed is lost as well
+  if (lost == 0) return;  // what is malformed or unreachable is lost as well
   const std::uint64_t malformed =
       link.core_.malformed() - std::exchange(link.malformed_noted_, link.core_.malformed());
   const dataplane::SubscriptionWords<SharedMemory> words{self_.region, self_.extent};
   using Counters = abi::SubscriptionCounters;
   words.counter(offsetof(Counters, lost)).fetch_add(lost, std::memory_order_relaxed);
   words.counter(offsetof(Counters, malformed)).fetch_add(malformed, std::memory_order_relaxed);
+  const std::uint64_t unreachable =
+      link.core_.unreachable() - std::exchange(link.unreachable_noted_, link.core_.unreachable());
+  words.counter(offsetof(Counters, unreachable)).fetch_add(unreachable, std::memory_order_relaxed);
 }
 
 // A process that was stopped while it was revoked may come here before its control thread has read
@@ -207,6 +211,14 @@ std::uint64_t SubscriptionEndpoint::malformed() const noexcept {
   const std::lock_guard lock(mutex_);
   std::uint64_t sum = malformed_before_;
   for (const auto& link : links_) sum += link->core_.malformed();
+  return sum;
+}
+
+std::uint64_t SubscriptionEndpoint::unreachable() const noexcept {
+  if (is_forked_child()) return 0;
+  const std::lock_guard lock(mutex_);
+  std::uint64_t sum = unreachable_before_;
+  for (const auto& link : links_) sum += link->core_.unreachable();
   return sum;
 }
 

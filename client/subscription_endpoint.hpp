@@ -76,7 +76,7 @@ class Link {
   std::shared_ptr<Sleeper> sleeper_;
   std::uint64_t quota_;
   std::uint64_t windows_seen_ = 0;  // when take() was tried last
-  std::uint64_t lost_noted_ = 0, malformed_noted_ = 0;
+  std::uint64_t lost_noted_ = 0, malformed_noted_ = 0, unreachable_noted_ = 0;
   std::atomic<std::uint64_t> held_{0};
   std::atomic<bool> closing_{false};
   // The daemon has said that the publisher is gone, and before that each window it had by then.
@@ -151,6 +151,7 @@ class SubscriptionEndpoint {
   bool has_news() const noexcept;
   std::uint64_t lost() const noexcept;
   std::uint64_t malformed() const noexcept;
+  std::uint64_t unreachable() const noexcept;
   /// Publishers that are mapped and not gone.
   std::size_t publisher_count() const noexcept;
   /// Those that are gone and still have something here count as well.
@@ -172,6 +173,7 @@ class SubscriptionEndpoint {
   std::vector<Book> books_;        // by publisher index, as far as any was announced
   std::uint64_t lost_before_ = 0;  // of links that are over
   std::uint64_t malformed_before_ = 0;
+  std::uint64_t unreachable_before_ = 0;
   bool closed_ = false;
   EndpointEvents events_;
   Departure departure_;

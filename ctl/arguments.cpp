@@ -112,7 +112,11 @@ struct Found {
 };
 
 // Options that are followed by their value.
-bool takes_value(std::string_view word) { return word == "--socket" || word == "--domain"; }
+bool takes_value(std::string_view word) {
+  constexpr std::string_view options[] = {"--socket", "--domain", "-n",
+                                          "--number", "--topic",  "--process"};
+  return std::find(std::begin(options), std::end(options), word) != std::end(options);
+}
 
 // The first words that are no options are noun and verb.
 Outcome<Found> find_command(std::span<const std::string> words, std::span<const Command> commands) {
@@ -168,16 +172,22 @@ Outcome<Found> find_command(std::span<const std::string> words, std::span<const 
       meant(verb, verbs, "agnocast-ctl " + noun + ' ', "agnocast-ctl " + noun + " --help"));
 }
 
-Outcome<std::uint64_t> domain_of(const std::string& what, const std::string& text) {
+std::optional<std::uint64_t> number_in(const std::string& text) {
   std::uint64_t number = 0;
   const char* const end = text.data() + text.size();
   const auto parsed = std::from_chars(text.data(), end, number);
-  if (text.empty() || parsed.ec != std::errc() || parsed.ptr != end || number > domain_max)
+  if (text.empty() || parsed.ec != std::errc() || parsed.ptr != end) return std::nullopt;
+  return number;
+}
+
+Outcome<std::uint64_t> domain_of(const std::string& what, const std::string& text) {
+  const auto number = number_in(text);
+  if (!number || *number > domain_max)
     return wrong_usage(
         what,
         in_quotes(text) + " is no domain; it is a number from 0 to " + std::to_string(domain_max),
         "ROS_DOMAIN_ID=0 agnocast-ctl topic list");
-  return number;
+  return *number;
 }
 
 std::string choose_socket(const std::string& named, const Surroundings& around) {
@@ -208,6 +218,14 @@ class Parser {
     if (command.takes & domain)
       app_.add_option("--domain", domain_, "of this ROS domain; else ROS_DOMAIN_ID, else 0")
           ->type_name("ID");
+    flag("-f,--follow", records, arguments_.follow, "go on with what comes");
+    if (command.takes & records) {
+      app_.add_option("-n,--number", number_, "at most so many, the newest; else 20")
+          ->type_name("COUNT");
+      app_.add_option("--topic", arguments_.topic, "of this topic")->type_name("NAME");
+      app_.add_option("--process", arguments_.process, "of this process: its name or pid")
+          ->type_name("NAME");
+    }
     app_.add_option("--socket", arguments_.socket, "where agnocastd listens")->type_name("PATH");
     app_.add_option("--json", json_, "one JSON object; short or pretty")->type_name("[=FORM]");
     app_.add_flag("-j", json_flag_, "the same");
@@ -242,6 +260,7 @@ class Parser {
       if (!chosen) return tl::unexpected(chosen.error());
       arguments_.domain = *chosen;
     }
+    if (auto counted = read_number(help); !counted) return tl::unexpected(counted.error());
     if (app_.count("--socket") != 0 && arguments_.socket.empty())
       return wrong_usage("--socket", "needs a path", help);
     arguments_.socket = choose_socket(arguments_.socket, around);
@@ -281,6 +300,15 @@ class Parser {
     return {};
   }
 
+  Outcome<void> read_number(const std::string& help) {
+    if (!(command_.takes & records) || app_.count("--number") == 0) return {};
+    const auto number = number_in(number_);
+    if (!number || *number == 0)
+      return wrong_usage("--number", in_quotes(number_) + " is no number from 1 upwards", help);
+    arguments_.number = *number;
+    return {};
+  }
+
   Outcome<std::uint64_t> read_domain(const Surroundings& around) {
     if (app_.count("--domain") != 0) return domain_of("--domain", domain_);
     if (around.ros_domain_id) return domain_of("ROS_DOMAIN_ID", *around.ros_domain_id);
@@ -290,7 +318,7 @@ class Parser {
   const Command& command_;
   Arguments arguments_;
   CLI::App app_;
-  std::string domain_, json_;
+  std::string domain_, json_, number_;
   bool json_flag_ = false;
 };
 

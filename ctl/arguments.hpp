@@ -32,7 +32,9 @@ struct Arguments {
   bool count = false;
   bool verbose = false;
   bool hidden = false;
-  std::string name;
+  bool follow = false;
+  std::uint64_t number = 20;
+  std::string name, topic, process;
 };
 
 /// What is outside of us.

@@ -23,7 +23,8 @@ enum Takes : std::uint32_t {
   count = 1 << 3,
   verbose = 1 << 4,
   hidden = 1 << 5,
-  a_process = 1 << 7,
+  records = 1 << 7,  // which records of the journal
+  a_process = 1 << 8,
 };
 
 struct Command {
@@ -41,6 +42,7 @@ Outcome<void> show_topic(const Arguments& arguments, Console& console);
 Outcome<void> list_processes(const Arguments& arguments, Console& console);
 Outcome<void> revoke_process(const Arguments& arguments, Console& console);
 Outcome<void> list_heaps(const Arguments& arguments, Console& console);
+Outcome<void> show_journal(const Arguments& arguments, Console& console);
 Outcome<void> verify_system(const Arguments& arguments, Console& console);
 
 }  // namespace agnocast::ctl

@@ -28,6 +28,8 @@ class Console {
 
   void line(std::string_view text) { std::fprintf(out_, "%.*s\n", int(text.size()), text.data()); }
   void object(const Object& object, Json form);
+  /// Now, although more is to come.
+  void flush() { std::fflush(out_); }
   /// `text`, bold on a terminal.
   std::string strong(std::string_view text) const;
 

@@ -32,6 +32,9 @@ constexpr Command commands[] = {
      "agnocast-ctl process revoke 4711\nagnocast-ctl process revoke 3.17 --json"},
     {"heap", "list", "the shared heap windows and how far they are in use", domains, list_heaps,
      "agnocast-ctl heap list\nagnocast-ctl heaps --json"},
+    {"journal", "", "the last operations and recoveries of the daemon", records, show_journal,
+     "agnocast-ctl journal\nagnocast-ctl journal -n 100 --topic /points\n"
+     "agnocast-ctl journal --process lidar --follow\nagnocast-ctl journal --json"},
     {"verify", "", "check every invariant of the running system", nothing, verify_system,
      "agnocast-ctl verify\nagnocast-ctl verify --json || echo broken"},
 };

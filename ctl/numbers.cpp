@@ -101,6 +101,7 @@ std::optional<SubscriptionNumbers> numbers_of_subscription(const System& system,
   using Fields = abi::SubscriptionCounters;
   numbers.lost = words.counter(offsetof(Fields, lost)).load(relaxed);
   numbers.malformed = words.counter(offsetof(Fields, malformed)).load(relaxed);
+  numbers.unreachable = words.counter(offsetof(Fields, unreachable)).load(relaxed);
   std::atomic_thread_fence(acquire);
   if (!system.is_still_there(topic, subscription)) return std::nullopt;
   return numbers;

@@ -29,6 +29,7 @@ struct SubscriptionNumbers {
   std::uint64_t unread = 0;  // that are still in its depth
   std::uint64_t lost = 0;
   std::uint64_t malformed = 0;
+  std::uint64_t unreachable = 0;
 };
 
 /// Nothing when the endpoint is gone, or its region cannot be read.

@@ -62,7 +62,9 @@ Object object_of(const Process& process, const KeptNumbers& kept) {
           {"held_messages", kept.held},
           {"lost_messages", kept.lost},
           {"kept_slots", kept.slots},
-          {"kept_object_bytes", kept.object_bytes}};
+          {"kept_object_bytes", kept.object_bytes},
+          {"blocked_bytes", facts.blocked_bytes},
+          {"blocked_by", process.blocked_by}};
 }
 
 }  // namespace

@@ -36,10 +36,6 @@ tl::unexpected<Problem> unreachable(const std::string& path, const char* why) {
   return problem(Status::not_reachable, path, why, remedy_of(Errc::daemon_not_running));
 }
 
-std::string text_of(const wire::Name& name) {
-  return std::string(name.text, ::strnlen(name.text, sizeof name.text));
-}
-
 void split_node(const std::string& full, Endpoint& endpoint) {
   const std::size_t slash = full.rfind('/');
   endpoint.node_name = slash == std::string::npos ? full : full.substr(slash + 1);
@@ -217,6 +213,26 @@ Outcome<System> Observer::look() {
   return system;
 }
 
+Outcome<Journal> Observer::read_journal(std::uint64_t last, std::uint64_t count) {
+  wire::ReadJournal request{};
+  request.last = last;
+  request.count = count;
+  if (auto sent = send(Opcode::read_journal, request); !sent) return tl::unexpected(sent.error());
+  Journal journal;
+  for (;;) {
+    auto packet = receive();
+    if (!packet) return tl::unexpected(packet.error());
+    if (packet->header().opcode == Opcode::journal_end) {
+      if (!packet->read(journal.end) || journal.end.record_count != journal.records.size())
+        return nonsense();
+      return journal;
+    }
+    journal.records.emplace_back();
+    if (packet->header().opcode != Opcode::journal_record || !packet->read(journal.records.back()))
+      return nonsense();
+  }
+}
+
 Outcome<void> Observer::accept(Received& packet, System& system, wire::DumpEnd& seen) const {
   switch (packet.header().opcode) {
     case Opcode::dump_daemon:
@@ -229,6 +245,7 @@ Outcome<void> Observer::accept(Received& packet, System& system, wire::DumpEnd& 
           process.facts.region_count != packet.packet.descriptor_count)
         return nonsense();
       process.name = text_of(process.facts.name);
+      process.blocked_by = text_of(process.facts.blocked_by);
       if (process.facts.region_count == 1)
         process.region_fd = std::move(packet.packet.descriptors[0]);
       system.processes.insert_or_assign(process.facts.client, std::move(process));

@@ -13,6 +13,7 @@
 #include <base/memory_policy.hpp>
 #include <base/packet_socket.hpp>
 #include <client/dataplane/views.hpp>
+#include <ctl/journal.hpp>
 #include <ctl/problem.hpp>
 
 #include <cstddef>
@@ -28,6 +29,7 @@ namespace wire = abi::wire;
 struct Process {
   wire::DumpProcess facts{};
   std::string name;
+  std::string blocked_by;
   UniqueFd region_fd;
   /// The header and every extent that is in use; empty when the daemon had no region, or one that is
   /// not what it should be (`region_fault` says so).
@@ -80,6 +82,8 @@ class Observer {
   Outcome<System> look();
   /// Ends the membership of a process. Problems also: no_such_thing.
   Outcome<void> revoke(const wire::DumpProcess& process);
+  /// The newest records of the daemon's log, at most `count`, up to `last` (0: the newest).
+  Outcome<Journal> read_journal(std::uint64_t last, std::uint64_t count);
   /// How long every client region is.
   std::uint64_t region_bytes() const noexcept { return region_bytes_; }
 

@@ -166,6 +166,7 @@ Object object_of(const System& system, const Topic& topic, const Endpoint& endpo
     put("unread_messages", found.has_value(), numbers.unread);
     put("lost_messages", found.has_value(), numbers.lost);
     put("malformed_messages", found.has_value(), numbers.malformed);
+    put("unreachable_messages", found.has_value(), numbers.unreachable);
   }
   return object;
 }
@@ -201,7 +202,12 @@ void print_subscription_numbers(const System& system, const Topic& topic, const 
   console.line("Unread: " + counted(found->unread, "message"));
   console.line(
       "Lost: " + counted(found->lost, "message") +
-      (found->malformed == 0 ? "" : ", " + std::to_string(found->malformed) + " malformed"));
+      (found->malformed == 0 ? "" : ", " + std::to_string(found->malformed) + " malformed") +
+      (found->unreachable == 0 ? "" : ", " + std::to_string(found->unreachable) + " unreachable"));
+  const Process* const process = system.process_of(endpoint);
+  if (process != nullptr && process->facts.blocked_bytes != 0)
+    console.line("Blocked: " + bytes_for_people(process->facts.blocked_bytes) +
+                 " of the arena, by " + escaped(process->blocked_by));
 }
 
 void print_endpoint(const System& system, const Topic& topic, const Endpoint& endpoint,

@@ -5,6 +5,8 @@
 #include <agnocast/abi/limits.hpp>
 
 #include <algorithm>
+#include <iterator>
+#include <map>
 
 namespace agnocast::daemon {
 namespace {
@@ -49,15 +51,54 @@ std::optional<Arena> plan_arena(const ArenaWish& wish, unsigned address_bits,
   return arena;
 }
 
-std::optional<std::uint64_t> AddressPlan::take() {
-  std::uint64_t lowest = 0;
-  for (const std::uint64_t window : used_) {
-    if (window != lowest) break;
-    ++lowest;
+std::optional<std::uint64_t> AddressPlan::lowest_free(std::uint64_t begin,
+                                                      std::uint64_t end) const {
+  for (auto used = used_.lower_bound(begin); used != used_.end() && *used == begin; ++used) ++begin;
+  if (begin >= end) return std::nullopt;
+  return begin;
+}
+
+// From one edge of an obstacle to the next all windows weigh the same.
+std::optional<AddressPlan::Choice> AddressPlan::best(std::span<const Obstacle> obstacles) const {
+  struct Change {
+    std::uint64_t weight = 0;
+    std::uint64_t less = 0;
+    std::int64_t forbidding = 0;
+  };
+  std::map<std::uint64_t, Change> edges{{0, {}}, {count_, {}}};
+  for (const Obstacle& obstacle : obstacles) {
+    const std::uint64_t base = std::max(obstacle.base, arena_.base) - arena_.base;
+    const std::uint64_t end = std::max(obstacle.base + obstacle.bytes, arena_.base) - arena_.base;
+    const std::uint64_t first = std::min(base / arena_.window_bytes, count_);
+    const std::uint64_t last =
+        std::min((end + arena_.window_bytes - 1) / arena_.window_bytes, count_);
+    if (first >= last) continue;
+    if (obstacle.weight == Obstacle::forbids) {
+      ++edges[first].forbidding;
+      --edges[last].forbidding;
+    } else {
+      edges[first].weight += obstacle.weight;
+      edges[last].less += obstacle.weight;
+    }
   }
-  if (lowest >= count_) return std::nullopt;
-  used_.insert(lowest);
-  return arena_.base + lowest * arena_.window_bytes;
+  std::optional<Choice> best;
+  std::uint64_t weight = 0;
+  std::int64_t forbidding = 0;
+  for (auto edge = edges.begin(); edge->first < count_; ++edge) {
+    weight += edge->second.weight;
+    weight -= edge->second.less;
+    forbidding += edge->second.forbidding;
+    if (forbidding != 0 || (best && best->weight <= weight)) continue;
+    const auto window = lowest_free(edge->first, std::next(edge)->first);
+    if (window) best = Choice{arena_.base + *window * arena_.window_bytes, weight};
+  }
+  return best;
+}
+
+std::optional<AddressPlan::Choice> AddressPlan::take(std::span<const Obstacle> obstacles) {
+  const auto choice = best(obstacles);
+  if (choice) used_.insert((choice->base - arena_.base) / arena_.window_bytes);
+  return choice;
 }
 
 bool AddressPlan::adopt(std::uint64_t base) {

@@ -5,7 +5,8 @@
 // The arena is one range that every client reserves without memory when it says hello; it is cut
 // into windows of equal length, and the lowest free one is given out. A window comes back only when
 // the announce set of its owner's region is empty (rule RU), which the registry knows; nothing here
-// infers it.
+// infers it. Processes may have something else in the arena (obstacles.hpp): a window is then taken where
+// as few as possible have.
 //
 //   base                                                        base + bytes
 //   | window 0 | window 1 | window 2 | …                        |
@@ -19,6 +20,7 @@
 #include <cstdint>
 #include <optional>
 #include <set>
+#include <span>
 
 namespace agnocast::daemon {
 
@@ -41,6 +43,15 @@ struct ArenaWish {
 std::optional<Arena> plan_arena(const ArenaWish& wish, unsigned address_bits,
                                 std::uint64_t memory_bytes) noexcept;
 
+/// Addresses that some process cannot use for windows.
+struct Obstacle {
+  static constexpr std::uint64_t forbids = ~std::uint64_t{0};
+  std::uint64_t base = 0;
+  std::uint64_t bytes = 0;
+  std::uint64_t weight =
+      1;  // how much a window there is to be avoided; forbids: it is out of the question
+};
+
 class AddressPlan {
  public:
   explicit AddressPlan(const Arena& arena) noexcept
@@ -50,14 +61,23 @@ class AddressPlan {
   std::uint64_t window_count() const noexcept { return count_; }
   std::uint64_t used_count() const noexcept { return used_.size(); }
 
-  /// Base of the lowest free window, which is not free any more; nothing when all are given out.
-  std::optional<std::uint64_t> take();
+  struct Choice {
+    std::uint64_t base = 0;
+    std::uint64_t weight = 0;  // of the obstacles in it, together
+    friend bool operator==(const Choice&, const Choice&) = default;
+  };
+  /// The free window with the least weight, of those the lowest; nothing when none is free and allowed.
+  std::optional<Choice> best(std::span<const Obstacle> obstacles = {}) const;
+  /// The same; it is not free any more.
+  std::optional<Choice> take(std::span<const Obstacle> obstacles = {});
   /// Marks a window as given out: what the tables say when the daemon starts again.
   bool adopt(std::uint64_t base);
   /// The window at `base` is free again. False when it was not given out.
   bool give_back(std::uint64_t base);
 
  private:
+  std::optional<std::uint64_t> lowest_free(std::uint64_t begin, std::uint64_t end) const;
+
   Arena arena_;
   std::uint64_t count_;
   std::set<std::uint64_t> used_;  // numbers of the windows that are given out

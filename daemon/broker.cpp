@@ -8,6 +8,8 @@
 #include <base/clock.hpp>
 #include <base/names.hpp>
 #include <base/step.hpp>
+#include <daemon/flight_recorder.hpp>
+#include <journal/cases.hpp>
 
 #include <fcntl.h>
 #include <sys/epoll.h>
@@ -28,12 +30,14 @@ namespace {
 
 // Packets of one connection handled in a row; the others must not wait for a flood.
 constexpr unsigned packets_per_turn = 32;
+// Likewise connections: whoever connects again and again, refused or not, is never done.
+constexpr unsigned connections_per_turn = 8;
 // How often a process without a connection is looked at.
 constexpr int short_interval_ms = 250;
 // How often holds are looked at, and observers.
 constexpr int watch_interval_ms = 1'000;
 
-// A dump that an observer has not read by then is thrown away, and the observer with it.
+// What an observer has not read by then is thrown away, and the observer with it.
 constexpr std::uint64_t observer_patience_ms = 5'000;
 
 std::uint64_t now_ms() noexcept { return monotonic_ns() / 1'000'000; }
@@ -79,12 +83,16 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
                                     options.config.limits.subscriptions_per_topic,
                                     options.config.limits.slots_per_publisher}),
       plan_(options.arena),
+      obstacles_(options.arena),
       doorbells_(listener.bells_directory(), store),
       membership_(registry_, regions_, doorbells_, *this),
       hold_watch_(registry_, regions_),
       by_client_(abi::client_count_max, nullptr),
       spare_(::open("/dev/null", O_RDONLY | O_CLOEXEC)) {
   membership_.on_ended = [this](ClientIndex client) { on_ended(client); };
+  membership_.on_matched = [this](const EndpointRef& publisher, const EndpointRef& subscription) {
+    look_for_collision(publisher, subscription);
+  };
 }
 
 Result<void> Broker::found(std::uint64_t incarnation) {
@@ -114,7 +122,7 @@ Result<void> Broker::start() {
 // --- connections
 
 void Broker::accept_all() {
-  for (;;) {
+  for (unsigned turn = 0; turn < connections_per_turn; ++turn) {
     auto socket = listener_.socket().accept();
     if (!socket) {
       if (socket.error().os_errno == EMFILE || socket.error().os_errno == ENFILE) {
@@ -317,6 +325,7 @@ void Broker::reap_peer(Peer& peer, DeathReason reason, std::string_view how) {
 void Broker::repair(ClientIndex client, DeathReason reason, std::string_view how) {
   const std::uint32_t uid = registry_.client(client).uid;
   const std::uint32_t pid = registry_.client(client).pid;
+  obstacles_.forget(client);
   const Reaped reaped = reap(client, reason, registry_, regions_, doorbells_, membership_);
   if (!registry_.is_revoked(client)) store_.remove(DescriptorStore::process(client));
   note(reaped.corrupt == 0 ? LogLevel::info : LogLevel::warning, uid, "client gone",
@@ -562,6 +571,9 @@ void Broker::serve(Peer& peer, const Request& request) {
     } else if constexpr (std::is_same_v<Body, wire::Unlinked>) {
       id = body.header.request;
       served = membership_.unlinked(*peer.session.client(), body);
+    } else if constexpr (std::is_same_v<Body, wire::Blocked>) {
+      id = body.header.request;
+      served = blocked(peer, body);
     } else if constexpr (std::is_same_v<Body, wire::Observe>) {
       id = body.header.request;
       served = observe(peer, body);
@@ -571,6 +583,9 @@ void Broker::serve(Peer& peer, const Request& request) {
     } else if constexpr (std::is_same_v<Body, wire::Revoke>) {
       id = body.header.request;
       served = revoke(peer, body);
+    } else if constexpr (std::is_same_v<Body, wire::ReadJournal>) {
+      id = body.header.request;
+      served = read_journal(peer, body);
     } else {
       id = body.request;
       served = refusal(body.code, body.text);
@@ -651,17 +666,34 @@ Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
 
 // The connection that the process had before.
 Result<Broker::Peer*> Broker::lost_peer(const Peer& peer, const wire::Rejoin& request) {
+  using journal::RejoinDecision;
   const ClientIndex client{static_cast<std::uint32_t>(request.client)};
-  if (request.incarnation != registry_.incarnation() || number(client) >= registry_.client_high() ||
-      registry_.client(client).state == ClientState::free ||
-      registry_.client(client).generation != request.client_generation)
-    return refusal(Errc::started_anew, "the daemon does not know this process");
-  Peer* const before = by_client_[number(client)];
-  if (!registry_.is_alive(client) || before == nullptr)
-    return refusal(Errc::revoked, "the membership of this process is over");
-  if (!same_process(before->session.identity().process, peer.session.identity().process))
-    return refusal(Errc::permission_denied, "that is the place of another process");
-  return before;
+  const bool is_place = number(client) < registry_.client_high();
+  Peer* const before = is_place ? by_client_[number(client)] : nullptr;
+  journal::RejoinFacts facts;
+  facts.same_layout = request.fingerprint == abi::fingerprint();
+  facts.confirmed = peer.session.identity().confirmed;
+  facts.same_incarnation = request.incarnation == registry_.incarnation();
+  facts.same_generation =
+      is_place && registry_.client(client).generation == request.client_generation;
+  if (is_place && registry_.client(client).state != ClientState::free)
+    facts.state = registry_.is_alive(client) && before != nullptr ? journal::rejoin::alive
+                                                                  : journal::rejoin::dead;
+  facts.same_process = before != nullptr && same_process(before->session.identity().process,
+                                                         peer.session.identity().process);
+  switch (journal::decide_rejoin(facts)) {
+    case RejoinDecision::take_back:
+      return before;
+    case RejoinDecision::started_anew:
+      return refusal(Errc::started_anew, "the daemon does not know this process");
+    case RejoinDecision::revoked:
+      return refusal(Errc::revoked, "the membership of this process is over");
+    case RejoinDecision::layout_mismatch:
+    case RejoinDecision::permission_denied:
+      break;
+  }
+  // check_caller() has said the other reasons for these two.
+  return refusal(Errc::permission_denied, "that is the place of another process");
 }
 
 Result<void> Broker::rejoin(Peer& peer, const wire::Rejoin& request) {
@@ -683,6 +715,7 @@ Result<void> Broker::rejoin(Peer& peer, const wire::Rejoin& request) {
   packet.incarnation = registry_.incarnation();
   reply(peer, packet_of(packet));
   membership_.welcome_back(client);
+  look_for_collisions_of_publishers(client);  // it may have been asked to move in vain
   log_.write(LogLevel::debug, "client is back",
              {{"client", number(client)}, {"pid", peer.session.identity().pid}});
   return {};
@@ -695,6 +728,7 @@ Result<void> Broker::open_window(Peer& peer, const wire::WindowRequest& request)
     return refusal(Errc::protocol_violation, "windows are opened one after the other");
   Result<SharedFd> writer = SharedFd();
   if (request.window < record.window_count) {
+    ++registry_.counters().requests_answered_again;
     writer = regions_.window_writer(client, request.window);  // asked for again
     if (!writer) return tl::unexpected(writer.error());
   } else {
@@ -708,19 +742,16 @@ Result<void> Broker::open_window(Peer& peer, const wire::WindowRequest& request)
                                    options_.config.quota.heap_bytes, "[quota] heap_bytes");
         !allowed)
       return allowed;
-    const auto base = plan_.take();
-    if (!base)
-      return refusal(Errc::limit_reached,
-                     "[heap] arena_bytes has room for " + std::to_string(plan_.window_count()) +
-                         " windows of " + std::to_string(bytes) + " bytes, all are given out");
+    const auto window = choose_window(client);
+    if (!window) return tl::unexpected(window.error());
     AGNOCAST_CRASH_POINT(B_window_base);
     writer = regions_.open_window(client, bytes);
     if (!writer) {
-      plan_.give_back(*base);
+      plan_.give_back(window->base);
       return tl::unexpected(writer.error());
     }
     AGNOCAST_CRASH_POINT(B_window_made);
-    registry_.open_window(client, {*base, bytes});
+    registry_.open_window(client, *window);
     // Before the answer: the announcement is in a subscriber's socket before the first message lies
     // in the window.
     membership_.announce_window(client);
@@ -728,28 +759,38 @@ Result<void> Broker::open_window(Peer& peer, const wire::WindowRequest& request)
                {{"client", number(client)},
                 {"pid", peer.session.identity().pid},
                 {"window", request.window},
-                {"base", hexadecimal(*base)},
+                {"first", window->first},
+                {"base", hexadecimal(window->base)},
                 {"bytes", bytes}});
+    look_for_collisions_of_publishers(client);
   }
   auto packet = make_body<wire::WindowOpened>(wire::Opcode::window_opened, request.header.request);
   packet.window = request.window;
   packet.base = record.window[request.window].base;
   packet.bytes = record.window[request.window].bytes;
+  packet.first = record.window[request.window].first;
   reply(peer, packet_of(packet), {*writer, regions_.window_readers(client)[request.window]});
   return {};
 }
 
 Result<void> Broker::admit_executor(ClientIndex client, const ExecutorRequest& request) {
-  if (!doorbells_.is_open(client, request.executor))
-    return check_limit(registry_.usage_of(registry_.client(client).uid).executors, 1,
-                       options_.config.quota.executors, "[quota] executors");
+  namespace found = journal::request;
   const auto& endpoints = registry_.endpoints_of(client);
   const bool in_use = std::any_of(endpoints.begin(), endpoints.end(), [&](const EndpointRef& ref) {
     return ref.kind == Kind::subscription &&
            registry_.subscription(ref.topic, ref.index).executor == request.executor;
   });
-  if (!request.again || in_use) return refusal(Errc::protocol_violation, "the executor is open");
+  const bool is_open = doorbells_.is_open(client, request.executor);
+  if (journal::decide_request(found::open_executor, request.again,
+                              !is_open ? found::not_done
+                              : in_use ? found::used
+                                       : found::done) != journal::RequestDecision::carry_out)
+    return refusal(Errc::protocol_violation, "the executor is open");
+  if (!is_open)
+    return check_limit(registry_.usage_of(registry_.client(client).uid).executors, 1,
+                       options_.config.quota.executors, "[quota] executors");
   // The bells were lost with the answer.
+  ++registry_.counters().requests_answered_again;
   doorbells_.close(client, request.executor);
   return {};
 }
@@ -839,11 +880,19 @@ Result<void> Broker::observe(Peer& peer, const wire::Observe& request) {
 }
 
 Result<void> Broker::dump(Peer& peer, const wire::Dump& request) {
-  peer.asked_ms = now_ms();
-  for (Outgoing& packet : make_dump(registry_, facts(), request.header.request))
-    peer.session.push(std::move(packet));
-  flush(peer);
+  answer_at_length(peer, make_dump(registry_, facts(), request.header.request));
   return {};
+}
+
+Result<void> Broker::read_journal(Peer& peer, const wire::ReadJournal& request) {
+  answer_at_length(peer, make_journal(registry_, request, monotonic_ns()));
+  return {};
+}
+
+void Broker::answer_at_length(Peer& peer, std::vector<Outgoing> packets) {
+  peer.asked_ms = now_ms();
+  for (Outgoing& packet : packets) peer.session.push(std::move(packet));
+  flush(peer);
 }
 
 Result<void> Broker::revoke(Peer& peer, const wire::Revoke& request) {
@@ -906,6 +955,10 @@ DumpFacts Broker::facts() const {
     if (registry_.is_revoked(client)) process.state = wire::ProcessState::revoked;
     process.age_ns = now - registry_.client(client).since_ns;
     process.region = regions_.region_reader(client);
+    for (const Obstacles::Claim& claim : obstacles_.of(client)) {
+      process.blocked_bytes += claim.bytes;
+      if (process.blocked_by.empty()) process.blocked_by = claim.what;
+    }
     return process;
   };
   return facts;

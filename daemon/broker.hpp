@@ -25,6 +25,7 @@
 #include <daemon/listener.hpp>
 #include <daemon/log.hpp>
 #include <daemon/membership.hpp>
+#include <daemon/obstacles.hpp>
 #include <daemon/reaper.hpp>
 #include <daemon/regions.hpp>
 #include <daemon/registry.hpp>
@@ -77,7 +78,7 @@ class Broker final : private Post {
     bool detached = false;  // without a connection, or revoked, but alive and mapping its region
     bool revoked = false;   // its client is dead in the tables; nothing it says counts
     bool counts_as_observer = false;
-    std::uint64_t asked_ms = 0;  // of an observer: when its last dump was made
+    std::uint64_t asked_ms = 0;  // of an observer: when its last answer was made
   };
   /// Connections of one user.
   struct Connections {
@@ -122,12 +123,33 @@ class Broker final : private Post {
   [[nodiscard]] Result<void> rejoin(Peer& peer, const wire::Rejoin& request);
   [[nodiscard]] Result<Peer*> lost_peer(const Peer& peer, const wire::Rejoin& request);
   [[nodiscard]] Result<void> open_window(Peer& peer, const wire::WindowRequest& request);
+  [[nodiscard]] Result<WindowRecord> choose_window(ClientIndex client);
   [[nodiscard]] Result<void> open_executor(Peer& peer, const ExecutorRequest& request);
   [[nodiscard]] Result<void> admit_executor(ClientIndex client, const ExecutorRequest& request);
   [[nodiscard]] Result<void> create(Peer& peer, const CreateRequest& request);
   [[nodiscard]] Result<void> observe(Peer& peer, const wire::Observe& request);
   [[nodiscard]] Result<void> dump(Peer& peer, const wire::Dump& request);
   [[nodiscard]] Result<void> revoke(Peer& peer, const wire::Revoke& request);
+  [[nodiscard]] Result<void> read_journal(Peer& peer, const wire::ReadJournal& request);
+  void answer_at_length(Peer& peer, std::vector<Outgoing> packets);
+
+  // collisions.cpp: heaps where somebody else has something else
+  [[nodiscard]] Result<void> blocked(Peer& peer, const wire::Blocked& range);
+  /// A window of the group that `owner` allocates from and `reader` cannot map.
+  struct Collision {
+    std::uint64_t window = 0;
+    const Obstacles::Claim* claim = nullptr;
+  };
+  std::optional<Collision> collision(ClientIndex owner, ClientIndex reader) const;
+  void look_for_collision(const EndpointRef& publisher, const EndpointRef& subscription);
+  void look_for_collisions_of_publishers(ClientIndex owner);
+  void look_for_collisions_of_subscriptions(ClientIndex reader);
+  /// Why its heap does not move; empty: it does.
+  std::string why_not_moved(ClientIndex owner) const;
+  bool should_move(ClientIndex owner) const;
+  template <class Function>
+  void for_each_match(ClientIndex client, Kind kind, Function function) const;
+
   DumpFacts facts() const;
   void drop_slow_observers(std::uint64_t now);
   void watch_holds(std::uint64_t now);
@@ -151,6 +173,7 @@ class Broker final : private Post {
   Regions regions_;
   Registry registry_;
   AddressPlan plan_;
+  Obstacles obstacles_;
   Doorbells doorbells_;
   Membership membership_;
   HoldWatch hold_watch_;

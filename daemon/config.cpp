@@ -458,6 +458,38 @@ class Reader {
   std::vector<std::pair<const Key*, Place>> places_;
 };
 
+// Where a character beyond ASCII stands outside a comment: line and column from 1, or nothing. TOML
+// allows them in strings too, but toml++ 3.3 has undefined behaviour for them wherever a space may
+// stand, and none of our values needs them (a string may say \uXXXX).
+std::optional<std::pair<std::uint32_t, std::uint32_t>> foreign_character(std::string_view text) {
+  std::uint32_t line = 1, column = 0;
+  char quote = '\0';
+  bool comment = false, escaped_one = false;
+  for (const char c : text) {
+    ++column;
+    if (c == '\n') {
+      ++line;
+      column = 0;
+      quote = '\0';
+      comment = escaped_one = false;
+    } else if (comment) {
+      continue;
+    } else if ((static_cast<unsigned char>(c) & 0x80) != 0) {
+      return std::pair(line, column);
+    } else if (escaped_one) {
+      escaped_one = false;
+    } else if (quote == '\0') {
+      comment = c == '#';
+      if (c == '"' || c == '\'') quote = c;
+    } else if (c == quote) {
+      quote = '\0';
+    } else {
+      escaped_one = quote == '"' && c == '\\';
+    }
+  }
+  return std::nullopt;
+}
+
 ConfigResult unreadable(const std::string& file, int error) {
   const char* remedy = "name another file with --config";
   if (error == EACCES || error == EPERM) remedy = "let the user of agnocastd read it";
@@ -487,6 +519,10 @@ NameLookup NameLookup::system() {
 }
 
 ConfigResult parse_config(std::string_view text, const std::string& file, const NameLookup& names) {
+  if (const auto place = foreign_character(text))
+    return tl::unexpected(std::vector<ConfigError>{{file, place->first, place->second, "",
+                                                    "a character that is not ASCII",
+                                                    "write it in a comment, or as \\uXXXX"}});
   try {
     return Reader(file, names).read(toml::parse(text));
   } catch (const toml::parse_error& error) {

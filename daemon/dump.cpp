@@ -57,7 +57,9 @@ class Writer {
     body.window_count = static_cast<std::uint32_t>(record.window_count);
     body.region_count = facts.region == nullptr ? 0 : 1;
     for (std::uint64_t w = 0; w < record.window_count; ++w)
-      body.window[w] = {record.window[w].base, record.window[w].bytes};
+      body.window[w] = {record.window[w].base, record.window[w].bytes, record.window[w].first};
+    body.blocked_bytes = facts.blocked_bytes;
+    body.blocked_by = name_of(facts.blocked_by);
     body.name = copy_of(record.name);
     std::vector<SharedFd> fds;
     if (facts.region != nullptr) fds.push_back(facts.region);

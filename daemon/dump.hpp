@@ -15,6 +15,7 @@
 #include <cstdint>
 #include <functional>
 #include <map>
+#include <string>
 #include <vector>
 
 namespace agnocast::daemon {
@@ -24,6 +25,8 @@ struct DumpFacts {
     abi::wire::ProcessState state = abi::wire::ProcessState::dead;
     std::uint64_t age_ns = 0;
     SharedFd region;  // empty when there is none
+    std::uint64_t blocked_bytes = 0;
+    std::string blocked_by;
   };
   struct User {
     std::uint64_t connections = 0;

@@ -4,6 +4,7 @@
 
 #include <base/check.hpp>
 #include <base/step.hpp>
+#include <journal/cases.hpp>
 
 #include <algorithm>
 #include <iterator>
@@ -29,6 +30,14 @@ wire::Reference reference_to(const EndpointRef& ref, std::uint64_t generation,
 EndpointRef ref_of(const wire::Reference& reference) noexcept {
   return {reference.kind, static_cast<TopicIndex>(reference.topic),
           static_cast<std::uint32_t>(reference.index)};
+}
+
+/// The request was carried out and its answer was lost. What is to be refused is refused by
+/// the checks that follow.
+bool is_done_before(std::uint8_t what, bool again, bool is_so) noexcept {
+  return journal::decide_request(what, again,
+                                 is_so ? journal::request::done : journal::request::not_done) ==
+         journal::RequestDecision::say_done;
 }
 
 bool matches(const PublisherRecord& publisher, const SubscriptionRecord& subscription) noexcept {
@@ -160,6 +169,7 @@ void Membership::answer_creation(const EndpointRef& ref, std::uint64_t request) 
 bool Membership::answer_again(ClientIndex client, const CreateRequest& request) {
   const auto ref = registry_.find_creation(client, request.kind, request.request);
   if (!ref) return false;
+  ++registry_.counters().requests_answered_again;
   answer_creation(*ref, request.request);
   // What was announced before this answer was for an endpoint that the process did not know yet.
   announce_to_owner(*ref);
@@ -223,10 +233,12 @@ void Membership::announce_publisher(TopicIndex topic, std::uint32_t index,
   const ClientRecord& owner = registry_.client(publisher.client);
   for (const SharedFd& reader : regions_.window_readers(publisher.client)) {
     const WindowRecord& window = owner.window[packet.window_count];
-    packet.window[packet.window_count++] = {window.base, window.bytes};
+    packet.window[packet.window_count++] = {window.base, window.bytes, window.first};
     fds.push_back(reader);
   }
   announce({Kind::publisher, topic, index}, member.client, packet, std::move(fds));
+  if (on_matched)
+    on_matched({Kind::publisher, topic, index}, {Kind::subscription, topic, subscription});
 }
 
 void Membership::announce_subscription(TopicIndex topic, std::uint32_t index,
@@ -277,6 +289,7 @@ void Membership::announce_window(ClientIndex owner) {
   packet.window = record.window_count - 1;
   packet.base = record.window[packet.window].base;
   packet.bytes = record.window[packet.window].bytes;
+  packet.first = record.window[packet.window].first;
   const SharedFd reader = regions_.window_readers(owner).back();
   for_each_told(record.told, [&](ClientIndex to) {
     Session* const session = post_.session_of(to);
@@ -475,7 +488,10 @@ bool Membership::is_drained(ClientIndex client, const wire::Reference& reference
 
 Result<void> Membership::leave(ClientIndex client, const LeaveRequest& request) {
   const wire::Reference& reference = request.reference;
-  if (request.again && !is_active(client, reference)) return say_done(client, reference);
+  if (is_done_before(journal::request::leave, request.again, !is_active(client, reference))) {
+    ++registry_.counters().requests_answered_again;
+    return say_done(client, reference);
+  }
   if (!is_own(client, reference))
     return fail(Errc::protocol_violation, "this is not an endpoint of the process");
   const EndpointRef ref = ref_of(reference);
@@ -499,7 +515,10 @@ Result<void> Membership::leave(ClientIndex client, const LeaveRequest& request) 
 
 Result<void> Membership::drained(ClientIndex client, const DrainedRequest& request) {
   const wire::Reference& reference = request.reference;
-  if (request.again && is_drained(client, reference)) return say_done(client, reference);
+  if (is_done_before(journal::request::drained, request.again, is_drained(client, reference))) {
+    ++registry_.counters().requests_answered_again;
+    return say_done(client, reference);
+  }
   if (!is_own(client, reference))
     return fail(Errc::protocol_violation, "this is not an endpoint of the process");
   const EndpointRef ref = ref_of(reference);

@@ -58,6 +58,8 @@ class Membership {
 
   /// Called with a process that is over: everything of it may be used again.
   std::function<void(ClientIndex)> on_ended;
+  /// Called with a publisher and the subscription it was just announced for.
+  std::function<void(const EndpointRef&, const EndpointRef&)> on_matched;
 
   /// Creates an endpoint, answers and announces. Rights and quotas were checked. A failure is
   /// answered by the caller: type_mismatch, limit_reached, invalid_argument, os_failure.
@@ -72,6 +74,10 @@ class Membership {
   void announce_window(ClientIndex owner);
   /// Tells a process on a new connection what it has and whom it knows.
   void welcome_back(ClientIndex client);
+
+  /// Tells the owner of an endpoint what is the matter with it.
+  void notice(const EndpointRef& ref, Errc code, const std::string& text,
+              abi::QosPolicy policy = abi::QosPolicy::none);
 
   // --- for the reaper
   /// A subscription whose process is no member any more.
@@ -108,8 +114,6 @@ class Membership {
   void say_own(const EndpointRef& ref);
   void say_orphaned(const EndpointRef& ref, ClientIndex to);
   void notice_mismatches(const EndpointRef& ref, bool to_all = true);
-  void notice(const EndpointRef& ref, Errc code, const std::string& text,
-              abi::QosPolicy policy = abi::QosPolicy::none);
   std::string type_mismatch_text(ClientIndex client, TopicIndex topic,
                                  const CreateRequest& request) const;
   void notice_types(ClientIndex client, TopicIndex topic, const std::string& text);

@@ -112,8 +112,9 @@ bool maps_file(pid_t pid, const Regions::FileId& file) noexcept {
   if (maps == nullptr) return true;
   // address-address rights offset major:minor inode path
   char line[512];
-  bool whole_before = true;
+  bool whole_before = true, has_memory = false;
   while (std::fgets(line, sizeof line, maps.get()) != nullptr) {
+    has_memory = true;
     const bool starts_here = whole_before;
     whole_before = false;
     for (const char* at = line; *at != '\0'; ++at) whole_before = whole_before || *at == '\n';
@@ -125,7 +126,9 @@ bool maps_file(pid_t pid, const Regions::FileId& file) noexcept {
         inode == file.inode && makedev(device_major, device_minor) == file.device)
       return true;
   }
-  return std::ferror(maps.get()) != 0;
+  // No memory at all: it is ending, and the pidfd will say so; or its first thread has ended and the
+  // others, whose memory does not show here, live on.
+  return !has_memory || std::ferror(maps.get()) != 0;
 }
 
 }  // namespace agnocast::daemon

@@ -228,7 +228,8 @@ void Registry::apply_to_client(const Record& record) {
       note_generation(client.generation);
       break;
     case Type::open_window:
-      store(client.window[record.argument[1]], {record.argument[2], record.argument[3]});
+      store(client.window[record.argument[1]],
+            {record.argument[2], record.argument[3], record.argument[5]});
       store(client.window_count, std::max(client.window_count, record.argument[1] + 1));
       break;
     case Type::open_executor:
@@ -450,7 +451,7 @@ void Registry::open_window(ClientIndex index, const WindowRecord& window) {
   AGNOCAST_CHECK(is_alive(index));
   AGNOCAST_CHECK(client(index).window_count < abi::window_count_max);
   change(Type::open_window, {number(index), client(index).window_count, window.base, window.bytes,
-                             client(index).generation});
+                             client(index).generation, window.first});
 }
 
 void Registry::open_executor(ClientIndex index, std::uint32_t executor) {

@@ -138,7 +138,8 @@ class Registry {
   /// Memory that an earlier life left: completes the change under way and derives the rest. Errors:
   /// layout_mismatch (nothing was touched), internal (it is damaged; the detail says how).
   [[nodiscard]] Result<void> open();
-  /// The first half of open(): whether a log can be gone on with. Touches nothing.
+  /// What open() looks at before it touches anything; header() means something afterwards.
+  [[nodiscard]] Result<void> check() const;
   [[nodiscard]] static Result<void> check_log(const journal::RedoLog& log);
   /// Makes the board say what the tables say; how many words it had otherwise. Then everybody looks
   /// again.

@@ -100,7 +100,7 @@ void Registry::create(std::uint64_t incarnation, const Founding& founding) {
   header.arena_bytes = founding.arena_bytes;
   header.window_bytes = founding.window_bytes;
   header.began_ns = founding.now_ns;
-  std::memcpy(header.bells, founding.bells.data(), founding.bells.size());
+  founding.bells.copy(header.bells, founding.bells.size());
   auto* const board = reinterpret_cast<abi::BoardHeader*>(board_);
   board->fingerprint.store(abi::fingerprint(), std::memory_order_relaxed);
   board->incarnation.store(incarnation, std::memory_order_relaxed);
@@ -122,7 +122,7 @@ Result<void> Registry::check_log(const journal::RedoLog& log) {
   return damaged(log.damage());
 }
 
-Result<void> Registry::open() {
+Result<void> Registry::check() const {
   if (auto checked = check_log(log_); !checked) return checked;
   const TableHeader& header = tables_.header;
   if (header.magic != magic_value) return damaged("the tables do not begin like tables");
@@ -135,6 +135,11 @@ Result<void> Registry::open() {
   if (header.client_high > abi::client_count_max || header.topic_high > abi::topic_count_max ||
       !ends(header.bells))
     return damaged("the header of the tables is out of range");
+  return {};
+}
+
+Result<void> Registry::open() {
+  if (auto checked = check(); !checked) return checked;
   if (const auto record = log_.pending()) {
     apply(*record);
     log_.applied();

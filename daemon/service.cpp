@@ -177,8 +177,9 @@ std::optional<Trouble> Service::go_on() {
   if (!regions) return refuse(std::move(socket), regions.error());
   {
     // Before anything else is made: the listener's place is in the tables.
-    Registry registry(regions->memory());
-    if (auto opened = registry.open(); !opened) return refuse(std::move(socket), opened.error());
+    const Registry registry(regions->memory());
+    if (auto checked = registry.check(); !checked)
+      return refuse(std::move(socket), checked.error());
     auto listener =
         Listener::adopt(place_, std::move(socket), std::move(lock), registry.header().bells);
     if (!listener) return trouble_of(listener.error());

@@ -42,20 +42,12 @@ enum class ClientState : std::uint32_t {
 };
 enum class TopicState : std::uint32_t { free = 0, used = 1 };
 
-//   publisher:      free → active → orphan → over → free
-//   subscription:   free → active → leaving → over → free;  active, leaving → dead → free
-enum class EndpointState : std::uint32_t {
-  free = 0,
-  active = 1,
-  leaving = 2,  // subscription: takes no more, still holds
-  orphan = 3,   // publisher: publishes no more, is being drained
-  over = 4,     // publisher: everybody else has let go. subscription: its owner has let go
-  dead = 5,     // subscription of a dead process
-};
+using journal::EndpointState;
 
 struct WindowRecord {
   std::uint64_t base;
   std::uint64_t bytes;
+  std::uint64_t first;  // number of the first window of its group
 };
 
 struct ClientRecord {

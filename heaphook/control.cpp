@@ -72,6 +72,8 @@ std::uint64_t frontier(std::uint32_t window) {
   return windows::table[window].frontier.load(std::memory_order_acquire);
 }
 
+std::uint32_t first_window() { return shared_heap::first_window(); }
+
 void usage(struct agnocast_heaphook_usage* usage) { shared_heap::usage(*usage); }
 
 constexpr struct agnocast_heaphook_table table = {
@@ -89,6 +91,7 @@ constexpr struct agnocast_heaphook_table table = {
     .active = active,
     .owns = owns,
     .frontier = frontier,
+    .first_window = first_window,
     .usage = usage,
     .purge = shared_heap::purge,
 };

@@ -42,6 +42,7 @@ void* agnocast_je_memalign(std::size_t alignment, std::size_t size);
 void* agnocast_je_mallocx(std::size_t size, int flags);
 std::size_t agnocast_je_xallocx(void* block, std::size_t size, std::size_t extra, int flags);
 void agnocast_je_free(void* block);
+void agnocast_je_dallocx(void* block, int flags);
 std::size_t agnocast_je_malloc_usable_size(const void* block);
 int agnocast_je_mallctl(const char* name, void* old_value, std::size_t* old_size, void* new_value, std::size_t new_size);
 

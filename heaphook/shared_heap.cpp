@@ -22,10 +22,25 @@ namespace {
 enum class State : std::uint32_t { inert, attaching, attached, broken };
 constinit std::atomic<State> state{State::inert};
 
-constinit unsigned shared_arena = 0;  // written once, before the first scope can open
+// Arenas of the windows, oldest first; guarded by there being one caller of attach and add_window.
+constinit unsigned arenas[AGNOCAST_HEAPHOOK_WINDOWS_MAX] = {};
+// [sync:fresh] The arena that blocks come from, and above it the number of its first window: one word, stored with release, so that
+// whoever has got a block of a fresh window also finds the windows before it given up. arena_count goes first.
+constinit std::atomic<std::uint64_t> current{0};
+constinit std::atomic<std::uint32_t> arena_count{0};
+constexpr std::uint64_t packed(std::uint32_t window, unsigned arena) { return std::uint64_t{window} << 32 | arena; }
+constexpr unsigned arena_of(std::uint64_t word) { return static_cast<unsigned>(word); }
+constexpr std::uint32_t first_of(std::uint64_t word) { return static_cast<std::uint32_t>(word >> 32); }
+// The windows before this one only take blocks back.
+bool is_given_up(const windows::Window& window) {
+  return windows::number_of(window) < first_of(current.load(std::memory_order_acquire));
+}
+
 constinit std::atomic<std::uint32_t> purging{0};  // calls of purge() in progress
 constinit std::atomic<std::uint64_t> refused_count{0};
 constinit std::atomic<std::uint64_t> internal_error_count{0};
+
+constexpr int no_cache = 1 << 8;  // MALLOCX_TCACHE_NONE
 
 // What hand_over() passes on; guarded by there being one caller of attach and add_window.
 constinit std::uintptr_t handed_address = 0;
@@ -87,13 +102,13 @@ bool set(const char* name, T value) {
   return agnocast_je_mallctl(name, nullptr, nullptr, &value, sizeof value) == 0;
 }
 
-// "arena.1.purge" and the like. Arena numbers are small: narenas:1 makes ours number 1.
+// "arena.1.purge" and the like. Arena numbers are small: narenas:1 makes our first number 1.
 struct ArenaName {
   char text[64];
-  ArenaName(const char* before, const char* after) {
+  ArenaName(const char* before, unsigned arena, const char* after) {
     char digits[12];
     int count = 0;
-    unsigned rest = shared_arena;
+    unsigned rest = arena;
     do {
       digits[count++] = static_cast<char>('0' + rest % 10);
       rest /= 10;
@@ -106,15 +121,21 @@ struct ArenaName {
 
 // Tells the allocator that this thread takes from the shared arena; a thread that only frees needs no binding.
 void bind_thread() {
-  if (thread_state.bound) [[likely]] return;
+  const std::uint64_t now = current.load(std::memory_order_acquire);
+  if (thread_state.bound == arena_of(now)) [[likely]] return;
+  // Free blocks of windows that were given up go back there, not to the next caller.
+  if (first_of(now) != 0) agnocast_je_mallctl("thread.tcache.flush", nullptr, nullptr, nullptr, 0);
   // Not bound (out of memory): this allocation comes from libc, and the next one tries again.
-  thread_state.bound = set("thread.arena", shared_arena);
+  thread_state.bound = set("thread.arena", arena_of(now)) ? arena_of(now) : 0;
 }
 
 // A thread that is ending loses its binding when the allocator cleans up after it; destructors of thread data that run later
-// would get private memory of arena 0. That is given back, and libc serves them.
+// would get private memory of arena 0; one that could not be bound anew, a window that was given up. That is given back, and libc
+// serves them.
 void* if_in_window(void* block) {
-  if (block == nullptr || windows::window_of(block) != nullptr) [[likely]] return block;
+  if (block == nullptr) return nullptr;
+  const windows::Window* const window = windows::window_of(block);
+  if (window != nullptr && !is_given_up(*window)) [[likely]] return block;
   agnocast_je_free(block);
   return nullptr;
 }
@@ -156,52 +177,63 @@ enum agnocast_heaphook_status room_for(std::size_t size) {
   return AGNOCAST_HEAPHOOK_OK;
 }
 
+// Private addresses of one more arena, 2 MiB of its own and what its first blocks take.
+constexpr std::size_t arena_bytes = std::size_t{8} << 20;
+
 // What the allocator counts as allocated includes what thread caches keep. Threads that only free are not bound and show up
 // with arena 0, whose own blocks are never in a cache.
 std::uint64_t live_bytes() {
-  std::size_t small = 0;
-  std::size_t large = 0;
+  std::size_t allocated = 0;
   std::size_t cached = 0;
-  std::size_t cached_unbound = 0;
-  const bool known = set("epoch", std::uint64_t{1}) && get(ArenaName("stats.arenas.", ".small.allocated").text, small) &&
-                     get(ArenaName("stats.arenas.", ".large.allocated").text, large) &&
-                     get(ArenaName("stats.arenas.", ".tcache_bytes").text, cached) &&
-                     get("stats.arenas.0.tcache_bytes", cached_unbound);
+  bool known = set("epoch", std::uint64_t{1}) && get("stats.arenas.0.tcache_bytes", cached);
+  for (std::uint32_t i = 0; known && i < arena_count.load(std::memory_order_acquire); ++i) {
+    std::size_t small = 0;
+    std::size_t large = 0;
+    std::size_t in_caches = 0;
+    known = get(ArenaName("stats.arenas.", arenas[i], ".small.allocated").text, small) &&
+            get(ArenaName("stats.arenas.", arenas[i], ".large.allocated").text, large) &&
+            get(ArenaName("stats.arenas.", arenas[i], ".tcache_bytes").text, in_caches);
+    allocated += small + large;
+    cached += in_caches;
+  }
   if (!known) {
     note_internal_error();
     return 0;
   }
-  const std::size_t allocated = small + large;
-  return cached + cached_unbound < allocated ? allocated - cached - cached_unbound : 0;
+  return cached < allocated ? allocated - cached : 0;
 }
 
 // When the last bound thread of an arena ends, jemalloc gives all its idle pages back, in that thread. Ours must keep them warm
 // until purge(), so the arena gets one bound thread more than there are.
-bool never_without_threads() {
-  void* const arena = __atomic_load_n(&agnocast_je_internal_arenas[shared_arena], __ATOMIC_ACQUIRE);
+bool never_without_threads(unsigned number) {
+  void* const arena = __atomic_load_n(&agnocast_je_internal_arenas[number], __ATOMIC_ACQUIRE);
   if (arena == nullptr) return false;
   agnocast_je_internal_arena_nthreads_inc(arena, false);
   unsigned thread_count = 0;
-  return set("epoch", std::uint64_t{1}) && get(ArenaName("stats.arenas.", ".nthreads").text, thread_count) &&
+  return set("epoch", std::uint64_t{1}) && get(ArenaName("stats.arenas.", number, ".nthreads").text, thread_count) &&
          thread_count == 1;
 }
 
-bool start_allocator() {
+void start_allocator() {
   agnocast_je_malloc_message = no_message;
   agnocast_je_internal_opt_cache_oblivious = false;
+}
+
+// A shared arena without addresses; 0 when there is no memory for it.
+unsigned make_arena() {
   agnocast_je_arena_config config = {.extent_hooks = &extent_hooks, .metadata_use_hooks = false};
-  std::size_t size = sizeof shared_arena;
-  if (agnocast_je_mallctl("experimental.arenas_create_ext", &shared_arena, &size, &config, sizeof config) != 0) return false;
-  return never_without_threads();
+  unsigned arena = 0;
+  std::size_t size = sizeof arena;
+  if (agnocast_je_mallctl("experimental.arenas_create_ext", &arena, &size, &config, sizeof config) != 0) return 0;
+  return never_without_threads(arena) ? arena : 0;
 }
 
 // Gives the arena the addresses of a window, closed. jemalloc never joins extents that it got by separate calls, so asking for
 // memory piece by piece would leave a window of pieces in which no large message fits. Instead one block of the whole size is
 // requested: the arena calls extent_alloc, gets the window, asks extent_commit to open it, is refused, keeps the addresses as
 // a closed extent and answers null. Sizes are those of its size classes, four to a doubling; most windows are one.
-bool hand_over(const windows::Window& window) {
-  constexpr int no_cache = 1 << 8;
-  const int flags = static_cast<int>((shared_arena + 1) << 20) | no_cache;
+bool hand_over(const windows::Window& window, unsigned arena) {
+  const int flags = static_cast<int>((arena + 1) << 20) | no_cache;
   thread_state.handing_over = true;
   bool taken = true;
   std::size_t offset = 0;
@@ -218,7 +250,20 @@ bool hand_over(const windows::Window& window) {
   return taken;
 }
 
+// From now on blocks come from this window, in an arena of its own.
+bool begin_arena(const windows::Window& window) {
+  const unsigned arena = make_arena();
+  if (arena == 0 || !hand_over(window, arena)) return false;
+  const std::uint32_t count = arena_count.load(std::memory_order_relaxed);
+  arenas[count] = arena;
+  arena_count.store(count + 1, std::memory_order_release);
+  current.store(packed(windows::number_of(window), arena), std::memory_order_release);
+  return true;
+}
+
 }  // namespace
+
+std::uint32_t first_window() { return first_of(current.load(std::memory_order_acquire)); }
 
 void note_internal_error() { internal_error_count.fetch_add(1, std::memory_order_relaxed); }
 
@@ -248,7 +293,8 @@ void* reallocate(void* block, std::size_t size) {
   {
     const KeepErrno keep;
     const LibcOnly inside;
-    room = agnocast_je_xallocx(block, at_least_min(size), 0, 0);  // in place, or not at all
+    // In place, or not at all; in a window that was given up it may only shrink.
+    room = is_given_up(*windows::window_of(block)) ? usable_size(block) : agnocast_je_xallocx(block, at_least_min(size), 0, 0);
   }
   // A block that shrinks stays where it is while that wastes little.
   const bool fits = room >= size;
@@ -277,7 +323,11 @@ void release(void* block, const windows::Window& window) {
   }
   const KeepErrno keep;
   const LibcOnly inside;
-  agnocast_je_free(block);
+  if (is_given_up(window)) [[unlikely]] {
+    agnocast_je_dallocx(block, no_cache);
+  } else {
+    agnocast_je_free(block);
+  }
 }
 
 std::size_t usable_size(const void* block) { return agnocast_je_malloc_usable_size(block); }
@@ -285,7 +335,8 @@ std::size_t usable_size(const void* block) { return agnocast_je_malloc_usable_si
 enum agnocast_heaphook_status attach(const struct agnocast_heaphook_window& window,
                                      const struct agnocast_heaphook_options& options) {
   if (getauxval(AT_SECURE) != 0) return AGNOCAST_HEAPHOOK_SECURE;
-  if (options.grown == nullptr || options.scope > AGNOCAST_HEAPHOOK_SCOPE_ALL || options.reserved != 0) {
+  if (options.grown == nullptr || options.scope > AGNOCAST_HEAPHOOK_SCOPE_ALL || options.reserved != 0 ||
+      (window.flags & AGNOCAST_HEAPHOOK_WINDOW_FRESH) != 0) {
     return AGNOCAST_HEAPHOOK_INVALID;
   }
   State expected = State::inert;
@@ -304,8 +355,9 @@ enum agnocast_heaphook_status attach(const struct agnocast_heaphook_window& wind
     return refused;
   }
   // From here on failures are final: fork handlers cannot be taken back.
-  if (!fork_rules::register_inner() || !start_allocator() || !hand_over(windows::table[0]) ||
-      !fork_rules::register_outer() || !windows::become_owner()) {
+  start_allocator();
+  if (!fork_rules::register_inner() || !begin_arena(windows::table[0]) || !fork_rules::register_outer() ||
+      !windows::become_owner()) {
     windows::remove_first();
     note_internal_error();
     state.store(State::broken, std::memory_order_release);
@@ -319,12 +371,17 @@ enum agnocast_heaphook_status add_window(const struct agnocast_heaphook_window& 
   if (state.load(std::memory_order_acquire) != State::attached) return AGNOCAST_HEAPHOOK_STATE;
   if (!windows::is_owner()) return AGNOCAST_HEAPHOOK_FORKED;
   const LibcOnly inside;
-  const auto status = windows::add(window);
-  if (status == AGNOCAST_HEAPHOOK_OK && !hand_over(windows::table[windows::count.load(std::memory_order_relaxed) - 1])) {
+  const bool fresh = (window.flags & AGNOCAST_HEAPHOOK_WINDOW_FRESH) != 0;
+  if (fresh) {
+    if (const auto room = room_for(arena_bytes); room != AGNOCAST_HEAPHOOK_OK) return room;
+  }
+  if (const auto refused = windows::add(window); refused != AGNOCAST_HEAPHOOK_OK) return refused;
+  const windows::Window& added = windows::table[windows::count.load(std::memory_order_relaxed) - 1];
+  if (fresh ? !begin_arena(added) : !hand_over(added, arena_of(current.load(std::memory_order_relaxed)))) {
     note_internal_error();  // the window stays, unused
     return AGNOCAST_HEAPHOOK_INTERNAL;
   }
-  return status;
+  return AGNOCAST_HEAPHOOK_OK;
 }
 
 void usage(struct agnocast_heaphook_usage& usage) {
@@ -361,7 +418,9 @@ std::uint64_t purge() {
   const std::uint64_t before = windows::counters.punched_bytes.load(std::memory_order_relaxed);
   purging.fetch_add(1, std::memory_order_relaxed);
   agnocast_je_mallctl("thread.tcache.flush", nullptr, nullptr, nullptr, 0);
-  if (agnocast_je_mallctl(ArenaName("arena.", ".purge").text, nullptr, nullptr, nullptr, 0) != 0) note_internal_error();
+  for (std::uint32_t i = 0; i < arena_count.load(std::memory_order_acquire); ++i) {
+    if (agnocast_je_mallctl(ArenaName("arena.", arenas[i], ".purge").text, nullptr, nullptr, nullptr, 0) != 0) note_internal_error();
+  }
   purging.fetch_sub(1, std::memory_order_relaxed);
   return windows::counters.punched_bytes.load(std::memory_order_relaxed) - before;
 }

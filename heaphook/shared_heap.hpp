@@ -9,6 +9,9 @@
 //
 //     malloc → thread cache → slab or extent of the shared arena → windows::open(): map further, tell the client
 //
+// A FRESH window starts another shared arena, and all threads take from that one only. The arenas before it keep their blocks until
+// they are freed, past every thread cache, and hand out nothing any more.
+//
 // Freed extents stay with the arena, resident and warm, until purge() punches them; nothing else gives pages back.
 //
 // Locks: the arena's own, then the growth lock of windows.cpp; never the other way round. A thread inside the allocator has
@@ -39,6 +42,8 @@ std::size_t usable_size(const void* block);
 enum agnocast_heaphook_status attach(const struct agnocast_heaphook_window& window,
                                      const struct agnocast_heaphook_options& options);
 enum agnocast_heaphook_status add_window(const struct agnocast_heaphook_window& window);
+// The oldest window that blocks come from.
+std::uint32_t first_window();
 void usage(struct agnocast_heaphook_usage& usage);
 std::uint64_t purge();
 

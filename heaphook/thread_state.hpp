@@ -11,7 +11,7 @@ namespace agnocast::heaphook {
 struct ThreadState {
   std::uint32_t depth;     // open shared scopes (enter - leave)
   std::uint32_t blocked;   // > 0: libc only. Counts pause(), calls into the allocator, and a fork in progress
-  bool bound;              // the allocator knows that this thread takes from the shared arena
+  std::uint32_t bound;     // arena that the allocator takes this thread's blocks from; 0: not told yet
   bool resolving;          // inside the look-up of the next malloc: serve from the bootstrap buffer
   bool forking;            // between our fork handlers: the allocator's locks are held, see fork.cpp
   bool handing_over;       // adding a window: extents are passed on and not opened, see shared_heap.cpp

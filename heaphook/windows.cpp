@@ -100,7 +100,7 @@ enum agnocast_heaphook_status status_of_errno() {
 enum agnocast_heaphook_status check(const struct agnocast_heaphook_window& window, struct stat& status) {
   const auto base = reinterpret_cast<std::uintptr_t>(window.base);
   if (base == 0 || base % window_granule != 0 || window.length == 0 || window.length % window_granule != 0 ||
-      base + window.length < base || (window.flags & ~AGNOCAST_HEAPHOOK_WINDOW_RESERVED) != 0 || window.reserved != 0) {
+      base + window.length < base || (window.flags & ~(AGNOCAST_HEAPHOOK_WINDOW_RESERVED | AGNOCAST_HEAPHOOK_WINDOW_FRESH)) != 0 || window.reserved != 0) {
     return AGNOCAST_HEAPHOOK_INVALID;
   }
   for (std::uint32_t i = 0; i < count.load(std::memory_order_relaxed); ++i) {

@@ -55,6 +55,8 @@ inline const Window* window_of(const void* address) {
   return nullptr;
 }
 
+inline std::uint32_t number_of(const Window& window) { return static_cast<std::uint32_t>(&window - table); }
+
 inline bool is_mapped(const Window& window, const void* address) {
   return reinterpret_cast<std::uintptr_t>(address) - window.base < window.frontier.load(std::memory_order_acquire);
 }

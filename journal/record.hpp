@@ -28,7 +28,7 @@ namespace agnocast::journal {
   X(free_subscription, 9, "topic index generation client")                                        \
   X(client_dead, 10, "client generation reason death_count")                                      \
   X(client_end, 11, "client generation")                                                          \
-  X(open_window, 12, "client window base bytes generation")                                       \
+  X(open_window, 12, "client window base bytes generation first")                                 \
   X(add_topic, 15, "topic generation domain layout_hash")                                         \
   X(open_executor, 16, "client executor generation")                                              \
   X(free_topic, 17, "topic generation")                                                           \
@@ -68,6 +68,18 @@ constexpr std::string_view arguments_of(RecordType type) noexcept {
   return {};
 }
 
+/// The life of an endpoint; `state` of its records.
+///   publisher:      free → active → orphan → over → free
+///   subscription:   free → active → leaving → over → free;  active, leaving → dead → free
+enum class EndpointState : std::uint32_t {
+  free = 0,
+  active = 1,
+  leaving = 2,  // subscription: takes no more, still holds
+  orphan = 3,   // publisher: publishes no more, is being drained
+  over = 4,     // publisher: everybody else has let go. subscription: its owner has let go
+  dead = 5,     // subscription of a dead process
+};
+
 /// Why a process is no member any more: `reason` of client_dead.
 enum class DeathReason : std::uint64_t {
   died = 0,     // its pidfd says so
@@ -100,15 +112,15 @@ static_assert(sizeof(Record) == 128 && offsetof(Record, stamp_ns) == 16 &&
               offsetof(Record, argument) == 24 && std::is_trivially_copyable_v<Record>);
 static_assert(std::has_unique_object_representations_v<Record>);
 
-/// Where in a record of this type the argument of this name is.
-consteval std::size_t argument_index(RecordType type, std::string_view name) {
+/// Where in a record of this type the argument of this name is; argument_count: it has none.
+constexpr std::size_t argument_index(RecordType type, std::string_view name) noexcept {
   std::string_view rest = arguments_of(type);
-  for (std::size_t i = 0;; ++i) {
+  for (std::size_t i = 0; !rest.empty(); ++i) {
     const std::size_t blank = rest.find(' ');
     if (rest.substr(0, blank) == name) return i;
-    if (blank == std::string_view::npos) throw "no such argument";
-    rest.remove_prefix(blank + 1);
+    rest.remove_prefix(blank == std::string_view::npos ? rest.size() : blank + 1);
   }
+  return argument_count;
 }
 
 }  // namespace agnocast::journal

@@ -3,18 +3,8 @@
 // Recovery of a dead publisher's queue: roll back or roll forward. docs/protocol.md §3.7 (D3) and
 // its crash table.
 //
-// The commit is one store (head, P5), so the intent beside head decides every interruption:
-//
-//   label  intent.op   intent.sequence      decision      why it is right
-//   @A     idle        any                  nothing       the last publish had finished, or none
-//                                                         had begun
-//   @B     publishing  head + 1             roll back     not committed: nobody has seen it; wipe
-//                                                         slot and ring entry
-//   @C     publishing  head                 roll forward  committed: only the pass is missing
-//   @D     publishing  anything else        corrupt       no honest publisher writes it; touch
-//                                                         nothing, count it
-//   @E     unknown     any                  corrupt       likewise
-//   @F     publishing  head + 1, slot >= N  corrupt       likewise: there is no such slot to wipe
+// The commit is one store (head, P5), so the intent beside head decides every interruption: rows @A to
+// @F of cases.hpp; docs/recovery.md says why each is right.
 //
 // Whatever the dead process wrote is input: copied once, checked, and after a death still writable
 // by a vfork child of it, so the result (the final head) goes to the board, which only the daemon
@@ -22,12 +12,11 @@
 #pragma once
 
 #include <client/dataplane/views.hpp>
+#include <journal/cases.hpp>
 
 #include <cstdint>
 
 namespace agnocast::journal {
-
-enum class IntentDecision : std::uint8_t { nothing, roll_back, roll_forward, corrupt };
 
 /// A publisher's intent and head as copied from its region.
 struct IntentCopy {
@@ -37,14 +26,20 @@ struct IntentCopy {
   std::uint64_t head = 0;  // commit word
 };
 
-/// The table above. Pure.
-constexpr IntentDecision decide(const IntentCopy& copy, std::uint64_t slot_count) noexcept {
+/// The row of cases.hpp for it.
+constexpr const CaseRow<IntentDecision, 3>& intent_case(const IntentCopy& copy,
+                                                        std::uint64_t slot_count) noexcept {
   const std::uint64_t committed = abi::sequence_of(copy.head);
-  if (copy.op == abi::intent_idle) return IntentDecision::nothing;                      // @A
-  if (copy.op != abi::intent_publish) return IntentDecision::corrupt;                   // @E
-  if (copy.sequence == committed) return IntentDecision::roll_forward;                  // @C
-  if (copy.sequence != committed + 1) return IntentDecision::corrupt;                   // @D
-  return copy.slot < slot_count ? IntentDecision::roll_back : IntentDecision::corrupt;  // @B, @F
+  return case_of(intent::rows, {copy.op == abi::intent_idle      ? intent::idle
+                                : copy.op == abi::intent_publish ? intent::publishing
+                                                                 : intent::unknown,
+                                copy.sequence == committed + 1 ? intent::next
+                                : copy.sequence == committed   ? intent::committed
+                                                               : intent::elsewhere,
+                                copy.slot < slot_count ? intent::inside : intent::outside});
+}
+constexpr IntentDecision decide(const IntentCopy& copy, std::uint64_t slot_count) noexcept {
+  return intent_case(copy, slot_count).decision;
 }
 
 /// Carries out the decision on the dead publisher's queue and returns what was decided;

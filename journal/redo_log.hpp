@@ -41,7 +41,7 @@ class RedoLog {
 
   /// Makes a fresh log of a zeroed region.
   void create(std::uint64_t fingerprint, std::uint64_t incarnation) noexcept;
-  /// What a region that an earlier life left holds.
+  /// What a region that an earlier life left holds: docs/recovery.md, rows @L.
   enum class State : std::uint8_t {
     valid,         // a log of this very layout
     other_layout,  // a log, but nothing behind its fingerprint can be read

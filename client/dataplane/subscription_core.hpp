@@ -10,6 +10,7 @@
 #pragma once
 
 #include <client/dataplane/views.hpp>
+#include <client/dataplane/windows.hpp>
 
 #include <algorithm>
 #include <cstddef>
@@ -82,8 +83,8 @@ class LinkCore {
   }
 
   /// The next message, held, or nothing. `windows` knows the publisher's heap: open() makes it
-  /// accessible up to the frontiers that the publisher has stored, contains(address, size) says
-  /// whether a range lies in what is open.
+  /// accessible up to the frontiers that the publisher has stored, place_of(address, size) says
+  /// whether a message there can be read.
   template <class Windows>
   std::optional<Taken> take(Windows& windows) noexcept {
     const std::uint64_t stored_cursor = cursor_;
@@ -133,18 +134,15 @@ class LinkCore {
                   self_.publisher.slot_size(slot).load(std::memory_order_relaxed),
                   self_.publisher.slot_stamp(slot).load(std::memory_order_relaxed)};
       AGNOCAST_STEP(T6_frontier) windows.open();
-      if (!M::holds(Step::T6_inside,
-                    has_right_shape(taken) && windows.contains(taken.address, taken.size))) {
+      const Place place =
+          has_right_shape(taken) ? windows.place_of(taken.address, taken.size) : Place::outside;
+      if (!M::holds(Step::T6_inside, place == Place::readable)) {
         release(slot);
-        // In a window that its owner has and this process has not been told of yet: it stays unread
-        // until then.
-        if constexpr (requires { windows.is_awaited(taken.address, taken.size); }) {
-          if (has_right_shape(taken) && windows.is_awaited(taken.address, taken.size)) {
-            awaiting_ = 1;
-            break;
-          }
+        if (place == Place::awaited) {  // it stays unread until the announcement is here
+          awaiting_ = 1;
+          break;
         }
-        ++malformed_;
+        ++(place == Place::unreachable ? unreachable_ : malformed_);
         lose(1);
         continue;
       }
@@ -225,6 +223,7 @@ class LinkCore {
   std::uint64_t cursor() const noexcept { return cursor_; }
   std::uint64_t lost() const noexcept { return lost_; }
   std::uint64_t malformed() const noexcept { return malformed_; }
+  std::uint64_t unreachable() const noexcept { return unreachable_; }
 
  private:
   std::uint64_t newest() const noexcept {
@@ -255,6 +254,7 @@ class LinkCore {
   std::uint64_t cursor_;
   std::uint64_t lost_ = 0;
   std::uint64_t malformed_ = 0;
+  std::uint64_t unreachable_ = 0;
   std::uint64_t orphaned_ = 0;
   std::uint64_t awaiting_ = 0;
   std::uint64_t final_head_ = 0;

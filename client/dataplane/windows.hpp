@@ -4,6 +4,10 @@
 // message that lies beyond the old one; a taker loads the frontiers behind its hold and opens its
 // mapping up to them, so that every pointer inside the message is covered, not only the message
 // object. docs/protocol.md T6.
+//
+// Windows come in groups, and a message lies in windows of one group only: so a process that cannot
+// map one window knows which messages might point there. The owner begins a group by allocating from
+// its first window alone.
 #pragma once
 
 #include <client/dataplane/views.hpp>
@@ -12,6 +16,14 @@
 #include <cstdint>
 
 namespace agnocast::dataplane {
+
+/// What T6 finds out about the place of a message.
+enum class Place : std::uint64_t {
+  readable,     ///< it lies in an open window, and all windows of the group are open
+  awaited,      ///< in a window, or one of its group, that was not announced to this process yet
+  unreachable,  ///< this process cannot map a window of the group: something else lies there
+  outside,      ///< nowhere in the owner's heap
+};
 
 template <class M>
 decltype(auto) frontier_word(typename M::Region client_region, std::uint64_t window) noexcept {

@@ -48,6 +48,16 @@ struct IncompatibleTypeInfo {
   std::int32_t total_count_change = 0;
 };
 
+/// Heaps that lie where a reader's process has something else (a JIT, a GPU's driver): a publisher is
+/// told of its readers, a subscription of its publishers. What is published there is lost to that
+/// reader; the text says whether the heap goes on elsewhere.
+struct HeapCollisionInfo {
+  std::int32_t total_count = 0;
+  std::int32_t total_count_change = 0;
+  /// Of the newest: which processes, which window, what happens now, what is there. Ends with a NUL.
+  char last_text[256] = "";
+};
+
 namespace detail {
 
 struct EventCallbacks {
@@ -55,9 +65,10 @@ struct EventCallbacks {
   std::function<void(IncompatibleQosInfo&)> incompatible_qos;
   std::function<void(IncompatibleTypeInfo&)> incompatible_type;
   std::function<void(ConnectionInfo&)> connection;
+  std::function<void(HeapCollisionInfo&)> heap_collision;
   explicit operator bool() const noexcept {
     return matched != nullptr || incompatible_qos != nullptr || incompatible_type != nullptr ||
-           connection != nullptr;
+           connection != nullptr || heap_collision != nullptr;
   }
 };
 
@@ -77,6 +88,9 @@ class EventOptions {
   /// Called when connection_state() has changed, with what it is now.
   Options& connection_callback(std::function<void(ConnectionInfo&)> callback) {
     return events_.connection = std::move(callback), static_cast<Options&>(*this);
+  }
+  Options& heap_collision_callback(std::function<void(HeapCollisionInfo&)> callback) {
+    return events_.heap_collision = std::move(callback), static_cast<Options&>(*this);
   }
   const EventCallbacks& events() const noexcept { return events_; }
 

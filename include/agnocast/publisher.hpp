@@ -110,6 +110,7 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   MatchedInfo matched_status() noexcept;
   IncompatibleQosInfo incompatible_qos_status() noexcept;
   IncompatibleTypeInfo incompatible_type_status() noexcept;
+  HeapCollisionInfo heap_collision_status() noexcept;
   bool is_active() const noexcept;
 
  private:
@@ -238,6 +239,9 @@ class Publisher {
   }
   IncompatibleTypeInfo get_type_mismatch_status() noexcept {
     return untyped_->incompatible_type_status();
+  }
+  HeapCollisionInfo get_heap_collision_status() noexcept {
+    return untyped_->heap_collision_status();
   }
 
  private:

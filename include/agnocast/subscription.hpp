@@ -65,6 +65,7 @@ class AGNOCAST_PUBLIC UntypedSubscription {
   MatchedInfo matched_status() noexcept;
   IncompatibleQosInfo incompatible_qos_status() noexcept;
   IncompatibleTypeInfo incompatible_type_status() noexcept;
+  HeapCollisionInfo heap_collision_status() noexcept;
   const std::string& topic() const noexcept { return topic_; }
   bool is_active() const noexcept;
 
@@ -141,6 +142,9 @@ class Subscription {
   }
   IncompatibleTypeInfo get_type_mismatch_status() noexcept {
     return untyped_->incompatible_type_status();
+  }
+  HeapCollisionInfo get_heap_collision_status() noexcept {
+    return untyped_->heap_collision_status();
   }
   /// False when AGNOCAST=off was in the environment as this was created, and when the membership of the
   /// process was revoked: nothing ever arrives.

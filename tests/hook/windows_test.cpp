@@ -195,6 +195,72 @@ HOOKED_TEST(HookWindows, ThreeQuartersUsedAsksForTheNextWindow) {
   EXPECT_TRUE(in_second);
 }
 
+HOOKED_TEST(HookWindows, AFreshWindowGivesUpThoseBeforeIt) {
+  WindowFile first(64 * MiB);
+  WindowFile second(64 * MiB, window_address + (std::uintptr_t{1} << 30));
+  attach(first);
+  const auto in = [](const WindowFile& file, const void* block) {
+    return reinterpret_cast<std::uintptr_t>(block) - reinterpret_cast<std::uintptr_t>(file.window.base) < file.window.length;
+  };
+  void* before[64];
+  for (std::size_t i = 0; i < 64; ++i) {
+    Scope scope;
+    before[i] = opaque(malloc(64u << i % 4));
+    ASSERT_TRUE(in(first, before[i]));
+  }
+  // Half of them into the cache of this thread, from where the next block of their size would come.
+  for (std::size_t i = 0; i < 32; ++i) free(before[i]);
+  EXPECT_EQ(hook().first_window(), 0u);
+  second.window.flags = AGNOCAST_HEAPHOOK_WINDOW_FRESH;
+  ASSERT_EQ(hook().add_window(&second.window), AGNOCAST_HEAPHOOK_OK);
+  EXPECT_EQ(hook().first_window(), 1u);
+  for (std::size_t i = 32; i < 48; ++i) free(before[i]);
+
+  const auto allocates_in_second = [&] {
+    Scope scope;
+    std::size_t elsewhere = 0;
+    void* blocks[200];
+    for (std::size_t i = 0; i < 200; ++i) {
+      blocks[i] = opaque(malloc(64u << i % 4));
+      elsewhere += in(second, blocks[i]) ? 0u : 1u;
+    }
+    for (void* block : blocks) free(block);
+    return elsewhere == 0;
+  };
+  EXPECT_TRUE(allocates_in_second()) << "a thread that had blocks of the first one in its cache";
+  for (std::size_t i = 48; i < 64; ++i) free(before[i]);
+  EXPECT_TRUE(allocates_in_second()) << "a thread that has freed blocks of the first one since";
+  bool elsewhere = false;
+  std::thread([&] { elsewhere = !allocates_in_second(); }).join();
+  EXPECT_FALSE(elsewhere) << "a new thread";
+
+  EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
+  EXPECT_GT(hook().purge(), 0u) << "idle memory of the first one goes back to the kernel as well";
+}
+
+HOOKED_TEST(HookWindows, ABlockOfAWindowThatWasGivenUpMovesWhenItGrows) {
+  WindowFile first(64 * MiB);
+  WindowFile second(64 * MiB, window_address + (std::uintptr_t{1} << 30));
+  attach(first);
+  char* block = nullptr;
+  {
+    Scope scope;
+    block = static_cast<char*>(opaque(malloc(MiB)));
+  }
+  std::memset(block, 7, MiB);
+  second.window.flags = AGNOCAST_HEAPHOOK_WINDOW_FRESH;
+  ASSERT_EQ(hook().add_window(&second.window), AGNOCAST_HEAPHOOK_OK);
+  EXPECT_EQ(hook_test::usage().live_bytes, MiB);
+  Scope scope;
+  EXPECT_EQ(opaque(realloc(block, MiB / 2 + 1)), block) << "what shrinks may stay";
+  auto* const moved = static_cast<char*>(opaque(realloc(block, 2 * MiB)));
+  EXPECT_GE(reinterpret_cast<std::uintptr_t>(moved), reinterpret_cast<std::uintptr_t>(second.window.base));
+  EXPECT_EQ(moved[0], 7);
+  EXPECT_EQ(moved[MiB / 2], 7);
+  free(moved);
+  EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
+}
+
 HOOKED_TEST(HookWindows, EightWindowsAndNoMore) {
   std::vector<std::unique_ptr<WindowFile>> files;
   for (std::uintptr_t i = 0; i < 9; ++i) files.push_back(std::make_unique<WindowFile>(4 * MiB, window_address + i * 4 * MiB));
@@ -242,7 +308,9 @@ HOOKED_TEST(HookWindows, AttachRefusesWhatItCannotUse) {
   EXPECT_EQ(attach_with([](Window& w, Options&) { w.length = 0; }), AGNOCAST_HEAPHOOK_INVALID);
   EXPECT_EQ(attach_with([](Window& w, Options&) { w.length += 4096; }), AGNOCAST_HEAPHOOK_INVALID);
   EXPECT_EQ(attach_with([](Window& w, Options&) { w.length *= 2; }), AGNOCAST_HEAPHOOK_INVALID) << "longer than the file";
-  EXPECT_EQ(attach_with([](Window& w, Options&) { w.flags = 2; }), AGNOCAST_HEAPHOOK_INVALID);
+  EXPECT_EQ(attach_with([](Window& w, Options&) { w.flags = 4; }), AGNOCAST_HEAPHOOK_INVALID);
+  EXPECT_EQ(attach_with([](Window& w, Options&) { w.flags = AGNOCAST_HEAPHOOK_WINDOW_FRESH; }), AGNOCAST_HEAPHOOK_INVALID)
+      << "there is none before the first";
   EXPECT_EQ(attach_with([](Window& w, Options&) { w.read_fd = w.write_fd; }), AGNOCAST_HEAPHOOK_INVALID) << "not read-only";
   EXPECT_EQ(attach_with([](Window& w, Options&) { w.write_fd = w.read_fd; }), AGNOCAST_HEAPHOOK_INVALID) << "not writable";
   EXPECT_EQ(attach_with([](Window& w, Options&) { w.write_fd = -1; }), AGNOCAST_HEAPHOOK_OS);

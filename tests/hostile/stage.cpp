@@ -41,6 +41,7 @@ Stage::Stage(const StageOptions& options)
   EXPECT_EQ(publisher_->ask(std::string("publish ") + stream_topic), "ok");
   EXPECT_TRUE(subscriber_->eventually("matched", "1"));
   honest_goes_on();
+  honest_is_served();  // what is made once is made now: windows and executors of the honest process
 }
 
 Stage::~Stage() {

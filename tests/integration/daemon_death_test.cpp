@@ -15,10 +15,12 @@
 #include <fcntl.h>
 #include <gtest/gtest.h>
 #include <sys/prctl.h>
+#include <sys/syscall.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include <filesystem>
+#include <thread>
 
 namespace agnocast::test {
 namespace {
@@ -352,6 +354,35 @@ TEST(DaemonDeath, TakesTheEndOfAConnectionForNoDeathWhileTheRegionIsMapped) {
   ASSERT_EQ(publisher.command('u'), '+');
   EXPECT_TRUE(subscriber.wait_for([&] { return subscriber.orphaned().size() == 1; }));
   EXPECT_TRUE(daemon.wait_for_log("how=\"process let go of its region\""));
+}
+
+TEST(DaemonDeath, LetsAProcessLiveWhoseFirstThreadHasEnded) {
+  DaemonProcess daemon({.arguments = {"--log-level", "debug"}});
+  WireNode subscriber(daemon.socket_path());
+  ASSERT_TRUE(subscriber.create_subscription(topic_name, deep));
+  // Its memory does not show under its pid any more, and its other thread goes on storing.
+  sweep::Child publisher(0, [&](int commands, std::uint64_t) {
+    WireNode node(daemon.socket_path());
+    if (!node.create_publisher(topic_name, deep)) ::_exit(3);
+    std::thread([&] {
+      serve(commands, [&](char what) -> char {
+        if (what == 'c') node.wire().socket().close();
+        return answer(what == 'c' || node.publish(1));
+      });
+    }).detach();
+    ::syscall(SYS_exit, 0);
+  });
+  ASSERT_TRUE(subscriber.wait_for([&] { return subscriber.link_count() == 1; }));
+  ASSERT_EQ(publisher.command('c'), '+');
+  ASSERT_TRUE(daemon.wait_for_log("connection ended"));
+  ASSERT_EQ(publisher.command('p'), '+');
+  EXPECT_EQ(subscriber.take(), 1u);
+  // Longer than the daemon takes between two looks at a process without a connection.
+  ::usleep(600'000);
+  EXPECT_EQ(daemon.log().find("client gone"), std::string::npos);
+  publisher.end();
+  EXPECT_TRUE(subscriber.wait_for([&] { return subscriber.orphaned().size() == 1; }));
+  EXPECT_TRUE(daemon.wait_for_log("how=\"process ended\""));
 }
 
 TEST(DaemonDeath, TakesAProcessThatExecutesAnotherProgramForDead) {

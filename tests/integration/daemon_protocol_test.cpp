@@ -19,7 +19,6 @@
 #include <gtest/gtest.h>
 #include <sys/epoll.h>
 #include <sys/mman.h>
-#include <sys/stat.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -275,45 +274,6 @@ TEST(DaemonProtocol, AnnouncesAWindowBeforeItsOwnerHasIt) {
   EXPECT_EQ(::pwrite(again.fds[0].get(), &written, 1, 0), 1);
   EXPECT_EQ(publisher.wire.open_window(2).refused_code(), Errc::protocol_violation);
   EXPECT_EQ(stranger.wire.open_window(0).as<wire::WindowOpened>().base, window.base + window.bytes);
-}
-
-// docs/protocol.md's facts on memfds, as what our descriptors must not allow another user.
-TEST(DaemonProtocol, GivesReadersNoWayToWrite) {
-  if (::geteuid() != 0) GTEST_SKIP() << "needs root and another user";
-  DaemonProcess daemon;
-  Node publisher(daemon);
-  ASSERT_EQ(publisher.wire.open_window(0).opcode(), Opcode::window_opened);
-  publisher.publisher("/topic");
-  const int failed = in_other_user([&] {
-    Node reader(daemon);
-    reader.subscription("/topic");
-    std::vector<UniqueFd> fds;
-    reader.wire.expect<wire::Announcement>(Opcode::announce, &fds);
-    if (fds.size() != 2 || testing::Test::HasFailure()) return 50;
-    int check = 0;
-    const int descriptors[] = {reader.fds[0].get(), fds[0].get(), fds[1].get()};
-    for (const int fd : descriptors) {
-      ++check;
-      const std::string path = "/proc/self/fd/" + std::to_string(fd);
-      if (::open(path.c_str(), O_RDWR | O_CLOEXEC) >= 0) return check;
-      if (::open(path.c_str(), O_RDONLY | O_CLOEXEC) >= 0) return check;
-      if (::mmap(nullptr, 4096, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0) != MAP_FAILED)
-        return check + 10;
-      void* const at = ::mmap(nullptr, 4096, PROT_READ, MAP_SHARED, fd, 0);
-      if (at == MAP_FAILED) return check + 20;
-      if (::mprotect(at, 4096, PROT_READ | PROT_WRITE) == 0) return check + 30;
-      if (::madvise(at, 4096, MADV_REMOVE) == 0) return check + 40;
-      if (::ftruncate(fd, 0) == 0) return check + 60;
-      if (::fchmod(fd, 0777) == 0) return check + 70;
-      if (::fcntl(fd, F_ADD_SEALS, F_SEAL_WRITE) == 0) return check + 80;
-      if (::fallocate(fd, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, 0, 4096) == 0)
-        return check + 90;
-    }
-    // Even its own region cannot be resized.
-    if (::ftruncate(reader.fds[1].get(), 0) == 0) return 98;
-    return 0;
-  });
-  EXPECT_EQ(failed, 0) << "units: which descriptor; tens: what was possible";
 }
 
 TEST(DaemonProtocol, GivesAnotherUserTheDatagramBellAlone) {
@@ -822,6 +782,70 @@ TEST(DaemonProtocol, KeepsWhatASlowClientHasNotReadInOrder) {
     ASSERT_EQ(slow.next().header().request, 1000 + request);
   EXPECT_EQ(slow.create_publisher("/topic").opcode(), Opcode::endpoint_created);
   honest.round();
+}
+
+std::uint64_t say_blocked(WireClient& client, std::uint64_t base, std::uint64_t bytes) {
+  wire::Blocked body{};
+  body.base = base;
+  body.bytes = bytes;
+  body.what = wire_name("a test");
+  return client.send(Opcode::blocked, body);
+}
+
+TEST(DaemonProtocol, AsksAHeapToMoveForAReaderThatCannotMapIt) {
+  DaemonProcess daemon;
+  WireClient publisher(daemon.socket_path()), reader(daemon.socket_path());
+  publisher.hello();
+  const auto window = publisher.open_window(0).as<wire::WindowOpened>();
+  EXPECT_EQ(window.first, 0u);
+  ASSERT_EQ(publisher.create_publisher("/topic").opcode(), Opcode::endpoint_created);
+  reader.hello();
+  say_blocked(reader, window.base + window.bytes / 2, abi::window_granule_bytes);
+  say_blocked(reader, window.base + window.bytes, window.bytes);
+  reader.open_executor();
+  ASSERT_EQ(reader.create_subscription("/topic").opcode(), Opcode::endpoint_created);
+
+  const auto announced = reader.expect<wire::Announcement>(Opcode::announce);
+  ASSERT_EQ(announced.window_count, 1u) << "it is announced like any other";
+  const auto told = reader.expect<wire::Notice>(Opcode::notice);
+  EXPECT_EQ(told.code, static_cast<std::uint32_t>(Errc::arena_occupied));
+  EXPECT_NE(std::string(told.text.text).find("a test"), std::string::npos) << told.text.text;
+  EXPECT_EQ(publisher.expect<wire::Notice>(Opcode::notice).code, told.code);
+  EXPECT_EQ(publisher.expect<wire::MoveHeap>(Opcode::move_heap).window, 1u);
+
+  const auto next = publisher.open_window(1).as<wire::WindowOpened>();
+  EXPECT_EQ(next.first, 1u) << "a group of its own";
+  EXPECT_EQ(next.base, window.base + 2 * window.bytes) << "where the reader has nothing";
+  const auto again = publisher.open_window(1).as<wire::WindowOpened>();
+  EXPECT_EQ(again.first, 1u);
+  const auto more = publisher.open_window(2).as<wire::WindowOpened>();
+  EXPECT_EQ(more.first, 1u) << "growth within the group";
+  EXPECT_EQ(reader.expect<wire::WindowAnnounced>(Opcode::window_announced).first, 1u);
+  EXPECT_EQ(reader.expect<wire::WindowAnnounced>(Opcode::window_announced).first, 1u);
+}
+
+TEST(DaemonProtocol, RefusesBlockedRangesThatCannotBeAndLetsNobodyBlockEverything) {
+  DaemonProcess daemon;
+  WireClient hostile(daemon.socket_path()), honest(daemon.socket_path());
+  const auto arena = hostile.hello().as<wire::Welcome>();
+  const auto refused = [&](std::uint64_t base, std::uint64_t bytes) {
+    const std::uint64_t request = say_blocked(hostile, base, bytes);
+    bool was = false;
+    for (const Incoming& packet : hostile.drain())
+      was = was || (packet.header().request == request && packet.opcode() == Opcode::refused);
+    return was;
+  };
+  EXPECT_TRUE(refused(0, 4096));
+  EXPECT_TRUE(refused(arena.arena_base, 0));
+  EXPECT_TRUE(refused(arena.arena_base, arena.arena_bytes + 1));
+  EXPECT_TRUE(refused(~std::uint64_t{0}, ~std::uint64_t{0}));
+  EXPECT_FALSE(refused(arena.arena_base, arena.arena_bytes)) << "all of it";
+  for (std::uint64_t i = 1; i < abi::blocked_count_max; ++i)
+    EXPECT_FALSE(refused(arena.arena_base, i * abi::window_granule_bytes)) << i;
+  EXPECT_TRUE(refused(arena.arena_base, 4096)) << "one too many";
+  EXPECT_EQ(hostile.open_window(0).refused_code(), Errc::arena_occupied) << "in its own way";
+  honest.hello();
+  EXPECT_EQ(honest.open_window(0).opcode(), Opcode::window_opened);
 }
 
 TEST(DaemonProtocol, DisconnectsAClientThatDoesNotRead) {

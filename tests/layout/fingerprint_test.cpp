@@ -11,7 +11,7 @@ namespace agnocast::abi {
 namespace {
 
 TEST(Layout, HasTheFingerprintThatIsWrittenDown) {
-  EXPECT_EQ(fingerprint(), 0xe0a5476b729467c3u) << std::hex << "it is 0x" << fingerprint();
+  EXPECT_EQ(fingerprint(), 0x0u) << std::hex << "it is 0x" << fingerprint();
 }
 
 }  // namespace

@@ -72,7 +72,7 @@ std::map<std::string, Struct> in_headers() {
       STRUCT(LinkLine, FIELD(LinkLine, publisher_generation), FIELD(LinkLine, cursor),
              FIELD(LinkLine, hold)),
       STRUCT(SubscriptionCounters, FIELD(SubscriptionCounters, lost),
-             FIELD(SubscriptionCounters, malformed)),
+             FIELD(SubscriptionCounters, malformed), FIELD(SubscriptionCounters, unreachable)),
   };
 }
 

@@ -50,6 +50,11 @@ constexpr SubscriptionPlan keeping_all(SubscriptionPlan plan) {
   return plan;
 }
 
+constexpr SubscriptionPlan without_window(SubscriptionPlan plan, std::uint32_t window) {
+  plan.cannot_map = window;
+  return plan;
+}
+
 // Small enough to be run once per mutant, together wide enough to notice each. Ordered by what they
 // cost.
 inline constexpr QueuePlan mutant_plans[] = {
@@ -126,6 +131,21 @@ inline constexpr QueuePlan mutant_plans[] = {
      .messages = 2,
      .second_window_from = 2,
      .sub = {early(2), none_planned}},
+    {.name = "s0 M=2 K=1 D=2, the second one points into another window",
+     .messages = 2,
+     .second_window_from = 2,
+     .second_has_members = true,
+     .sub = {early(2), none_planned}},
+    {.name = "s0 M=2 K=1 D=2, it can never map the window of the first one",
+     .messages = 2,
+     .second_window_from = 2,
+     .second_is_fresh = true,
+     .sub = {without_window(early(2), 1), none_planned}},
+    {.name = "s0 M=2 K=1 D=2, it can never map where the second one points",
+     .messages = 2,
+     .second_window_from = 2,
+     .second_has_members = true,
+     .sub = {without_window(early(2), 2), none_planned}},
     {.name = "s1 late M=1 K=1 D=1, leaves and joins again, the publisher leaves",
      .messages = 1,
      .sub = {none_planned, leaving(late(1, true), true)},
@@ -260,6 +280,20 @@ inline constexpr QueuePlan proof_plans[] = {
      .depth = 2,
      .grow_before = 3,
      .sub = {none_planned, late(2, true)}},
+    {.name = "s1 late M=3 K=2 D=2, it can never map the window of the first one",
+     .messages = 3,
+     .depth = 2,
+     .second_window_from = 2,
+     .second_is_fresh = true,
+     .sub = {none_planned, without_window(late(2, true), 1)},
+     .store_buffers = false},
+    {.name = "s0 M=3 K=1 D=2, it can never map the first window, P dies",
+     .messages = 3,
+     .second_window_from = 2,
+     .second_is_fresh = true,
+     .sub = {without_window(early(2), 1), none_planned},
+     .publisher_deaths = 1,
+     .store_buffers = false},
     one_executor_for_linked,
     {.name = "one executor for s0 and early s1: M=1 D=1/1",
      .messages = 1,

@@ -40,7 +40,8 @@ struct SubscriptionPlan {
   // Another process with this depth takes its place after it was woken twice, or when there is
   // something to take; 0 = none. What its executor's number was rung for must not stick to it.
   std::uint32_t rejoin_depth = 0;
-  bool hangs = false;  // links and then never takes, as if stopped
+  bool hangs = false;            // links and then never takes, as if stopped
+  std::uint32_t cannot_map = 0;  // window of the publisher, from 1; 0 = it can map all
 };
 
 /// What a plan breaks on purpose, where no named step stands for it.
@@ -64,6 +65,8 @@ struct QueuePlan {
   std::uint64_t lazy_limit = 0;
   std::uint32_t grow_before = 0;         // the heap grows before this message (1-based); 0 = never
   std::uint32_t second_window_from = 0;  // messages from this one on lie there; 0 = never
+  bool second_has_members = false;  // they only point there: the objects lie in the first window
+  bool second_is_fresh = false;  // it begins a group: the first one is not allocated from any more
   SubscriptionPlan sub[2];
   std::uint32_t publisher_deaths = 0;
   std::uint32_t subscriber_deaths = 0;
@@ -338,6 +341,7 @@ class QueueScenario {
     if (argument == 2000) {
       state.window_announced[t - sub0] = 2;
       state.bell[t - sub0] = 1;
+      state.timer_runs = 0;  // what it takes now is to be freed by a later one
       return true;
     }
     Thread& thread = world.threads[t];
@@ -529,8 +533,18 @@ class QueueScenario {
            offsetof(abi::WindowEntry, frontier);
   }
   std::uint64_t address_of(std::uint64_t number) const {
-    const bool second = plan_.second_window_from != 0 && number >= plan_.second_window_from;
-    return (second ? second_heap : heap) + number * 16;
+    return (needs_second(number) && !plan_.second_has_members ? second_heap : heap) + number * 16;
+  }
+  bool needs_second(std::uint64_t number) const {
+    return plan_.second_window_from != 0 && number >= plan_.second_window_from;
+  }
+  /// May the subscription lose this message because of where it lies? It may point anywhere in the
+  /// windows of its group.
+  bool may_be_unreachable(const W& world, std::uint32_t s, std::uint64_t number) const {
+    const std::uint32_t closed = plan_.sub[s].cannot_map;
+    if (closed == 0) return false;
+    if (plan_.second_is_fresh) return closed == (needs_second(number) ? 2u : 1u);
+    return closed == 1 || machine.remember(world.state.second_window) == 2;
   }
 
   void build_map() const {
@@ -840,24 +854,30 @@ class QueueScenario {
       machine.fail("a keep-all publisher waits although there is room");
   }
 
+  /// As PeerHeap.
   struct ModelWindows {
+    const W& world;
     std::uint64_t (&opened)[2];
-    std::uint64_t count;  // announced and read
+    std::uint64_t count;   // announced and read
+    std::uint64_t closed;  // cannot be mapped, from 1
+    bool second_is_fresh;
     void open() {
       for (std::uint64_t i = 0; i < count; ++i) {
+        if (i + 1 == closed) continue;
         opened[i] =
             std::max(opened[i], dataplane::load_frontier<MM>({publisher_region}, i, 16 * page));
       }
     }
     static std::uint64_t base(std::uint64_t window) { return window == 0 ? heap : second_heap; }
-    bool contains(std::uint64_t address, std::uint64_t size) const {
-      for (std::uint64_t i = 0; i < count; ++i) {
-        if (address >= base(i) && address + size <= base(i) + opened[i]) return true;
-      }
-      return false;
-    }
-    bool is_awaited(std::uint64_t address, std::uint64_t size) const {
-      return count == 1 && address >= second_heap && address + size <= second_heap + 16 * page;
+    dataplane::Place place_of(std::uint64_t address, std::uint64_t size) const {
+      using dataplane::Place;
+      const std::uint64_t window = address >= second_heap ? 1 : 0;
+      // The owner's header shows it before anything lies there.
+      if (count == 1 && machine.remember(world.state.second_window) == 2) return Place::awaited;
+      if (window >= count) return Place::outside;
+      const bool one_group = count == 2 && !second_is_fresh;
+      if (closed == window + 1 || (one_group && closed != 0)) return Place::unreachable;
+      return address + size <= base(window) + opened[window] ? Place::readable : Place::outside;
     }
   };
 
@@ -1053,13 +1073,15 @@ class QueueScenario {
     const std::uint64_t head_before =
         machine.remember(abi::sequence_of(peek(world, publisher_region, pe)));
     own.windows_seen = machine.remember(windows_of(world, s));
-    ModelWindows windows{own.opened, own.windows_seen};
+    ModelWindows windows{world, own.opened, own.windows_seen, plan.cannot_map,
+                         plan_.second_is_fresh};
     const auto taken = own.link.take(windows);
     const std::uint64_t head = abi::sequence_of(peek(world, publisher_region, pe));
     const std::uint64_t to = taken ? taken->sequence : own.link.cursor();
     if (own.link.malformed() != 0) machine.fail("an honest publisher looks malformed");
     for (std::uint64_t q = from; q < to; ++q) {
-      if (head < q + qos.depth) machine.fail("a message was lost with fewer than D newer ones");
+      if (head < q + qos.depth && !may_be_unreachable(world, s, q - first))
+        machine.fail("a message was lost with fewer than D newer ones");
       if (plan.keep_all && plan_.keep_all) machine.fail("keep-all lost a message");
     }
     if (!taken) {
@@ -1076,7 +1098,9 @@ class QueueScenario {
     const std::uint64_t number = taken->sequence - first;
     if (taken->address != address_of(number) || taken->size != 16 || taken->stamp_ns != number)
       machine.fail("the entry of another message");
-    const bool second = taken->address >= second_heap;
+    const bool second = needs_second(number);
+    if (plan.cannot_map == (second ? 2u : 1u))
+      machine.fail("a message that cannot be read was handed out");
     if (number < 16 && own.opened[second ? 1 : 0] < state.need_open[number])
       machine.fail("the mapping does not cover the message");
     if (number < 64 && (state.freed >> number & 1) != 0)
@@ -1242,6 +1266,8 @@ class QueueScenario {
         switch (record.request) {
           case joining:
             state.joined[record.index] = state.linked_to[record.index] != 0 ? 1 : 3;
+            // The announcement brings all windows that there are.
+            if (state.second_window == 2) state.window_announced[record.index] = 2;
             if (publisher_alive && matches(static_cast<std::uint32_t>(record.index)))
               state.announce[record.index] = record.generation;
             break;

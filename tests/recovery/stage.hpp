@@ -245,7 +245,7 @@ class SubscriberSide {
         sleep_(stage.subscriber_region(), armed_offset) {
     if (in_publisher_process) return;
     reservation_ = Mapping::reserve(stage.heap_base(), heap_bytes).value();
-    if (!heap_.add(0, stage.heap_base(), heap_bytes, reopen_read_only(stage.heap_fd()).value()))
+    if (!heap_.add({0, stage.heap_base(), heap_bytes, 0}, reopen_read_only(stage.heap_fd()).value()))
       std::abort();
   }
 
@@ -282,8 +282,8 @@ class SubscriberSide {
   struct OwnHeap {
     std::uint64_t base;
     void open() const {}
-    bool contains(std::uint64_t address, std::uint64_t) const {
-      return address - base < heap_bytes;
+    dataplane::Place place_of(std::uint64_t address, std::uint64_t) const {
+      return address - base < heap_bytes ? dataplane::Place::readable : dataplane::Place::outside;
     }
   };
   static bool check(const dataplane::Taken& taken) {

@@ -241,8 +241,8 @@ class WireNode {
       case wire::Opcode::window_announced: {
         const auto body = packet.as<wire::WindowAnnounced>();
         if (auto peer = peers_.find(body.client); peer != peers_.end()) {
-          EXPECT_TRUE(
-              peer->second.heap->add(body.window, body.base, body.bytes, std::move(packet.fds[0])));
+          EXPECT_TRUE(peer->second.heap->add({body.window, body.base, body.bytes, body.first},
+                                             std::move(packet.fds[0])));
         }
         break;
       }
@@ -325,7 +325,8 @@ class WireNode {
                            Peer{body.client_generation, std::move(region), std::move(heap)})
                   .first;
       for (std::uint32_t w = 0; w < body.window_count; ++w) {
-        const auto added = found->second.heap->add(w, body.window[w].base, body.window[w].bytes,
+        const wire::Announcement::Window& window = body.window[w];
+        const auto added = found->second.heap->add({w, window.base, window.bytes, window.first},
                                                    std::move(fds[1 + w]));
         EXPECT_TRUE(added) << (added ? "" : added.error().what);
       }

@@ -259,6 +259,21 @@ class Reader {
   }
 
   SoakTopic topic() const noexcept { return topic_; }
+  /// Under the mutex, or alone. Names the publishers of which something is missing; of those that it still remembers.
+  void complain_of_missing() {
+    std::map<std::uint64_t, std::uint64_t> last;  // by token
+    for (const auto& [generation, seen] : seen_) last[seen.token] = seen.last;
+    for (std::uint64_t i = 0; i < here_.board.publisher_count; ++i) {
+      const PublisherRecord& record = here_.board.publisher[i];
+      if (record.topic != static_cast<std::uint64_t>(topic_) + 1) continue;
+      const std::uint64_t token =
+          i << ParcelPlan::size_bits | static_cast<std::uint64_t>(size_on(topic_));
+      if (last[token] < record.committed)
+        complain(
+            i < 14 ? "committed and not delivered, by a resident" : "committed and not delivered",
+            {token, last[token]}, record.committed);
+    }
+  }
   /// Taken and lost together: of a resident, what was ever committed on this topic.
   std::uint64_t accounted() {
     const std::lock_guard lock(mutex_);
@@ -350,6 +365,7 @@ class Reader {
     here_.board.complain("%s: lost, but %llu fewer newer messages than the depth",
                          name_of(topic_).c_str(), static_cast<unsigned long long>(promised_));
     promised_ = 0;
+    complain_of_missing();
   }
 
   void let_go(std::uint64_t now, std::size_t most) {
@@ -571,6 +587,7 @@ class Resident {
             name_of(reader->topic()).c_str(), static_cast<unsigned long long>(committed[topic]),
             static_cast<unsigned long long>(attempted[topic]),
             static_cast<unsigned long long>(accounted));
+      if (accounted < committed[topic]) reader->complain_of_missing();
     }
   }
 

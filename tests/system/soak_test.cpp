@@ -8,7 +8,8 @@
 // residents live through all of it and account for every message that was committed
 // (soak_client.cpp). In the end everybody leaves, and what is left is counted.
 //
-//   system_soak [--minutes=N] [--seed=N] [--processes=N]    one minute, a seed of its own, 12
+//   system_soak [--minutes=N] [--seed=N] [--processes=N] [--daemons=N]
+//                          one minute, a seed of its own, 12, no death of the daemon (a minute)
 //   AGNOCAST_SOAK_MINUTES, AGNOCAST_SEED                    the same, for ctest
 //
 // A seed repeats what the processes intend, not the machine's interleaving.
@@ -210,10 +211,11 @@ class Soak : public testing::Test {
     before = now;
   }
 
-  /// Nothing stops for it; a thread that got no processor for seconds can look broken, so twice.
+  /// Nothing stops for it; a thread that got no processor for seconds can look broken, and a daemon
+  /// that dies cannot answer. So several looks.
   bool verify_alive() {
     CtlResult last;
-    for (int look = 0; look < 2; ++look) {
+    for (int look = 0; look < 5; ++look) {
       last = run_ctl(daemon_.socket_path(), {"verify"});
       if (last.status == 0) return true;
     }
@@ -253,7 +255,7 @@ class Soak : public testing::Test {
   }
 
   SoakBoard& board_ = SoakBoard::make();
-  DaemonProcess daemon_{{.config = "[daemon]\nlog_level = \"warning\"\n"
+  DaemonProcess daemon_{{.config = "[daemon]\nlog_level = \"notice\"\n"
                                    "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"256GiB\"\n",
                          .program = AGNOCAST_CRASH_DAEMON}};
 };
@@ -277,12 +279,25 @@ TEST_F(Soak, NobodysDeathIsEverNoticedByWhoLives) {
 
   const std::uint64_t begin = now_ns();
   const auto end = begin + static_cast<std::uint64_t>(minutes * 60 * static_cast<double>(second));
+  const double daemon_deaths = option("daemons", "AGNOCAST_SOAK_DAEMONS", 0);
+  const std::uint64_t daemon_life_ns =
+      daemon_deaths > 0 ? static_cast<std::uint64_t>(60e9 / daemon_deaths) : ~std::uint64_t{0} / 4;
+  Random random(~seed);
+  std::uint64_t daemon_end = begin + random.below(2 * daemon_life_ns);
+  pid_t daemon = -1;
   std::uint64_t look = begin + 10 * second, watch = begin + watchdog_ns, taken = 0, deaths = 0;
   std::array<std::uint64_t, resident_count> looks{};
   while (well && now_ns() < end) {
     herd.tend();
     ::usleep(300);
     well = is_well();
+    if (now_ns() >= daemon_end) {
+      if (daemon_.pid() > 0) {
+        daemon = daemon_.kill_worker();
+        ++herd.deaths().daemon;
+      }
+      daemon_end = now_ns() + random.below(2 * daemon_life_ns);
+    }
     if (now_ns() >= look) {
       well = well && verify_alive();
       look = now_ns() + 10 * second;
@@ -299,6 +314,7 @@ TEST_F(Soak, NobodysDeathIsEverNoticedByWhoLives) {
   const double took_minutes = static_cast<double>(now_ns() - begin) / 6e10;
 
   if (well) {
+    EXPECT_TRUE(daemon_.wait_for_next(daemon));
     well = herd.lead_to(SoakBoard::silence);
     herd.kill_mayflies();
     for (const auto phase : {SoakBoard::drain, SoakBoard::unsubscribe, SoakBoard::unpublish})

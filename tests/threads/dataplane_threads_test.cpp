@@ -53,9 +53,11 @@ struct Window {
   const Payload* first;
   std::uint64_t count;
   void open() const {}
-  bool contains(std::uint64_t address, std::uint64_t size) const {
+  dataplane::Place place_of(std::uint64_t address, std::uint64_t size) const {
     const auto begin = reinterpret_cast<std::uint64_t>(first);
-    return address >= begin && address + size <= begin + count * sizeof(Payload);
+    return address >= begin && address + size <= begin + count * sizeof(Payload)
+               ? dataplane::Place::readable
+               : dataplane::Place::outside;
   }
 };
 

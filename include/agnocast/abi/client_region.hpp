@@ -91,13 +91,17 @@ static_assert(sizeof(LinkLine) == 64 && offsetof(LinkLine, cursor) == 8 &&
 
 // What a subscription has not got, for people.   W = the subscriber's process.
 //
-//    0  lost       u64  messages that fell out of its depth, or were gone when it looked
-//    8  malformed  u64  of them, what no honest publisher writes
+//    0  lost         u64  messages that fell out of its depth, or were gone when it looked
+//    8  malformed    u64  of them, what no honest publisher writes
+//   16  unreachable  u64  of them, what lies where this process cannot map it
 struct alignas(cache_line_bytes) SubscriptionCounters {
   SharedWord lost;
   SharedWord malformed;
+  SharedWord unreachable;
 };
-static_assert(sizeof(SubscriptionCounters) == 64 && offsetof(SubscriptionCounters, malformed) == 8);
+static_assert(sizeof(SubscriptionCounters) == 64 &&
+              offsetof(SubscriptionCounters, malformed) == 8 &&
+              offsetof(SubscriptionCounters, unreachable) == 16);
 
 // Subscription endpoint: link lines of all publisher indexes, counters, then the hold words of slots
 // 384… of each.   All zero at join.

@@ -49,7 +49,7 @@ constexpr std::uint64_t fingerprint() noexcept {
   sum.add(layout_version, cache_line_bytes, page_bytes, depth_max, ring_count, slot_count_max,
           near_slot_count, publisher_count_max, subscription_count_max, orphan_count_max,
           topic_count_max, client_count_max, window_count_max, executor_count_max,
-          observer_count_max);
+          observer_count_max, heap_move_max, blocked_count_max);
   // How words are packed, by what comes out for probes.
   sum.add(pack_entry(0x123456789abc, 0xdef0), sequence_of(0xfedcba9876543210),
           slot_of(0xfedcba9876543210), retired_mark, first_sequence_of(0x12345),
@@ -71,7 +71,8 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(PublisherEndpoint, refused_would_block),
           offsetof(PublisherEndpoint, refused_heap_exhausted));
   sum.add(subscription_counters_offset(5), sizeof(SubscriptionCounters),
-          offsetof(SubscriptionCounters, lost), offsetof(SubscriptionCounters, malformed));
+          offsetof(SubscriptionCounters, lost), offsetof(SubscriptionCounters, malformed),
+          offsetof(SubscriptionCounters, unreachable));
   sum.add(sizeof(LinkLine), offsetof(LinkLine, publisher_generation), offsetof(LinkLine, cursor),
           offsetof(LinkLine, hold));
   sum.add(sizeof(ExecutorLine), offsetof(ExecutorLine, armed));
@@ -112,12 +113,17 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::WindowRequest, window));
   sum.add(sizeof(wire::WindowOpened), offsetof(wire::WindowOpened, header),
           offsetof(wire::WindowOpened, window), offsetof(wire::WindowOpened, base),
-          offsetof(wire::WindowOpened, bytes));
+          offsetof(wire::WindowOpened, bytes), offsetof(wire::WindowOpened, first));
   sum.add(sizeof(wire::WindowAnnounced), offsetof(wire::WindowAnnounced, header),
           offsetof(wire::WindowAnnounced, client),
           offsetof(wire::WindowAnnounced, client_generation),
           offsetof(wire::WindowAnnounced, window), offsetof(wire::WindowAnnounced, base),
-          offsetof(wire::WindowAnnounced, bytes));
+          offsetof(wire::WindowAnnounced, bytes), offsetof(wire::WindowAnnounced, first));
+  sum.add(sizeof(wire::Blocked), offsetof(wire::Blocked, header), offsetof(wire::Blocked, base),
+          offsetof(wire::Blocked, bytes), offsetof(wire::Blocked, what), sizeof(wire::MoveHeap),
+          offsetof(wire::MoveHeap, header), offsetof(wire::MoveHeap, window),
+          offsetof(wire::Announcement::Window, base), offsetof(wire::Announcement::Window, bytes),
+          offsetof(wire::Announcement::Window, first));
   sum.add(sizeof(wire::ExecutorRequest), offsetof(wire::ExecutorRequest, header),
           offsetof(wire::ExecutorRequest, executor));
   sum.add(sizeof(wire::CreateEndpoint), offsetof(wire::CreateEndpoint, header),
@@ -218,7 +224,8 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::DumpProcess, domain), offsetof(wire::DumpProcess, age_ns),
           offsetof(wire::DumpProcess, executors), offsetof(wire::DumpProcess, window_count),
           offsetof(wire::DumpProcess, region_count), offsetof(wire::DumpProcess, window),
-          offsetof(wire::DumpProcess, name));
+          offsetof(wire::DumpProcess, blocked_bytes), offsetof(wire::DumpProcess, name),
+          offsetof(wire::DumpProcess, blocked_by));
   sum.add(sizeof(wire::DumpTopic), offsetof(wire::DumpTopic, header),
           offsetof(wire::DumpTopic, topic), offsetof(wire::DumpTopic, reserved),
           offsetof(wire::DumpTopic, generation), offsetof(wire::DumpTopic, domain),
@@ -247,7 +254,8 @@ constexpr std::uint64_t fingerprint() noexcept {
           Opcode::done, Opcode::refused, Opcode::announce, Opcode::window_announced, Opcode::forget,
           Opcode::orphaned, Opcode::kick, Opcode::notice);
   sum.add(Opcode::rejoin, Opcode::rejoined, Opcode::own, Opcode::region, Opcode::revoked,
-          Opcode::revoke, Opcode::read_journal, Opcode::journal_record, Opcode::journal_end);
+          Opcode::revoke, Opcode::blocked, Opcode::move_heap, Opcode::read_journal,
+          Opcode::journal_record, Opcode::journal_end);
   sum.add(Opcode::observe, Opcode::dump, Opcode::observed, Opcode::dump_daemon,
           Opcode::dump_process, Opcode::dump_topic, Opcode::dump_endpoint, Opcode::dump_user,
           Opcode::dump_end, wire::ProcessState::connected, wire::ProcessState::orphaned,

@@ -23,7 +23,7 @@ extern "C" {
 #endif
 
 /** Changes with any change of this header's layout or meaning. */
-#define AGNOCAST_HEAPHOOK_ABI_VERSION 2u
+#define AGNOCAST_HEAPHOOK_ABI_VERSION 3u
 
 /** Windows of one process. Eight of the default 16 GiB are 128 GiB of addresses: more than the memory of today's robots. */
 #define AGNOCAST_HEAPHOOK_WINDOWS_MAX 8u
@@ -57,6 +57,9 @@ enum agnocast_heaphook_scope {
  *  the hook takes the range piece by piece and only where it is free. Reserved addresses count against RLIMIT_MEMLOCK once
  *  the process locks its memory; the piecewise way counts what is used. */
 #define AGNOCAST_HEAPHOOK_WINDOW_RESERVED 1u
+/** Flag of a window for add_window: from now on blocks come from this window and those added later only. What lies in earlier
+ *  windows stays until it is freed, and their room is not used again. For readers that cannot map an earlier one. */
+#define AGNOCAST_HEAPHOOK_WINDOW_FRESH 2u
 
 /** One window. Both descriptors stay the caller's, which may close them: the hook duplicates them (close-on-exec). */
 struct agnocast_heaphook_window {
@@ -139,6 +142,10 @@ struct agnocast_heaphook_table {
 
   /** Mapped bytes of a window, 0 for a number that is not in use. */
   uint64_t (*frontier)(uint32_t window);
+
+  /** Number of the oldest window that blocks come from: 0, or that of the last FRESH one. A thread that has got a block of a FRESH
+   *  window, from whomever, gets its number here. */
+  uint32_t (*first_window)(void);
 
   /** Fills in a snapshot. Takes allocator locks for live_bytes: not for the publish path. */
   void (*usage)(struct agnocast_heaphook_usage* usage);

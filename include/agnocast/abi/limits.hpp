@@ -47,6 +47,11 @@ inline constexpr std::uint32_t client_count_max = 2048;
 // Heap windows of one process: the first and its growth (each the configured length, 16 GiB by
 // default).
 inline constexpr std::uint32_t window_count_max = 8;
+// How often one process is asked to allocate elsewhere because a reader cannot map where it does: each
+// takes a window, and as many again stay to grow in.
+inline constexpr std::uint32_t heap_move_max = 3;
+// Ranges of the arena that one process can say it has not got; it makes the last as wide as it needs.
+inline constexpr std::uint32_t blocked_count_max = 16;
 // Where windows begin and how long they are: whole huge pages, so that the kernel can use them.
 inline constexpr std::uint64_t window_granule_bytes = 2 << 20;
 // Connections of one user that only look. Each may let the daemon keep one dump for it.

@@ -159,7 +159,9 @@ struct DumpProcess {
   std::uint32_t window_count;
   std::uint32_t region_count;  // descriptors that came with this
   Announcement::Window window[window_count_max];
+  std::uint64_t blocked_bytes;  // of the arena, by what lies there in this process
   Name name;
+  Name blocked_by;  // the first of it, for people
 };
 struct DumpTopic {
   Header header;

@@ -22,6 +22,7 @@
 //   leave                 Reference          done                takes or publishes no more
 //   drained               Reference          done                nothing held, lines zeroed
 //   unlinked              Unlinked           –                   rule RU: not mapped any more
+//   blocked               Blocked            –                   a range of the arena is taken
 //   any request may be answered by `refused`
 //   observe, dump,        a connection that only looks: see observe.hpp
 //   revoke, read_journal
@@ -32,6 +33,7 @@
 //   forget                Reference          a subscription is over: detach it, say unlinked
 //   orphaned              Orphaned           a publisher is gone: drain it, then say unlinked
 //   kick                  Reference          make a pass over this publisher's queue
+//   move_heap             MoveHeap           allocate from another window: a reader cannot map these
 //   notice                Notice             incompatible QoS, type mismatch, …
 //   own                   Own                after rejoined: an endpoint of yours that I know
 //   region                Reference          after rejoined: a region that you have been told about
@@ -73,6 +75,7 @@ enum class Opcode : std::uint32_t {
   read_journal = 13,
   // client → daemon, again
   rejoin = 11,
+  blocked = 15,
   // daemon → client: answers
   welcome = 101,
   window_opened = 102,
@@ -100,6 +103,7 @@ enum class Opcode : std::uint32_t {
   own = 207,
   region = 208,
   revoked = 209,
+  move_heap = 211,
 };
 
 /// What a Reference or Unlinked speaks of. A region is everything that belongs to one process:
@@ -167,17 +171,29 @@ struct Unlinked {
   std::uint64_t generation;
   std::uint64_t seen;
 };
+/// Something lies in the arena in this process: [base, base + bytes), whole window granules, at most
+/// blocked_count_max of them. Before the first endpoint, and again after `rejoined`.
+struct Blocked {
+  Header header;
+  std::uint64_t base;
+  std::uint64_t bytes;
+  Name what;  // for people
+};
 /// The process's next heap window; `window` is its number, so that a repeated request is
 /// recognised.
 struct WindowRequest {
   Header header;
   std::uint64_t window;
 };
+/// `first`: number of the first window of its group. Of one group the whole or nothing is readable: a
+/// message lies in windows of one group only. A window that is the first of a group is the only one to
+/// allocate from from now on.
 struct WindowOpened {
   Header header;
   std::uint64_t window;
   std::uint64_t base;
   std::uint64_t bytes;
+  std::uint64_t first;
 };
 struct WindowAnnounced {
   Header header;
@@ -186,6 +202,12 @@ struct WindowAnnounced {
   std::uint64_t window;
   std::uint64_t base;
   std::uint64_t bytes;
+  std::uint64_t first;  // of its group
+};
+/// To be done by opening window number `window`; nothing to do when it is open.
+struct MoveHeap {
+  Header header;
+  std::uint64_t window;
 };
 struct ExecutorRequest {
   Header header;
@@ -237,6 +259,7 @@ struct Announcement {
   struct Window {
     std::uint64_t base;
     std::uint64_t bytes;
+    std::uint64_t first;  // of its group
   } window[window_count_max];
 };
 struct Orphaned {

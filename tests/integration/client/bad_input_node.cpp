@@ -3,7 +3,8 @@
 // A node of a few lines that does what its arguments say, one after the other, and ends as our
 // programs do: status 0, or 1 with "program: what: why" and "hint: command". Public headers only.
 //
-//   uid=N memlock=BYTES addresses=BYTES lock occupy=HEX     the process, before it connects
+//   uid=N memlock=BYTES addresses=BYTES lock                the process, before it connects
+//   occupied=BYTES occupy=HEX                               maps as much (a page) there
 //   depth=N topic=NAME type=text|wide|number                of the endpoints that follow
 //   pub sub try_pub insist        keep an endpoint; try_: by its Result; insist: a try_pub that may
 //                                 fail
@@ -73,6 +74,7 @@ class Program {
     const std::string what = step.substr(0, equals);
     const std::string value = equals == std::string::npos ? "" : step.substr(equals + 1);
     if (what == "topic") return topic_ = value, 0;
+    if (what == "occupied") return occupied_ = std::strtoull(value.c_str(), nullptr, 10), 0;
     if (what == "depth") return depth_ = std::strtoull(value.c_str(), nullptr, 10), 0;
     if (what == "type") return type_ = value, 0;
     if (what == "pub") return publishers_.push_back(publisher()), 0;
@@ -99,7 +101,7 @@ class Program {
     return result ? 0 : tell("publish", result.code);
   }
 
-  static int prepare(const std::string& what, const std::string& value) {
+  int prepare(const std::string& what, const std::string& value) {
     const std::uint64_t number = std::strtoull(value.c_str(), nullptr, 0);
     const rlimit limit{number, number};
     const auto id = static_cast<uid_t>(number);
@@ -109,7 +111,7 @@ class Program {
     if (what == "addresses") status = ::setrlimit(RLIMIT_AS, &limit);
     if (what == "lock") status = ::mlockall(MCL_FUTURE);
     if (what == "occupy") {
-      void* const page = ::mmap(reinterpret_cast<void*>(number), 4096, PROT_READ,
+      void* const page = ::mmap(reinterpret_cast<void*>(number), occupied_, PROT_READ,
                                 MAP_PRIVATE | MAP_ANONYMOUS | MAP_FIXED_NOREPLACE, -1, 0);
       status = page == MAP_FAILED ? -1 : 0;
     }
@@ -218,6 +220,7 @@ class Program {
   Node node_;
   std::string topic_ = "/topic", type_ = "text";
   std::size_t depth_ = 1;
+  std::size_t occupied_ = 4096;
   std::vector<Publisher> publishers_;
   std::vector<agnocast::Subscription<Text>::SharedPtr> subscriptions_;
 };

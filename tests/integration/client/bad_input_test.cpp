@@ -320,9 +320,20 @@ TEST(BadInput, AnExhaustedWindowIsNamed) {
 }
 
 TEST(BadInput, AnOccupiedArenaIsNamedWithWhatLiesThere) {
-  DaemonProcess daemon({.config = std::string(small_windows) + "arena_base = 0x300000000000\n"});
-  expect_refusal(node(daemon, "occupy=0x300000200000 sub"),
-                 "0x300000000000-0x301000000000 has 300000200000-300000201000 r--p 00000000 "
+  // One window, of which a page is taken.
+  DaemonProcess daemon({.config = "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"64MiB\"\n"
+                                  "arena_base = 0x300000000000\n"});
+  expect_refusal(node(daemon, "occupy=0x300000200000 sub pub"),
+                 "no window is left that this process can map; it has 300000200000-300000201000 "
+                 "r--p 00000000 00:00 0",
+                 Errc::arena_occupied);
+}
+
+TEST(BadInput, AnArenaOfWhichNothingIsFreeIsNamedWithWhatLiesThere) {
+  DaemonProcess daemon({.config = "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"64MiB\"\n"
+                                  "arena_base = 0x300000000000\n"});
+  expect_refusal(node(daemon, "occupied=67108864 occupy=0x300000000000 sub"),
+                 "0x300000000000-0x300004000000 has 300000000000-300004000000 r--p 00000000 "
                  "00:00 0",
                  Errc::arena_occupied);
 }
@@ -364,6 +375,25 @@ TEST(BadInput, ASubscriberThatLocksItsMemoryUnderALimitWorks) {
   EXPECT_EQ(outcome.text, "received 1000000 bytes\n");
 }
 
+// What is reserved around something does not count either.
+TEST(BadInput, ASubscriberThatLocksItsMemoryAndHasSomethingInTheArenaWorks) {
+  if (::geteuid() != 0) GTEST_SKIP() << "needs root to drop the right to lock any amount";
+  DaemonProcess daemon({.config = std::string(small_windows) + "arena_base = 0x300000000000\n",
+                        .uid = {},
+                        .arguments = {"--log-level", "debug"}});
+  auto subscriber = std::async(std::launch::async, [&] {
+    return node(daemon,
+                "occupy=0x300000200000 occupy=0x300100000000 memlock=8388608 uid=65534 lock sub "
+                "take=1000000",
+                "");
+  });
+  EXPECT_TRUE(daemon.wait_for_log("endpoint created kind=subscription"));
+  EXPECT_EQ(node(daemon, "pub publish=1000000").text, "published, 0 bytes adopted\n");
+  const Outcome outcome = subscriber.get();
+  EXPECT_EQ(outcome.status, 0);
+  EXPECT_EQ(outcome.text, "received 1000000 bytes\n");
+}
+
 TEST(BadInput, APublisherThatLocksItsMemoryUnderALimitWorks) {
   rlimit limit{};
   ::getrlimit(RLIMIT_MEMLOCK, &limit);
@@ -388,6 +418,30 @@ TEST(BadInput, ALockLimitThatIsTooSmallIsNamedWithItsValueAndTheNeed) {
   outcome.text = replaced(outcome.text, "[0-9]+ are locked and [0-9]+", "N are locked and N");
   expect_refusal(outcome, "RLIMIT_MEMLOCK is 262144 bytes, N are locked and N more are needed",
                  Errc::lock_limit);
+}
+
+// A small address space, by ulimit -v: with an arena that fits, just enough is enough, and whatever is
+// missing is the limit of addresses, with its remedy.
+TEST(BadInput, AnyLimitOfAddressesIsEnoughOrNamed) {
+  DaemonProcess daemon({.config = "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"256MiB\"\n"});
+  constexpr std::uint64_t mib = 1 << 20;
+  std::uint64_t too_small = 128 * mib, enough = 4096 * mib;
+  const auto run = [&](std::uint64_t limit) {
+    return node(daemon,
+                "addresses=" + std::to_string(limit) + " sub pub publish=5000000 take=5000000");
+  };
+  ASSERT_EQ(run(enough).text, "published, 0 bytes adopted\nreceived 5000000 bytes\n");
+  while (enough - too_small > mib) {
+    const std::uint64_t limit = (enough + too_small) / 2;
+    Outcome outcome = run(limit);
+    (outcome.status == 0 ? enough : too_small) = limit;
+    if (outcome.status == 0) continue;
+    outcome.text = replaced(outcome.text, "[0-9]+ more", "N more");
+    expect_refusal(outcome, "RLIMIT_AS is " + std::to_string(limit) + " bytes, N more are needed",
+                   Errc::address_limit);
+  }
+  std::printf("a publisher and subscriber in one process, arena 256 MiB: %ju MiB of addresses\n",
+              std::uintmax_t{enough / mib});
 }
 
 TEST(BadInput, ALimitOfAddressesIsNamedWithItsValueAndTheNeed) {

@@ -12,12 +12,16 @@
 //   what it took release                                              → ok | damaged | none the
 //   oldest held wait MS                                              → news | timeout        sleeps
 //   like an executor lost · allocated · links · unsub · unpub · quit      → a number | ok
+//   unreachable · malformed · first_window      → a number
+//   occupy ADDRESS BYTES                        → ok | error       maps something there
+//   address                                     → of the oldest held | none
 
 #include <client/context.hpp>
 
 #include <agnocast/message_type.hpp>
 
 #include <sys/epoll.h>
+#include <sys/mman.h>
 #include <unistd.h>
 
 #include <cstdint>
@@ -77,6 +81,13 @@ class Tool {
     if (what == "release") return release();
     if (what == "wait") return wait(line);
     if (what == "lost") return std::to_string(subscription_->lost());
+    if (what == "unreachable") return std::to_string(subscription_->unreachable());
+    if (what == "malformed") return std::to_string(subscription_->malformed());
+    if (what == "first_window")
+      return std::to_string(Context::instance().heap()->hook().first_window());
+    if (what == "occupy") return occupy(line);
+    if (what == "address")
+      return held_.empty() ? "none" : std::to_string(held_.front().taken.address);
     if (what == "links") return std::to_string(subscription_->link_count());
     if (what == "allocated") return std::to_string(publisher_->allocated_count());
     if (what == "state") return state();
@@ -140,6 +151,16 @@ class Tool {
     request.qos.keep_all = flag == "all";
     request.quota = 16;
     return request;
+  }
+
+  static std::string occupy(std::istringstream& line) {
+    std::uint64_t address = 0, bytes = 0;
+    line >> address >> bytes;
+    void* const wanted = reinterpret_cast<void*>(address);
+    return ::mmap(wanted, bytes, PROT_READ, MAP_PRIVATE | MAP_ANONYMOUS | MAP_FIXED_NOREPLACE, -1,
+                  0) == wanted
+               ? "ok"
+               : "error it is taken";
   }
 
   std::string subscribe(std::istringstream& line) {

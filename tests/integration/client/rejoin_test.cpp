@@ -276,6 +276,42 @@ TEST(Rejoin, WhatIsDestroyedMeanwhileHasLeftAfterwards) {
   EXPECT_TRUE(reader.eventually("links", "0"));
 }
 
+TEST(Rejoin, ADaemonThatDiesAgainAndAgainIsNotMissed) {
+  DaemonProcess daemon;
+  ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
+  ASSERT_EQ(subscriber.ask("sub /t 100"), "ok");
+  ASSERT_EQ(publisher.ask("pub /t 1"), "ok");
+  ASSERT_TRUE(publisher.eventually("matched", "1"));
+  for (int round = 1; round <= 12; ++round) {
+    const pid_t before = daemon.kill_worker();
+    // Nobody waits for its successor before all this.
+    ASSERT_EQ(publisher.ask("publish 1 100"), "ok") << round;
+    auto guest = std::make_unique<ClientTool>(daemon.socket_path());
+    ASSERT_TRUE(guest->eventually("pub /t 5", "ok")) << round;
+    ASSERT_EQ(guest->ask("publish 2 100"), "ok");
+    if (round % 3 == 0) daemon.kill_worker();
+    if (round % 2 == 0) {
+      ASSERT_EQ(guest->ask("unpub"), "ok");
+    } else {
+      guest->kill();
+    }
+    const std::string own = std::to_string(round) + " ";
+    std::string heard;
+    EXPECT_TRUE(eventually([&] {
+      heard += take_all(subscriber);
+      return heard.size() >= own.size() + 4;
+    }));
+    EXPECT_EQ(heard, own + "1 2 ");
+    EXPECT_TRUE(subscriber.eventually("links", "1")) << "the guest is unlinked, round " << round;
+    EXPECT_NE(daemon.pid(), before);
+  }
+  for (ClientTool* const client : {&publisher, &subscriber})
+    EXPECT_TRUE(client->eventually("state", "connected"));
+  EXPECT_EQ(subscriber.ask("lost"), "0");
+  EXPECT_EQ(publisher.ask("matched"), "1");
+  EXPECT_TRUE(publisher.eventually("allocated", "0"));
+}
+
 TEST(Rejoin, ADaemonThatKnowsNobodyLeavesAnIsland) {
   auto daemon = std::make_unique<DaemonProcess>();
   const std::string socket = daemon->socket_path();

@@ -41,6 +41,9 @@ struct NumberWindow {
   bool contains(std::uint64_t address, std::uint64_t size) const {
     return address >= base && size <= bytes && address - base <= bytes - size;
   }
+  Place place_of(std::uint64_t address, std::uint64_t size) const {
+    return contains(address, size) ? Place::readable : Place::outside;
+  }
 };
 
 struct Pair {

@@ -21,6 +21,7 @@ constexpr Command commands[] = {
     {"thing", "info", "one", a_name | domain, nothing_done, "agnocast-ctl thing info x"},
     {"process", "list", "many", nothing, nothing_done, "agnocast-ctl process list"},
     {"alone", "", "no verb", nothing, nothing_done, "agnocast-ctl alone"},
+    {"diary", "", "what was", records, nothing_done, "agnocast-ctl diary"},
 };
 
 Arguments parsed(const std::vector<std::string>& words, const Surroundings& around = {}) {
@@ -46,6 +47,22 @@ TEST(Arguments, ChooseTheCommand) {
   EXPECT_EQ(status_of({"alone", "again"}), Status::wrong_usage);
   EXPECT_EQ(status_of({"thing", "info"}), Status::wrong_usage);
   EXPECT_EQ(status_of({"thing", "info", "x", "y"}), Status::wrong_usage);
+}
+
+TEST(Arguments, ChooseTheRecords) {
+  EXPECT_EQ(parsed({"diary"}).number, 20u);
+  EXPECT_FALSE(parsed({"diary"}).follow);
+  const Arguments all =
+      parsed({"-n", "7", "--topic", "/points", "diary", "--process", "lidar", "--follow"});
+  EXPECT_EQ(all.command, &commands[4]) << "a value is no noun";
+  EXPECT_EQ(all.number, 7u);
+  EXPECT_EQ(all.topic, "/points");
+  EXPECT_EQ(all.process, "lidar");
+  EXPECT_TRUE(all.follow);
+  EXPECT_EQ(parsed({"diary", "--number=3"}).number, 3u);
+  for (const char* const wrong : {"0", "-1", "x", ""})
+    EXPECT_EQ(status_of({"diary", "-n", wrong}), Status::wrong_usage) << wrong;
+  EXPECT_EQ(status_of({"alone", "-n", "1"}), Status::wrong_usage);
 }
 
 TEST(Arguments, ChooseTheSocket) {

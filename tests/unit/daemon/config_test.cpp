@@ -309,6 +309,9 @@ TEST(Config, SyntaxErrorsAndDuplicatesHaveTheirPlace) {
   EXPECT_THAT(errors_of("[limits]\n[limits]\n"), StartsWith("f.toml:2:"));
   EXPECT_THAT(errors_of("[limits\n"), EndsWith("; correct the TOML there"));
   EXPECT_THAT(errors_of("a = \"\xff\"\n"), StartsWith("f.toml:1:"));
+  EXPECT_EQ(errors_of("# \xc3\xbc\n[limits]\n  \xc3\xbc = 5\n"),
+            "f.toml:3:3: a character that is not ASCII; write it in a comment, or as \\uXXXX");
+  EXPECT_THAT(errors_of("[daemon]\nsocket = \"/\xc3\xbc\"\n"), StartsWith("f.toml:2:12:"));
 }
 
 TEST(Config, UnreadableFilesSayWhy) {

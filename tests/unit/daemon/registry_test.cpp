@@ -8,9 +8,9 @@
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <daemon/registry.hpp>
+#include <tests/support/registry_memory.hpp>
 
 #include <gtest/gtest.h>
-#include <sys/mman.h>
 
 #include <algorithm>
 #include <cstdio>
@@ -22,26 +22,7 @@
 namespace agnocast::daemon {
 namespace {
 
-class Memory {
- public:
-  Memory() {
-    base_ = static_cast<std::byte*>(::mmap(nullptr, bytes, PROT_READ | PROT_WRITE,
-                                           MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0));
-    if (base_ == MAP_FAILED) std::abort();
-  }
-  ~Memory() { ::munmap(base_, bytes); }
-  Memory(const Memory&) = delete;
-  Memory& operator=(const Memory&) = delete;
-
-  Registry::Memory parts() const {
-    return {base_, base_ + journal::RedoLog::bytes, base_ + journal::RedoLog::bytes + tables_bytes};
-  }
-  std::byte* board() const { return parts().board; }
-
- private:
-  static constexpr std::uint64_t bytes = journal::RedoLog::bytes + tables_bytes + abi::board_bytes;
-  std::byte* base_;
-};
+using Memory = test::RegistryMemory;
 
 class RegistryTest : public testing::Test {
  protected:
@@ -162,7 +143,7 @@ TEST_F(RegistryTest, CountsPerUser) {
   publisher(a, t);
   subscription(b, t, 1, 7);
   subscription(c, t);
-  registry.open_window(a, {0x1000, 4096});
+  registry.open_window(a, {0x1000, 4096, 0});
   registry.open_executor(b, 0);
   registry.open_executor(b, 5);
   const Usage usage = registry.usage_of(1);

@@ -1,0 +1,187 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Collisions: a heap lies where a process that reads from it has something else (obstacles.hpp).
+//
+//   publisher's process:  | window 0 | window 1 |         window 0 is given up, it goes on in window 1
+//   subscriber's process: |     a JIT |         |         gets what is published from then on
+//
+// Nothing that exists is moved. Both endpoints get a notice, and the owner of the heap is asked to open a
+// window that all its readers can map and to allocate from that one alone: the new window begins a group. What lies in
+// the group before is lost to that subscription; the others read it as ever. A process is asked
+// heap_move_max times at most, and only if there is such a window: then its heap stays where it is.
+
+#include <base/check.hpp>
+#include <daemon/broker.hpp>
+
+#include <algorithm>
+
+namespace agnocast::daemon {
+namespace {
+
+std::uint64_t group_count(const ClientRecord& owner) noexcept {
+  std::uint64_t groups = 0;
+  for (std::uint64_t w = 0; w < owner.window_count; ++w) groups += owner.window[w].first == w;
+  return groups;
+}
+
+bool in_the_way(const std::vector<Obstacles::Claim>& claims, std::uint64_t base,
+                std::uint64_t bytes) noexcept {
+  return std::any_of(claims.begin(), claims.end(), [&](const Obstacles::Claim& claim) {
+    return claim.counts && claim.base < base + bytes && base < claim.base + claim.bytes;
+  });
+}
+
+}  // namespace
+
+/// Visits the publishers or subscriptions of a process that are active, each with those that match:
+/// function(publisher, subscription).
+template <class Function>
+void Broker::for_each_match(ClientIndex client, Kind kind, Function function) const {
+  const auto visit = [&](TopicIndex topic, std::uint32_t p, std::uint32_t s) {
+    const PublisherRecord& publisher = registry_.publisher(topic, p);
+    const SubscriptionRecord& subscription = registry_.subscription(topic, s);
+    if (publisher.state == EndpointState::active && subscription.state == EndpointState::active &&
+        abi::qos_match(abi::unpack_qos(publisher.qos), abi::unpack_qos(subscription.qos)))
+      function(EndpointRef{Kind::publisher, topic, p}, EndpointRef{Kind::subscription, topic, s});
+  };
+  for (const EndpointRef& own : registry_.endpoints_of(client)) {
+    if (own.kind != kind) continue;
+    if (kind == Kind::publisher) {
+      registry_.for_each_subscription(own.topic, [&](std::uint32_t s, const SubscriptionRecord&) {
+        visit(own.topic, own.index, s);
+      });
+    } else {
+      registry_.for_each_publisher(own.topic, [&](std::uint32_t p, const PublisherRecord&) {
+        visit(own.topic, p, own.index);
+      });
+    }
+  }
+}
+
+Result<void> Broker::blocked(Peer& peer, const wire::Blocked& range) {
+  const ClientIndex client = *peer.session.client();
+  const PeerIdentity& identity = peer.session.identity();
+  std::string_view text;
+  AGNOCAST_CHECK(text_of(range.what, text));
+  const std::string what = printable(text);
+  if (auto added = obstacles_.add(client, identity.uid, range.base, range.bytes, what); !added)
+    return added;
+  note(LogLevel::info, identity.uid, "addresses blocked",
+       {{"pid", identity.pid},
+        {"uid", identity.uid},
+        {"base", hexadecimal(range.base)},
+        {"bytes", range.bytes},
+        {"what", what}});
+  look_for_collisions_of_subscriptions(client);  // one that has come back has some
+  return {};
+}
+
+/// The next window of a process: where it can have it itself, and as few others as possible cannot map
+/// it.
+Result<WindowRecord> Broker::choose_window(ClientIndex client) {
+  const ClientRecord& record = registry_.client(client);
+  const std::uint64_t bytes = options_.arena.window_bytes;
+  const auto choice = plan_.take(obstacles_.against(client));
+  if (!choice && plan_.best())
+    return refusal(Errc::arena_occupied, "no window is left that this process can map; it has " +
+                                             obstacles_.of(client).front().what);
+  if (!choice)
+    return refusal(Errc::limit_reached, "[heap] arena_bytes has room for " +
+                                            std::to_string(plan_.window_count()) + " windows of " +
+                                            std::to_string(bytes) + " bytes, all are given out");
+  if (choice->weight != 0)
+    note(
+        LogLevel::warning, record.uid, "no window is free in all processes",
+        {{"pid", record.pid}, {"base", hexadecimal(choice->base)}, {"blocked_in", choice->weight}});
+  const std::uint64_t window = record.window_count;
+  const bool begins = window == 0 || should_move(client);
+  return WindowRecord{choice->base, bytes, begins ? window : record.window[window - 1].first};
+}
+
+std::optional<Broker::Collision> Broker::collision(ClientIndex owner, ClientIndex reader) const {
+  const ClientRecord& record = registry_.client(owner);
+  if (owner == reader || record.window_count == 0) return std::nullopt;
+  for (std::uint64_t w = record.window[record.window_count - 1].first; w < record.window_count;
+       ++w) {
+    if (const auto* claim = obstacles_.in_the_way(reader, record.window[w]))
+      return Collision{w, claim};
+  }
+  return std::nullopt;
+}
+
+/// Does somebody who reads from this process have something in the windows that it allocates from?
+bool Broker::should_move(ClientIndex owner) const {
+  if (group_count(registry_.client(owner)) > abi::heap_move_max) return false;
+  bool should = false;
+  for_each_match(owner, Kind::publisher, [&](const EndpointRef&, const EndpointRef& subscription) {
+    const auto found = collision(owner, registry_.owner_of(subscription));
+    should = should || (found && found->claim->counts);
+  });
+  return should;
+}
+
+std::string Broker::why_not_moved(ClientIndex owner) const {
+  const ClientRecord& record = registry_.client(owner);
+  const std::uint64_t bytes = options_.arena.window_bytes;
+  if (group_count(record) > abi::heap_move_max)
+    return "it has moved " + std::to_string(abi::heap_move_max) + " times";
+  if (record.window_count >= options_.config.heap.windows_per_process)
+    return "[heap] windows_per_process is " +
+           std::to_string(options_.config.heap.windows_per_process);
+  const std::uint64_t used = registry_.usage_of(record.uid).heap_bytes;
+  const std::uint64_t quota = options_.config.quota.heap_bytes;
+  if (used > quota || bytes > quota - used) return "[quota] heap_bytes is used up";
+  const auto choice = plan_.best(obstacles_.against(owner));
+  bool helps = choice.has_value();
+  for_each_match(owner, Kind::publisher, [&](const EndpointRef&, const EndpointRef& subscription) {
+    helps =
+        helps && !in_the_way(obstacles_.of(registry_.owner_of(subscription)), choice->base, bytes);
+  });
+  return helps ? "" : "no free window is one that all its readers can map";
+}
+
+void Broker::look_for_collision(const EndpointRef& publisher, const EndpointRef& subscription) {
+  const ClientIndex owner = registry_.owner_of(publisher);
+  const ClientIndex reader = registry_.owner_of(subscription);
+  const auto found = collision(owner, reader);
+  if (!found) return;
+  const ClientRecord& record = registry_.client(owner);
+  const std::string why_not =
+      !found->claim->counts ? "too much is blocked by the reader's user" : why_not_moved(owner);
+  const std::string outcome =
+      why_not.empty() ? "it goes on in another window" : "it stays: " + why_not;
+  const std::string text = "process " + std::to_string(registry_.client(reader).pid) +
+                           " cannot map heap window " + std::to_string(found->window) +
+                           " of process " + std::to_string(record.pid) + "; " + outcome +
+                           "; what is there: " + found->claim->what;
+  membership_.notice(publisher, Errc::arena_occupied, text);
+  membership_.notice(subscription, Errc::arena_occupied, text);
+  note(LogLevel::warning, registry_.client(reader).uid, "heap collides",
+       {{"topic", registry_.topic(publisher.topic).name},
+        {"publisher_pid", record.pid},
+        {"subscriber_pid", registry_.client(reader).pid},
+        {"window", found->window},
+        {"base", hexadecimal(record.window[found->window].base)},
+        {"outcome", outcome},
+        {"what", found->claim->what}});
+  if (!why_not.empty()) return;
+  auto packet = make_body<wire::MoveHeap>(wire::Opcode::move_heap);
+  packet.window = record.window_count;
+  send(owner, packet_of(packet), {});
+}
+
+void Broker::look_for_collisions_of_publishers(ClientIndex owner) {
+  for_each_match(owner, Kind::publisher,
+                 [&](const EndpointRef& publisher, const EndpointRef& subscription) {
+                   look_for_collision(publisher, subscription);
+                 });
+}
+
+void Broker::look_for_collisions_of_subscriptions(ClientIndex reader) {
+  for_each_match(reader, Kind::subscription,
+                 [&](const EndpointRef& publisher, const EndpointRef& subscription) {
+                   look_for_collision(publisher, subscription);
+                 });
+}
+
+}  // namespace agnocast::daemon

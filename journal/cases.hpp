@@ -1,0 +1,287 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Cases: how recovery decides. Tables of rows; a row has a label, a pattern over what may be found,
+// and a decision. docs/recovery.md says of each label which crash causes it and why the decision is
+// right.
+//
+// What is found is brought into few kinds first, one bit each; a pattern is a set of kinds for every
+// field. For every combination exactly one row matches (tests/unit/journal/recovery_table_test.cpp
+// feeds them all), so the order of the rows means nothing. What no honest process and no crash can
+// leave has a row as well: what is done when it is found all the same.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+
+namespace agnocast::journal {
+
+inline constexpr std::uint8_t any = 0xff;
+
+template <class Decision, std::size_t field_count>
+struct CaseRow {
+  const char* label;
+  std::array<std::uint8_t, field_count> pattern;
+  Decision decision;
+
+  constexpr bool matches(const std::array<std::uint8_t, field_count>& found) const noexcept {
+    for (std::size_t i = 0; i < field_count; ++i)
+      if ((pattern[i] & found[i]) == 0) return false;
+    return true;
+  }
+};
+
+/// The row for what was found; there always is one.
+template <class Decision, std::size_t field_count, std::size_t row_count>
+constexpr const CaseRow<Decision, field_count>& case_of(
+    const CaseRow<Decision, field_count> (&rows)[row_count],
+    const std::array<std::uint8_t, field_count>& found) noexcept {
+  std::size_t i = 0;
+  while (i + 1 < row_count && !rows[i].matches(found)) ++i;
+  return rows[i];
+}
+
+// --- I: the intent of a publisher whose process is gone (recovery.hpp)
+
+enum class IntentDecision : std::uint8_t { nothing, roll_back, roll_forward, corrupt };
+
+namespace intent {
+// op · sequence against head · slot
+inline constexpr std::uint8_t idle = 1, publishing = 2, unknown = 4;
+inline constexpr std::uint8_t next = 1, committed = 2, elsewhere = 4;
+inline constexpr std::uint8_t inside = 1, outside = 2;
+using D = IntentDecision;
+inline constexpr CaseRow<D, 3> rows[] = {
+    {"@A", {idle, any, any}, D::nothing},
+    {"@B", {publishing, next, inside}, D::roll_back},
+    {"@C", {publishing, committed, any}, D::roll_forward},
+    {"@D", {publishing, elsewhere, any}, D::corrupt},
+    {"@E", {unknown, any, any}, D::corrupt},
+    {"@F", {publishing, next, outside}, D::corrupt},
+};
+}  // namespace intent
+
+// --- S: what a message that a member may still ask for means to its publisher. The shipped pass
+// (client/dataplane/publisher_core.hpp) decides; the test holds it against this table.
+
+enum class RemainsDecision : std::uint8_t { keep, free };
+
+namespace remains {
+// the member's word on the board · its region mapped by the publisher · its line · hold bit · cursor
+inline constexpr std::uint8_t active = 1, leaving = 2, over = 4;  // over: dead, revoked or free
+inline constexpr std::uint8_t mapped = 1, unmapped = 2;
+inline constexpr std::uint8_t linked = 1, unlinked = 2;
+inline constexpr std::uint8_t held = 1, clear = 2;
+inline constexpr std::uint8_t past = 1, unread = 2;
+using D = RemainsDecision;
+inline constexpr CaseRow<D, 5> rows[] = {
+    {"@S1", {over, any, any, any, any}, D::free},
+    {"@S2", {active, mapped, linked, held, any}, D::keep},
+    {"@S3", {active, mapped, linked, clear, past}, D::free},
+    {"@S4", {active, mapped, linked, clear, unread}, D::keep},
+    {"@S5", {active, mapped, unlinked, any, any}, D::keep},
+    {"@S6", {active, unmapped, any, any, any}, D::keep},
+    {"@S7", {leaving, mapped, linked, held, any}, D::keep},
+    {"@S8", {leaving, mapped, linked, clear, any}, D::free},
+    {"@S9", {leaving, mapped, unlinked, any, any}, D::free},
+    {"@S10", {leaving, unmapped, any, any, any}, D::keep},
+};
+}  // namespace remains
+
+// --- L: the redo log as a starting daemon finds it
+
+enum class LogDecision : std::uint8_t { go_on, redo, refuse_layout, refuse_damaged };
+
+namespace log {
+// magic · fingerprint and shape · committed against applied · the newest committed record
+inline constexpr std::uint8_t ours = 1, none = 2;
+inline constexpr std::uint8_t same = 1, other = 2;
+inline constexpr std::uint8_t equal = 1, one_ahead = 2, impossible = 4;
+inline constexpr std::uint8_t whole = 1, damaged = 2;
+using D = LogDecision;
+inline constexpr CaseRow<D, 4> rows[] = {
+    {"@L1", {ours, same, equal, any}, D::go_on},
+    {"@L2", {ours, same, one_ahead, whole}, D::redo},
+    {"@L3", {ours, same, one_ahead, damaged}, D::refuse_damaged},
+    {"@L4", {ours, same, impossible, any}, D::refuse_damaged},
+    {"@L5", {ours, other, any, any}, D::refuse_layout},
+    {"@L6", {none, any, any, any}, D::refuse_damaged},
+};
+}  // namespace log
+
+// --- U: one announcement after the connection was lost. What the daemon does follows from the
+// announce set, what the client does from its book (announce_set.hpp); the test runs both.
+
+enum class AnnounceDecision : std::uint8_t { nothing, link, ignore, say_unlinked, impossible };
+
+namespace announce {
+// in the announce set · has the client read it? · the client's book for this generation
+inline constexpr std::uint8_t told = 1, untold = 2;
+inline constexpr std::uint8_t delivered = 1, lost = 2;
+inline constexpr std::uint8_t never = 1, linked = 2, unlinked = 4;
+using D = AnnounceDecision;
+inline constexpr CaseRow<D, 3> rows[] = {
+    {"@U1", {untold, lost, never}, D::nothing},
+    {"@U2", {told, lost, never}, D::link},
+    {"@U3", {told, delivered, never}, D::link},
+    {"@U4", {told, delivered, linked}, D::ignore},
+    {"@U5", {told, delivered, unlinked}, D::say_unlinked},
+    {"@U6", {untold, delivered, unlinked}, D::nothing},
+    {"@U7", {untold, delivered, linked | never}, D::impossible},
+    {"@U8", {any, lost, linked | unlinked}, D::impossible},
+};
+}  // namespace announce
+
+// --- Q: a request, and what the tables say of it. `again`: the client lost the connection before an
+// answer came.
+
+enum class RequestDecision : std::uint8_t { carry_out, answer_as_before, say_done, refuse };
+
+namespace request {
+// what · asked · in the tables
+inline constexpr std::uint8_t create = 1, open_window = 2, open_executor = 4, leave = 8,
+                              drained = 16;
+inline constexpr std::uint8_t first = 1, again = 2;
+// done: carried out before; used: and something was built on the answer, which therefore was read
+inline constexpr std::uint8_t not_done = 1, done = 2, used = 4;
+using D = RequestDecision;
+inline constexpr CaseRow<D, 3> rows[] = {
+    {"@Q1", {any, any, not_done}, D::carry_out},
+    {"@Q2", {create, first, done | used}, D::carry_out},
+    {"@Q3", {create, again, done | used}, D::answer_as_before},
+    {"@Q4", {open_window, any, done | used}, D::answer_as_before},
+    {"@Q5", {open_executor, again, done}, D::carry_out},
+    {"@Q6", {open_executor, again, used}, D::refuse},
+    {"@Q7", {leave | drained, again, done | used}, D::say_done},
+    {"@Q8", {open_executor | leave | drained, first, done | used}, D::refuse},
+};
+}  // namespace request
+
+constexpr RequestDecision decide_request(std::uint8_t what, bool asked_again,
+                                         std::uint8_t in_tables) noexcept {
+  return case_of(request::rows, {what, asked_again ? request::again : request::first, in_tables})
+      .decision;
+}
+
+// --- J: a process that says rejoin
+
+enum class RejoinDecision : std::uint8_t {
+  take_back,
+  layout_mismatch,
+  permission_denied,
+  started_anew,
+  revoked,
+};
+
+namespace rejoin {
+// fingerprint · who says it is who connected · incarnation · its place has its generation ·
+// state of the place · the process behind the stored pidfd
+inline constexpr std::uint8_t same = 1, other = 2;
+inline constexpr std::uint8_t alive = 1, dead = 2, free = 4;
+using D = RejoinDecision;
+inline constexpr CaseRow<D, 6> rows[] = {
+    {"@J1", {same, same, same, same, alive, same}, D::take_back},
+    {"@J2", {same, same, same, same, alive, other}, D::permission_denied},
+    {"@J3", {same, same, same, same, dead, any}, D::revoked},
+    {"@J4", {same, same, same, same, free, any}, D::started_anew},
+    {"@J5", {same, same, same, other, any, any}, D::started_anew},
+    {"@J6", {same, same, other, any, any, any}, D::started_anew},
+    {"@J7", {same, other, any, any, any, any}, D::permission_denied},
+    {"@J8", {other, any, any, any, any, any}, D::layout_mismatch},
+};
+}  // namespace rejoin
+
+/// What can be said before the stored pidfd is looked at; `take_back` is final only with it.
+struct RejoinFacts {
+  bool same_layout = false;
+  bool confirmed = false;
+  bool same_incarnation = false;
+  bool same_generation = false;
+  std::uint8_t state = rejoin::free;
+  bool same_process = false;
+};
+constexpr RejoinDecision decide_rejoin(const RejoinFacts& facts) noexcept {
+  const auto bit = [](bool yes) { return yes ? rejoin::same : rejoin::other; };
+  return case_of(rejoin::rows,
+                 {bit(facts.same_layout), bit(facts.confirmed), bit(facts.same_incarnation),
+                  bit(facts.same_generation), facts.state, bit(facts.same_process)})
+      .decision;
+}
+
+// --- D: kept descriptors against the tables at a start
+
+enum class StoredDecision : std::uint8_t {
+  take,           // go on with it
+  remove,         // it belongs to nobody any more
+  make_anew,      // as on a first start
+  start_anew,     // nothing else in the store can be used: a new incarnation
+  owner_is_lost,  // its process is treated as one that died
+  do_without,
+};
+
+namespace stored {
+// what · in the store · the record it belongs to
+inline constexpr std::uint8_t tables = 1, listening = 2, memory = 4, process = 8, bell = 16,
+                              stranger = 32;  // tables: board or journal; memory: region or window
+inline constexpr std::uint8_t present = 1, absent = 2;
+inline constexpr std::uint8_t alive = 1, dead = 2, none = 4;
+using D = StoredDecision;
+inline constexpr CaseRow<D, 3> rows[] = {
+    {"@D1", {tables, present, any}, D::take},
+    {"@D2", {tables, absent, any}, D::start_anew},
+    {"@D3", {listening, present, any}, D::take},
+    {"@D4", {listening, absent, any}, D::make_anew},
+    {"@D5", {memory, present, alive | dead}, D::take},
+    {"@D6", {memory, absent, alive}, D::owner_is_lost},
+    {"@D7", {memory, absent, dead}, D::do_without},
+    {"@D8", {process, present, alive}, D::take},
+    {"@D9", {process, absent, alive}, D::owner_is_lost},
+    {"@D10", {bell, present, alive}, D::take},
+    {"@D11", {bell, absent, alive}, D::do_without},
+    {"@D12", {process | bell, present, dead}, D::remove},
+    {"@D13", {memory | process | bell, present, none}, D::remove},
+    {"@D14", {stranger, present, any}, D::remove},
+    {"@D15", {process | bell, absent, dead}, D::do_without},
+    {"@D16", {memory | process | bell, absent, none}, D::do_without},
+    {"@D17", {stranger, absent, any}, D::do_without},
+};
+}  // namespace stored
+
+constexpr StoredDecision decide_stored(std::uint8_t what, bool is_there,
+                                       std::uint8_t owner) noexcept {
+  return case_of(stored::rows, {what, is_there ? stored::present : stored::absent, owner}).decision;
+}
+
+// --- the words of docs/recovery.md
+
+constexpr const char* word_of(IntentDecision it) noexcept {
+  constexpr const char* words[] = {"nothing", "roll_back", "roll_forward", "corrupt"};
+  return words[static_cast<std::size_t>(it)];
+}
+constexpr const char* word_of(RemainsDecision it) noexcept {
+  return it == RemainsDecision::keep ? "keep" : "free";
+}
+constexpr const char* word_of(LogDecision it) noexcept {
+  constexpr const char* words[] = {"go_on", "redo", "refuse_layout", "refuse_damaged"};
+  return words[static_cast<std::size_t>(it)];
+}
+constexpr const char* word_of(AnnounceDecision it) noexcept {
+  constexpr const char* words[] = {"nothing", "link", "ignore", "say_unlinked", "impossible"};
+  return words[static_cast<std::size_t>(it)];
+}
+constexpr const char* word_of(RequestDecision it) noexcept {
+  constexpr const char* words[] = {"carry_out", "answer_as_before", "say_done", "refuse"};
+  return words[static_cast<std::size_t>(it)];
+}
+constexpr const char* word_of(RejoinDecision it) noexcept {
+  constexpr const char* words[] = {"take_back", "layout_mismatch", "permission_denied",
+                                   "started_anew", "revoked"};
+  return words[static_cast<std::size_t>(it)];
+}
+constexpr const char* word_of(StoredDecision it) noexcept {
+  constexpr const char* words[] = {"take",       "remove",        "make_anew",
+                                   "start_anew", "owner_is_lost", "do_without"};
+  return words[static_cast<std::size_t>(it)];
+}
+
+}  // namespace agnocast::journal

@@ -1,0 +1,195 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: a user that has taken all it may have is told so, with the right code and the name of the
+// limit; nobody else notices; and all of it comes back when its processes die.
+// Method: an attacker of another user goes to the end of each quota, beside the honest pair, which
+// has quotas of its own; then it is killed, and the next one gets as far again. That the limits
+// count right within one user is in integration_daemon_limits.
+
+#include <tests/hostile/hostile_node.hpp>
+
+#include <sys/resource.h>
+
+#include <memory>
+#include <thread>
+
+namespace agnocast::test {
+namespace {
+
+using wire::Kind;
+using wire::Opcode;
+
+const char* const small_quotas =
+    "clients = 6\npublishers = 4\nsubscriptions = 4\nexecutors = 4\nheap_bytes = \"128MiB\"\n"
+    "held_messages = 300\n";
+
+/// What the attacker gets before it is told `code`, naming `limit`.
+template <class Ask>
+std::uint64_t takes_all(Ask ask, const char* limit, Errc code = Errc::quota_exceeded) {
+  for (std::uint64_t got = 0; got < 5000; ++got) {
+    const Incoming answer = ask(got);
+    if (answer.opcode() != Opcode::refused) continue;
+    EXPECT_EQ(answer.refused_code(), code) << answer.refused_text();
+    EXPECT_NE(answer.refused_text().find(limit), std::string::npos) << answer.refused_text();
+    return got;
+  }
+  ADD_FAILURE() << "never refused";
+  return 0;
+}
+
+/// Three lives of the same attack; each gets as much as the first.
+void comes_back(Stage& stage, const std::function<std::uint64_t(const std::string&)>& take) {
+  const std::size_t before = stage.daemon().descriptor_count();
+  std::uint64_t first = 0;
+  for (int life = 0; life < 3; ++life) {
+    SCOPED_TRACE("life " + std::to_string(life));
+    Attacker attacker([&](Attack& attack) {
+      attack.word(0).store(take(stage.socket_path()));
+      if (!testing::Test::HasFailure()) attack.ready();
+      while (attack.goes_on()) std::this_thread::sleep_for(std::chrono::milliseconds(5));
+    });
+    if (!attacker.wait_until_ready()) return attacker.end();
+    stage.honest_is_served();
+    stage.honest_goes_on();
+    if (life == 0) first = attacker.word(0);
+    EXPECT_GT(attacker.word(0), 0u);
+    EXPECT_EQ(attacker.word(0), first);
+    attacker.kill();
+    ASSERT_TRUE(eventually([&] { return stage.daemon().descriptor_count() <= before; }));
+  }
+}
+
+TEST(HostileQuotas, PublishersSubscriptionsAndExecutorsAreOfOneUserAlone) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage({.quota = small_quotas});
+  comes_back(stage, [&](const std::string& path) {
+    HostileNode node(path);
+    auto& wire = node.wire();
+    const auto topic = [](std::uint64_t i) { return "/t" + std::to_string(i); };
+    std::uint64_t all = takes_all([&](std::uint64_t i) { return wire.create_publisher(topic(i)); },
+                                  "[quota] publishers");
+    all += takes_all([&](std::uint64_t i) { return wire.open_executor(i); }, "[quota] executors");
+    all += takes_all([&](std::uint64_t i) { return wire.create_subscription(topic(i)); },
+                     "[quota] subscriptions");
+    EXPECT_EQ(all, 12u);
+    return all;
+  });
+}
+
+TEST(HostileQuotas, HeapIsOfOneUserAlone) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage({.quota = small_quotas});
+  comes_back(stage, [&](const std::string& path) {
+    HostileNode node(path);
+    return takes_all([&](std::uint64_t i) { return node.wire().open_window(i); },
+                     "[quota] heap_bytes");
+  });
+}
+
+TEST(HostileQuotas, MessagesHeldAreOfOneUserAlone) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage({.quota = small_quotas});
+  comes_back(stage, [&](const std::string& path) {
+    HostileNode node(path);
+    EXPECT_EQ(node.wire().open_executor().opcode(), Opcode::executor_opened);
+    auto greedy = WireClient::endpoint("/held", {});
+    greedy.quota = 100;
+    return takes_all(
+        [&](std::uint64_t) { return node.wire().ask(Opcode::create_subscription, greedy); },
+        "[quota] held_messages");
+  });
+}
+
+TEST(HostileQuotas, ClientsAndObserversAreOfOneUserAlone) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage({.quota = small_quotas});
+  comes_back(stage, [&](const std::string& path) {
+    std::vector<std::unique_ptr<WireClient>> clients, observers;
+    const std::uint64_t all = takes_all(
+        [&](std::uint64_t) {
+          clients.push_back(std::make_unique<WireClient>(path));
+          return clients.back()->hello();
+        },
+        "[quota] clients");
+    clients.pop_back();
+    // Who is refused as a client may still look; those places end as well.
+    wire::Observe observe{};
+    observe.fingerprint = abi::fingerprint();
+    observe.header = {Opcode::observe, sizeof observe, 1};
+    std::uint64_t looking = 0;
+    for (; looking < 100; ++looking) {
+      observers.push_back(std::make_unique<WireClient>(path));
+      // Where there is no place left it is told so without being asked.
+      if (!observers.back()->send_bytes(std::as_bytes(std::span(&observe, 1)))) break;
+      const Incoming answer = observers.back()->next();
+      if (answer.opcode() == Opcode::observed) continue;
+      EXPECT_EQ(answer.refused_code(), Errc::quota_exceeded) << answer.refused_text();
+      break;
+    }
+    EXPECT_EQ(all, 6u);
+    EXPECT_EQ(looking, std::uint64_t{abi::observer_count_max});
+    // They stay until the attacker is killed.
+    static_cast<void>(new auto(std::move(clients)));
+    static_cast<void>(new auto(std::move(observers)));
+    return all + looking;
+  });
+}
+
+TEST(HostileQuotas, TablesOfTheDaemonHaveRoomForOthers) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  // As it is without a configuration: what one user may have leaves room for the next one.
+  Stage stage({.quota = ""});
+  comes_back(stage, [&](const std::string& path) {
+    HostileNode node(path);
+    // Every topic costs the daemon a row; the honest process needs one more for each creation.
+    const std::uint64_t topics = 500;
+    for (std::uint64_t i = 0; i < topics; ++i)
+      EXPECT_EQ(node.wire().create_publisher("/room" + std::to_string(i)).opcode(),
+                Opcode::endpoint_created);
+    // All publishers of a topic that everybody may publish on.
+    return topics + takes_all([&](std::uint64_t) { return node.wire().create_publisher("/full"); },
+                              "publishers_per_topic", Errc::limit_reached);
+  });
+}
+
+TEST(HostileQuotas, DescriptorsOfTheDaemonThatAreGoneComeBackWithTheirTaker) {
+  AGNOCAST_NEEDS_TWO_USERS();
+#ifdef __SANITIZE_ADDRESS__
+  GTEST_SKIP() << "the sanitizer itself needs a pipe to look at memory";
+#endif
+  Stage stage;
+  const std::size_t before = stage.daemon().descriptor_count();
+  const rlimit small{before + 30, before + 30};
+  ASSERT_EQ(::prlimit(stage.daemon().pid(), RLIMIT_NOFILE, &small, nullptr), 0);
+  for (int life = 0; life < 2; ++life) {
+    Attacker attacker([&](Attack& attack) {
+      std::vector<std::unique_ptr<WireClient>> clients;
+      for (bool refused = false; !refused && clients.size() < 60;) {
+        clients.push_back(std::make_unique<WireClient>(stage.socket_path()));
+        wire::Hello hello{};
+        hello.header = {Opcode::hello, sizeof hello, 1};
+        hello.fingerprint = abi::fingerprint();
+        clients.back()->send_bytes(std::as_bytes(std::span(&hello, 1)));
+        const Incoming answer = clients.back()->next();
+        refused = answer.opcode() == Opcode::refused;
+        if (refused) {
+          EXPECT_TRUE(answer.refused_code() == Errc::limit_reached ||
+                      answer.refused_code() == Errc::os_failure)
+              << answer.refused_text();
+        }
+      }
+      EXPECT_LT(clients.size(), 60u);
+      clients.pop_back();
+      attack.ready();
+      while (attack.goes_on()) std::this_thread::sleep_for(std::chrono::milliseconds(5));
+    });
+    ASSERT_TRUE(attacker.wait_until_ready());
+    stage.honest_goes_on();
+    attacker.kill();
+    ASSERT_TRUE(eventually([&] { return stage.daemon().descriptor_count() <= before; }));
+    stage.honest_is_served();
+  }
+}
+
+}  // namespace
+}  // namespace agnocast::test

@@ -1,0 +1,247 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: a process that has something else where heaps lie gets its messages all the same: from the
+// start when it was there first, from then on when it joins later; nobody else notices, and what it
+// cannot get is counted and said.
+// Method: the real daemon with an arena of a few small windows at a known address; processes of
+// client_tool, with the hook, that map a page there before their first endpoint (a JIT's, say). For
+// a message that was begun before the heap moved: this program publishes through the public
+// interface and bad_input_node reads.
+
+#include <agnocast/abi/limits.hpp>
+#include <agnocast/agnocast.hpp>
+#include <tests/support/client_tool.hpp>
+#include <tests/support/daemon_process.hpp>
+#include <tests/support/plain_node.hpp>
+
+#include <gmock/gmock.h>
+
+#include <unistd.h>
+
+#include <array>
+#include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+#include <deque>
+#include <future>
+#include <string>
+
+namespace agnocast {
+namespace {
+
+using test::ClientTool;
+using test::DaemonProcess;
+using testing::HasSubstr;
+
+constexpr std::uint64_t arena = 0x3000'0000'0000;
+constexpr std::uint64_t window = 64 << 20;
+constexpr const char* small_arena =
+    "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"1GiB\"\narena_base = 0x300000000000\n";
+
+std::string occupy(std::uint64_t number, std::uint64_t bytes = 4096) {
+  return "occupy " + std::to_string(arena + number * window + window / 2) + " " +
+         std::to_string(bytes);
+}
+/// The window in which the oldest held message of a tool lies.
+std::uint64_t window_of(ClientTool& tool) {
+  return (std::stoull(tool.ask("address")) - arena) / window;
+}
+
+TEST(Addresses, WhatIsOccupiedBeforeAHeapExistsIsAvoidedByIt) {
+  DaemonProcess daemon({.config = small_arena});
+  ClientTool subscriber(daemon.socket_path()), publisher(daemon.socket_path());
+  ASSERT_EQ(subscriber.ask(occupy(0)), "ok");
+  ASSERT_EQ(subscriber.ask(occupy(2)), "ok");
+  ASSERT_EQ(subscriber.ask("sub /points 5"), "ok");
+  ASSERT_TRUE(daemon.wait_for_log("addresses blocked"));
+  ASSERT_EQ(publisher.ask("pub /points 1"), "ok");
+  ASSERT_EQ(publisher.ask("publish 2 100000"), "ok");
+  for (const char* number : {"1", "2"}) {
+    ASSERT_EQ(subscriber.ask("wait 5000"), "news");
+    ASSERT_EQ(subscriber.ask("take"), number);
+  }
+  EXPECT_EQ(window_of(subscriber), 1u);
+  EXPECT_EQ(subscriber.ask("lost"), "0");
+  ClientTool next(daemon.socket_path());
+  ASSERT_EQ(next.ask("pub /points 1"), "ok");
+  ASSERT_EQ(next.ask("publish 1 10"), "ok");
+  ASSERT_EQ(subscriber.ask("wait 5000"), "news");
+  ASSERT_EQ(subscriber.ask("take"), "1") << "of the second publisher, in window 3";
+}
+
+TEST(Addresses, APublisherDoesWithoutWhatItHasOccupiedItself) {
+  DaemonProcess daemon({.config = small_arena});
+  ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
+  ASSERT_EQ(publisher.ask(occupy(0, 3 * window)), "ok");
+  ASSERT_EQ(subscriber.ask("sub /points 5"), "ok");
+  ASSERT_EQ(publisher.ask("pub /points 1"), "ok");
+  ASSERT_EQ(publisher.ask("publish 1 100000"), "ok");
+  ASSERT_EQ(subscriber.ask("wait 5000"), "news");
+  ASSERT_EQ(subscriber.ask("take"), "1");
+  EXPECT_EQ(window_of(subscriber), 4u);
+}
+
+TEST(Addresses, AJoinerWithAnOccupiedRangeGetsMessagesFromThenOn) {
+  DaemonProcess daemon({.config = small_arena});
+  ClientTool publisher(daemon.socket_path()), other(daemon.socket_path()),
+      joiner(daemon.socket_path());
+  ASSERT_EQ(other.ask("sub /points 20"), "ok");
+  ASSERT_EQ(publisher.ask("pub /points 20 tl"), "ok");
+  ASSERT_EQ(publisher.ask("publish 3 100000"), "ok");
+  ASSERT_EQ(other.ask("take"), "1");
+  ASSERT_EQ(window_of(other), 0u);
+
+  ASSERT_EQ(joiner.ask(occupy(0)), "ok");
+  ASSERT_EQ(joiner.ask("sub /points 20 tl"), "ok");
+  ASSERT_TRUE(daemon.wait_for_log("heap collides"));
+  EXPECT_THAT(daemon.log(), HasSubstr("it goes on in another window"));
+  EXPECT_THAT(daemon.log(), HasSubstr("300002000000-300002001000 r--p")) << "what is there";
+  ASSERT_TRUE(publisher.eventually("first_window", "1"));
+  ASSERT_EQ(publisher.ask("publish 3 100000"), "ok");
+
+  ASSERT_EQ(joiner.ask("wait 5000"), "news");
+  for (const char* number : {"4", "5", "6"}) {
+    ASSERT_EQ(joiner.ask("take"), number);
+    EXPECT_EQ(window_of(joiner), 1u);
+    ASSERT_EQ(joiner.ask("release"), "ok");
+  }
+  EXPECT_EQ(joiner.ask("take"), "none");
+  EXPECT_EQ(joiner.ask("lost"), "3") << "its history lies where it has something else";
+  EXPECT_EQ(joiner.ask("unreachable"), "3");
+  EXPECT_EQ(joiner.ask("malformed"), "0");
+  for (const char* number : {"2", "3", "4", "5", "6"}) ASSERT_EQ(other.ask("take"), number);
+  EXPECT_EQ(other.ask("lost"), "0");
+  for (int i = 0; i < 6; ++i) EXPECT_EQ(other.ask("release"), "ok");
+}
+
+TEST(Addresses, EveryJoinerIsServedUntilTheHeapHasMovedOftenEnough) {
+  DaemonProcess daemon({.config = small_arena});
+  ClientTool publisher(daemon.socket_path());
+  ASSERT_EQ(publisher.ask("pub /points 1"), "ok");
+  std::deque<ClientTool> joiners;
+  for (std::uint64_t move = 0; move < abi::heap_move_max; ++move) {
+    ClientTool& joiner = joiners.emplace_back(daemon.socket_path());
+    ASSERT_EQ(joiner.ask(occupy(move)), "ok");
+    ASSERT_EQ(joiner.ask("sub /points 5"), "ok");
+    ASSERT_TRUE(publisher.eventually("first_window", std::to_string(move + 1).c_str()));
+    ASSERT_TRUE(publisher.eventually("matched", std::to_string(move + 1).c_str()));
+    ASSERT_EQ(publisher.ask("publish 1 1000"), "ok");
+    for (ClientTool& one : joiners) {
+      ASSERT_EQ(one.ask("wait 5000"), "news");
+      ASSERT_EQ(one.ask("take"), std::to_string(move + 1));
+    }
+  }
+  ClientTool& late = joiners.emplace_back(daemon.socket_path());
+  ASSERT_EQ(late.ask(occupy(abi::heap_move_max)), "ok");
+  ASSERT_EQ(late.ask("sub /points 5"), "ok");
+  ASSERT_TRUE(daemon.wait_for_log("it stays: it has moved 3 times"));
+}
+
+TEST(Addresses, AHeapThatCannotMoveSaysWhyAndServesTheOthers) {
+  DaemonProcess daemon({.config = std::string(small_arena) + "windows_per_process = 1\n"});
+  ClientTool publisher(daemon.socket_path()), other(daemon.socket_path()),
+      joiner(daemon.socket_path());
+  ASSERT_EQ(publisher.ask("pub /points 1"), "ok");
+  ASSERT_EQ(other.ask("sub /points 100"), "ok");
+  ASSERT_EQ(joiner.ask(occupy(0)), "ok");
+  ASSERT_EQ(joiner.ask("sub /points 100"), "ok");
+  ASSERT_TRUE(daemon.wait_for_log("it stays: [heap] windows_per_process is 1"));
+  ASSERT_TRUE(publisher.eventually("matched", "2"));
+  ASSERT_EQ(publisher.ask("publish 50 100"), "ok");
+  EXPECT_EQ(joiner.ask("take"), "none");
+  EXPECT_EQ(joiner.ask("unreachable"), "50");
+  EXPECT_EQ(joiner.ask("lost"), "50");
+  EXPECT_EQ(joiner.ask("wait 50"), "timeout") << "it does not turn in circles";
+  for (int i = 1; i <= 50; ++i) {
+    ASSERT_EQ(other.ask("take"), std::to_string(i));
+    ASSERT_EQ(other.ask("release"), "ok");
+  }
+  EXPECT_TRUE(publisher.eventually("allocated", "0")) << "what is lost is held by nobody";
+}
+
+// All but one window are blocked in somebody, and half of the arena in one process of this user.
+TEST(Addresses, AWindowIsFoundWhereAsFewAsPossibleHaveSomething) {
+  DaemonProcess daemon({.config = small_arena});
+  ClientTool first(daemon.socket_path()), second(daemon.socket_path()),
+      publisher(daemon.socket_path());
+  ASSERT_EQ(first.ask("occupy " + std::to_string(arena) + " " + std::to_string(9 * window)), "ok");
+  ASSERT_EQ(second.ask("occupy " + std::to_string(arena) + " " + std::to_string(8 * window)), "ok");
+  ASSERT_EQ(first.ask("sub /points 5"), "ok");
+  ASSERT_EQ(second.ask("sub /points 5"), "ok");
+  ASSERT_EQ(publisher.ask("pub /points 1"), "ok");
+  ASSERT_EQ(publisher.ask("publish 1 10"), "ok");
+  ASSERT_EQ(second.ask("wait 5000"), "news");
+  ASSERT_EQ(second.ask("take"), "1");
+  EXPECT_EQ(window_of(second), 8u)
+      << "nine windows of one user are too many to be avoided by others";
+  ASSERT_TRUE(daemon.wait_for_log("it stays: too much is blocked by the reader's user"));
+}
+
+struct Text {
+  std::string data;
+};
+
+}  // namespace
+
+template <>
+struct MessageTraits<Text> {
+  static constexpr const char* name = "test/Text";
+  static void for_each_pointer(const Text& text, PointerVisitor& visit) noexcept {
+    visit("data", text.data);
+  }
+};
+
+namespace {
+
+/// What a bad_input_node prints that is a subscriber and gets one message.
+std::string read_one(const std::string& arguments) {
+  std::FILE* const pipe =
+      ::popen(("timeout 60 " AGNOCAST_NODE " " + arguments + " 2>&1").c_str(), "r");
+  std::array<char, 256> buffer;
+  std::string text;
+  while (pipe != nullptr && std::fgets(buffer.data(), buffer.size(), pipe) != nullptr)
+    text += buffer.data();
+  if (pipe != nullptr) ::pclose(pipe);
+  return text;
+}
+
+// Its object lies in the window that was given up, or in the new one and what it points to does not.
+TEST(Addresses, AMessageThatWasBegunBeforeTheHeapMovedIsCopied) {
+  DaemonProcess daemon({.config = small_arena});
+  ::setenv("AGNOCAST_SOCKET", daemon.socket_path().c_str(), 1);
+  auto publisher = create_publisher<Text>(test::PlainNode(), "/topic", QoS(1));
+  auto begun = publisher->borrow_loaned_message();
+  begun->data.assign(100'000, 'x');
+  auto moved_in = publisher->borrow_loaned_message();
+  moved_in->data.assign(200'000, 'x');
+
+  const auto next_window = [&] {
+    auto probe = publisher->borrow_loaned_message();
+    return reinterpret_cast<std::uint64_t>(probe.get()) >= arena + window;
+  };
+  EXPECT_FALSE(next_window());
+  auto reader = std::async(std::launch::async, [] {
+    return read_one("depth=5 occupy=0x300000200000 sub take=100000 take=200000");
+  });
+  ASSERT_TRUE(test::eventually(next_window));
+  const HeapCollisionInfo told = publisher->get_heap_collision_status();
+  EXPECT_EQ(told.total_count, 1);
+  EXPECT_THAT(told.last_text,
+              HasSubstr("cannot map heap window 0 of process " + std::to_string(::getpid()) +
+                        "; it goes on in another window; what is there: "
+                        "300000200000-300000201000 r--p"));
+  EXPECT_EQ(publisher->get_heap_collision_status().total_count_change, 0);
+  ASSERT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 1; }));
+  PublishResult result = publisher->publish(std::move(begun));
+  ASSERT_TRUE(result) << sentence_of(result.code);
+  EXPECT_GE(result.adopted_bytes, 100'000u);
+  auto fresh = publisher->borrow_loaned_message();
+  fresh->data = std::move(moved_in->data);
+  result = publisher->publish(std::move(fresh));
+  ASSERT_TRUE(result) << sentence_of(result.code);
+  EXPECT_GE(result.adopted_bytes, 200'000u);
+  EXPECT_EQ(reader.get(), "received 100000 bytes\nreceived 200000 bytes\n");
+}
+
+}  // namespace
+}  // namespace agnocast

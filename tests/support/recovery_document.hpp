@@ -1,0 +1,39 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// The rows of docs/recovery.md: what stands in the columns beside each label.
+#pragma once
+
+#include <gtest/gtest.h>
+
+#include <fstream>
+#include <map>
+#include <string>
+#include <vector>
+
+namespace agnocast::test {
+
+/// Label → the other columns, without the blanks around them. A label that comes twice fails the
+/// test.
+inline std::map<std::string, std::vector<std::string>> read_recovery_document() {
+  std::map<std::string, std::vector<std::string>> rows;
+  std::ifstream file(AGNOCAST_RECOVERY_DOCUMENT);
+  EXPECT_TRUE(file) << AGNOCAST_RECOVERY_DOCUMENT;
+  for (std::string line; std::getline(file, line);) {
+    if (line.rfind("| @", 0) != 0) continue;
+    std::vector<std::string> columns;
+    for (std::size_t begin = 1; begin < line.size();) {
+      std::size_t end = line.find('|', begin);
+      if (end == std::string::npos) end = line.size();
+      const std::string cell = line.substr(begin, end - begin);
+      const std::size_t first = cell.find_first_not_of(' '), last = cell.find_last_not_of(' ');
+      columns.push_back(first == std::string::npos ? "" : cell.substr(first, last - first + 1));
+      begin = end + 1;
+    }
+    const std::string label = columns.front();
+    columns.erase(columns.begin());
+    EXPECT_TRUE(rows.emplace(label, columns).second) << label << " stands twice in the document";
+  }
+  return rows;
+}
+
+}  // namespace agnocast::test

@@ -1,0 +1,123 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Runs inside the machine of systemd_test.sh: our unit, real clients, kill -9, restart and stop.
+
+#include <tests/recovery/stage.hpp>
+#include <tests/support/wire_dump.hpp>
+#include <tests/support/wire_node.hpp>
+
+#include <gtest/gtest.h>
+#include <sys/prctl.h>
+#include <unistd.h>
+
+#include <array>
+#include <csignal>
+#include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+#include <memory>
+#include <string>
+
+namespace agnocast::test {
+namespace {
+
+using sweep::Child;
+using sweep::serve;
+
+constexpr const char* socket_path = "/run/agnocast/agnocastd.sock";
+constexpr abi::Qos deep{10, false, true, false, false};
+
+std::string output_of(const std::string& command) {
+  const std::unique_ptr<std::FILE, int (*)(std::FILE*)> pipe(::popen(command.c_str(), "re"),
+                                                             &::pclose);
+  std::string text;
+  std::array<char, 256> part{};
+  while (std::fgets(part.data(), part.size(), pipe.get()) != nullptr) text += part.data();
+  while (!text.empty() && text.back() == '\n') text.pop_back();
+  return text;
+}
+std::string property(const char* name) {
+  return output_of(std::string("systemctl show --value -p ") + name + " agnocastd");
+}
+bool systemctl(const char* verb) {
+  return std::system((std::string("systemctl ") + verb + " agnocastd").c_str()) == 0;
+}
+template <class Condition>
+bool eventually(Condition condition) {
+  for (int rounds = 0; rounds < 200; ++rounds) {
+    if (condition()) return true;
+    ::usleep(100'000);
+  }
+  return condition();
+}
+pid_t main_pid() { return static_cast<pid_t>(std::atoi(property("MainPID").c_str())); }
+bool is_next(pid_t old) {
+  return main_pid() > 0 && main_pid() != old && property("ActiveState") == "active" &&
+         property("SubState") == "running";
+}
+
+char answer(bool done) { return testing::Test::HasFailure() ? '!' : done ? '+' : '-'; }
+Child publisher_child() {
+  return Child(0, [](int commands, std::uint64_t) {
+    ::prctl(PR_SET_PDEATHSIG, SIGKILL);
+    WireNode node(socket_path);
+    if (!node.create_publisher("/topic", deep)) ::_exit(3);
+    std::uint64_t number = 0;
+    serve(commands, [&](char what) -> char {
+      if (what == 'w') return answer(node.wait_for([&] { return node.attached_count() == 1; }));
+      return answer(node.publish(++number));
+    });
+  });
+}
+
+TEST(Systemd, KeepsTheIncarnationOverDeathAndRestartAndLetsItGoWithAStop) {
+  ASSERT_TRUE(systemctl("start")) << output_of("systemctl status agnocastd");
+  const WireDump first = wire_dump(socket_path);
+  WireNode subscriber(socket_path);
+  ASSERT_TRUE(subscriber.create_subscription("/topic", deep));
+  Child publisher = publisher_child();
+  ASSERT_TRUE(subscriber.wait_for([&] { return subscriber.link_count() == 1; }));
+  ASSERT_EQ(publisher.command('w'), '+');
+  // Four of the daemon; region and pidfd of both, an eventfd, a window.
+  EXPECT_TRUE(eventually([] { return property("NFileDescriptorStore") == "10"; }))
+      << property("NFileDescriptorStore");
+
+  std::uint64_t published = 0;
+  for (int life = 0; life < 6; ++life) {
+    const pid_t old = main_pid();
+    if (life % 2 == 0) {
+      ASSERT_EQ(::kill(old, SIGKILL), 0);
+    } else {
+      ASSERT_TRUE(systemctl("restart"));
+    }
+    ASSERT_EQ(publisher.command('p'), '+');
+    EXPECT_EQ(subscriber.take(), ++published);
+    subscriber.release();
+    ASSERT_TRUE(eventually([&] { return is_next(old); }))
+        << output_of("systemctl status agnocastd");
+    const WireDump all = wire_dump(socket_path);
+    EXPECT_EQ(all.incarnation, first.incarnation);
+    EXPECT_EQ(all.processes.size(), 2u);
+    EXPECT_EQ(all.daemon.counters.restarts, static_cast<std::uint64_t>(life + 1));
+    EXPECT_EQ(property("NFileDescriptorStore"), "10");
+  }
+  EXPECT_EQ(property("StatusText"), "serving; goes on with what was there before");
+
+  // Both at once.
+  const pid_t old = main_pid();
+  ::kill(old, SIGKILL);
+  publisher.end();
+  ASSERT_TRUE(eventually([&] { return is_next(old); }));
+  EXPECT_TRUE(eventually([&] { return wire_dump(socket_path).daemon.counters.clients_died == 1; }));
+
+  ASSERT_TRUE(systemctl("stop"));
+  EXPECT_FALSE(std::filesystem::exists("/run/agnocast"));
+  ASSERT_TRUE(systemctl("start"));
+  const WireDump anew = wire_dump(socket_path);
+  EXPECT_NE(anew.incarnation, first.incarnation);
+  EXPECT_TRUE(anew.processes.empty());
+  EXPECT_EQ(property("NFileDescriptorStore"), "4");
+}
+
+}  // namespace
+}  // namespace agnocast::test

@@ -1,0 +1,144 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: a message is readable only if everything that it may point to is: all windows of its group,
+// announced, mapped up to what is in use. Method: windows of memfds in a reservation of this test,
+// which writes the owner's header as an owner would, honest or not.
+
+#include <base/mapping.hpp>
+#include <base/memfd.hpp>
+#include <client/peer_heap.hpp>
+#include <tests/support/aligned_region.hpp>
+
+#include <agnocast/abi/client_region.hpp>
+
+#include <fcntl.h>
+#include <gtest/gtest.h>
+
+#include <utility>
+#include <vector>
+
+namespace agnocast {
+namespace {
+
+using dataplane::Place;
+
+constexpr std::uint64_t window_bytes = 4 << 20;
+
+class PeerHeapTest : public testing::Test {
+ protected:
+  std::uint64_t base_of(std::uint64_t window) const {
+    return reinterpret_cast<std::uint64_t>(arena_.base()) + window * window_bytes;
+  }
+  abi::WindowEntry& shown(std::uint64_t window) {
+    return reinterpret_cast<abi::ClientRegionHeader*>(header_.base())->window[window];
+  }
+  /// As the owner does before anything lies there.
+  void show(std::uint64_t window, std::uint64_t frontier) {
+    shown(window).length.store(window_bytes);
+    shown(window).frontier.store(frontier);
+    shown(window).base.store(base_of(window));
+  }
+  PeerHeap::Announced announced(std::uint64_t window, std::uint64_t first) const {
+    return {window, base_of(window), window_bytes, first};
+  }
+  void add(std::uint64_t window, std::uint64_t first) {
+    ASSERT_TRUE(heap_.add(announced(window, first), make_memfd("window", window_bytes).value()));
+  }
+  Place place_of(std::uint64_t window, std::uint64_t offset = 0, std::uint64_t size = 64) {
+    HeapLook look(heap_, all_announced_);
+    look.open();
+    return look.place_of(base_of(window) + offset, size);
+  }
+
+  Mapping arena_ = Mapping::reserve(0, 8 * window_bytes).value();
+  test::AlignedRegion header_{abi::page_bytes};
+  PeerHeap heap_{header_.base()};
+  bool all_announced_ = false;
+};
+
+TEST_F(PeerHeapTest, WhatIsInUseOfAWindowCanBeRead) {
+  show(0, abi::page_bytes);
+  add(0, 0);
+  EXPECT_EQ(place_of(0), Place::readable);
+  EXPECT_EQ(place_of(0, abi::page_bytes - 64), Place::readable);
+  EXPECT_EQ(place_of(0, abi::page_bytes - 63), Place::outside);
+  EXPECT_EQ(place_of(0, window_bytes - 8), Place::outside);
+  EXPECT_EQ(place_of(0, 0, ~std::uint64_t{0}), Place::outside);
+  EXPECT_EQ(place_of(3), Place::outside);
+  EXPECT_EQ(heap_.place_of(0, 8, 1, false), Place::outside);
+  EXPECT_EQ(heap_.place_of(~std::uint64_t{0}, 8, 1, false), Place::outside);
+  shown(0).frontier.store(~std::uint64_t{0});  // a lie: clamped to the length
+  EXPECT_EQ(place_of(0, window_bytes - 64), Place::readable);
+  EXPECT_EQ(place_of(0, window_bytes - 63), Place::outside);
+  EXPECT_EQ(*reinterpret_cast<const char*>(base_of(0) + window_bytes - 1), 0);
+}
+
+TEST_F(PeerHeapTest, AMessageIsAwaitedThatMayPointIntoAWindowThatWasNotAnnouncedYet) {
+  show(0, abi::page_bytes);
+  add(0, 0);
+  show(1, abi::page_bytes);
+  EXPECT_EQ(place_of(1), Place::awaited);
+  EXPECT_EQ(place_of(0), Place::awaited) << "its members may lie in window 1";
+  add(1, 0);
+  EXPECT_EQ(heap_.place_of(base_of(0), 64, 1, false), Place::awaited)
+      << "added, and not opened yet";
+  EXPECT_EQ(place_of(0), Place::readable);
+  EXPECT_EQ(place_of(1), Place::readable);
+}
+
+TEST_F(PeerHeapTest, NothingIsAwaitedOfAPublisherThatIsGone) {
+  show(0, abi::page_bytes);
+  add(0, 0);
+  show(1, abi::page_bytes);
+  all_announced_ = true;
+  EXPECT_EQ(place_of(0), Place::readable);
+  EXPECT_EQ(place_of(1), Place::outside);
+}
+
+TEST_F(PeerHeapTest, OfAGroupWithAClosedWindowNothingIsRead) {
+  show(0, abi::page_bytes);
+  show(1, abi::page_bytes);
+  add(0, 0);
+  ASSERT_TRUE(heap_.add_blocked(announced(1, 0)));
+  EXPECT_EQ(place_of(0), Place::unreachable);
+  EXPECT_EQ(place_of(1), Place::unreachable);
+  EXPECT_EQ(heap_.window_count(), 2u);
+}
+
+TEST_F(PeerHeapTest, AnotherGroupIsReadBesideOneWithAClosedWindow) {
+  show(0, abi::page_bytes);
+  ASSERT_TRUE(heap_.add_blocked(announced(0, 0)));
+  EXPECT_EQ(place_of(0), Place::unreachable);
+  show(1, abi::page_bytes);
+  EXPECT_EQ(place_of(1), Place::awaited);
+  add(1, 1);
+  show(2, abi::page_bytes);
+  add(2, 1);
+  EXPECT_EQ(place_of(0), Place::unreachable);
+  EXPECT_EQ(place_of(1), Place::readable);
+  EXPECT_EQ(place_of(2), Place::readable);
+  show(3, abi::page_bytes);
+  EXPECT_EQ(place_of(0), Place::unreachable) << "its group is complete: nothing is awaited";
+  EXPECT_EQ(place_of(2), Place::awaited);
+}
+
+TEST_F(PeerHeapTest, WhatTheSystemRefusesToMapClosesTheGroup) {
+  show(0, abi::page_bytes);
+  add(0, 0);
+  show(1, abi::page_bytes);
+  ASSERT_TRUE(heap_.add(announced(1, 0), UniqueFd(::open("/dev/null", O_WRONLY | O_CLOEXEC))));
+  EXPECT_EQ(place_of(0), Place::unreachable);
+}
+
+TEST_F(PeerHeapTest, RefusesAnnouncementsThatCannotBe) {
+  EXPECT_FALSE(heap_.add_blocked(announced(1, 0))) << "the first comes first";
+  EXPECT_FALSE(heap_.add_blocked(announced(0, 1))) << "a group begins before its windows";
+  EXPECT_FALSE(heap_.add_blocked({0, 4097, window_bytes, 0}));
+  EXPECT_FALSE(heap_.add_blocked({0, ~std::uint64_t{0} / 4096 * 4096, window_bytes, 0}));
+  ASSERT_TRUE(heap_.add_blocked(announced(0, 0)));
+  EXPECT_TRUE(heap_.add_blocked(announced(0, 0))) << "told again";
+  EXPECT_EQ(heap_.window_count(), 1u);
+}
+
+}  // namespace
+}  // namespace agnocast

@@ -1,0 +1,155 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: every record of the daemon's log becomes a sentence that says who and what, whatever is known
+// of it, and names of others cannot write into a terminal. Method: records made by hand; every type
+// there is; the sentences that matter word by word.
+
+#include <ctl/journal.hpp>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cstring>
+#include <map>
+#include <set>
+#include <string>
+
+namespace agnocast::ctl {
+namespace {
+
+using journal::RecordType;
+using wire::JournalRecord;
+using wire::JournalState;
+
+JournalRecord record(RecordType type, const std::map<std::string, std::uint64_t>& arguments) {
+  JournalRecord result{};
+  result.lsn = 4711;
+  result.state = JournalState::applied;
+  result.type = static_cast<std::uint32_t>(type);
+  for (const auto& [name, value] : arguments) {
+    const std::size_t index = journal::argument_index(type, name);
+    if (index == journal::argument_count) {
+      ADD_FAILURE() << journal::name_of(type) << " has no " << name;
+    } else {
+      result.argument[index] = value;
+    }
+  }
+  return result;
+}
+JournalRecord named(JournalRecord result, const char* topic, const char* process,
+                    std::uint32_t pid) {
+  std::strcpy(result.topic.text, topic);
+  std::strcpy(result.process.name.text, process);
+  result.process.pid = pid;
+  return result;
+}
+JournalRecord told(JournalRecord result, const char* process, std::uint32_t pid) {
+  std::strcpy(result.receiver.name.text, process);
+  result.receiver.pid = pid;
+  return result;
+}
+std::string sentence(const JournalRecord& it) { return subject_of(it) + ": " + deed_of(it); }
+
+TEST(Journal, TellsDeathsAndRecoveries) {
+  const auto publisher = [](std::uint64_t cause) {
+    return sentence(named(record(RecordType::leave_publisher, {{"index", 3}, {"cause", cause}}),
+                          "/points", "lidar", 812));
+  };
+  const std::string who = "publisher 3 of /points (lidar, pid 812): ";
+  EXPECT_EQ(publisher(0), who + "left");
+  EXPECT_EQ(publisher(1), who + "ended with its process, nothing was open");
+  EXPECT_EQ(publisher(2), who + "ended with its process, last message rolled back");
+  EXPECT_EQ(publisher(3), who + "ended with its process, last message rolled forward");
+  EXPECT_EQ(publisher(4), who + "ended with its process, what it was doing is corrupt");
+  const auto death = [](std::uint64_t reason) {
+    return sentence(named(record(RecordType::client_dead, {{"client", 7}, {"reason", reason}}), "",
+                          "lidar", 812));
+  };
+  EXPECT_EQ(death(0), "process 7 (lidar, pid 812): died");
+  EXPECT_EQ(death(1), "process 7 (lidar, pid 812): let go of its memory and lives");
+  EXPECT_EQ(death(2), "process 7 (lidar, pid 812): was revoked and lives");
+  EXPECT_EQ(sentence(record(RecordType::recovered, {{"pid", 99},
+                                                    {"away_ns", 1'234'567'890},
+                                                    {"redone_lsn", 4710},
+                                                    {"dead_count", 1},
+                                                    {"board_word_count", 2}})),
+            "agnocastd (pid 99): took over after 1234 ms, completed #4710, 1 process had died, 2 "
+            "words of the board written again");
+  EXPECT_EQ(
+      sentence(record(RecordType::recovered, {{"pid", 99}})),
+      "agnocastd (pid 99): took over, nothing was under way, 0 processes had died, 0 words of "
+      "the board written again");
+  EXPECT_EQ(sentence(named(record(RecordType::rejoined, {{"client", 7}}), "", "lidar", 812)),
+            "process 7 (lidar, pid 812): came back");
+}
+
+TEST(Journal, TellsWhoIsToldAndWhoHasLetGo) {
+  const auto kind = [](wire::Kind it) { return static_cast<std::uint64_t>(it); };
+  EXPECT_EQ(sentence(told(
+                named(record(RecordType::announced,
+                             {{"index", 0}, {"kind", kind(wire::Kind::subscription)}, {"to", 5}}),
+                      "/points", "viewer", 2),
+                "lidar", 812)),
+            "subscription 0 of /points (viewer, pid 2): lidar (pid 812) is told");
+  EXPECT_EQ(sentence(named(record(RecordType::unlinked,
+                                  {{"index", 4}, {"kind", kind(wire::Kind::publisher)}, {"by", 5}}),
+                           "/points", "lidar", 812)),
+            "publisher 4 of /points (lidar, pid 812): process 5 (forgotten) has let go");
+  EXPECT_EQ(
+      sentence(told(named(record(RecordType::unlinked,
+                                 {{"client", 7}, {"kind", kind(wire::Kind::region)}, {"by", 5}}),
+                          "", "lidar", 812),
+                    "viewer", 2)),
+      "memory of process 7 (lidar, pid 812): viewer (pid 2) has let go");
+}
+
+TEST(Journal, HasASentenceForEveryRecord) {
+  std::set<std::string> sentences;
+  const auto check = [&](const char* name, RecordType type) {
+    JournalRecord known = named(record(type, {}), "/points", "lidar", 812);
+    if (type == RecordType::leave_subscription)
+      known.argument[2] = static_cast<std::uint64_t>(journal::EndpointState::leaving);
+    EXPECT_NE(deed_of(known), "unknown") << name;
+    EXPECT_FALSE(subject_of(record(type, {})).empty()) << name;
+    EXPECT_TRUE(sentences.insert(sentence(known)).second)
+        << name << " says the same as another: " << sentence(known);
+  };
+#define AGNOCAST_CHECK_SENTENCE(name, number, arguments) check(#name, RecordType::name);
+  AGNOCAST_RECORD_TABLE(AGNOCAST_CHECK_SENTENCE)
+#undef AGNOCAST_CHECK_SENTENCE
+}
+
+TEST(Journal, SaysWhatCannotBeRead) {
+  JournalRecord damaged{};
+  damaged.lsn = 4711;
+  damaged.state = JournalState::damaged;
+  EXPECT_EQ(sentence(damaged), "record: damaged: what lies there is no record");
+  JournalRecord strange = record(RecordType::announced, {});
+  strange.type = 999;
+  EXPECT_EQ(sentence(strange), "record: damaged: what lies there is no record");
+  EXPECT_EQ(sentence(record(RecordType::free_publisher, {{"topic", 3}, {"index", 1}})),
+            "publisher 1 of topic 3 (forgotten) (forgotten): is over, its place is free");
+  // A topic cannot be called so; the name of a process can.
+  EXPECT_EQ(sentence(named(record(RecordType::rejoined, {{"client", 7}}), "", "\x1b[2J", 1)),
+            "process 7 (\\x1b[2J, pid 1): came back");
+}
+
+TEST(Journal, ChoosesByTopicAndProcess) {
+  const JournalRecord it =
+      told(named(record(RecordType::announced, {}), "/points", "lidar", 812), "viewer", 2);
+  EXPECT_TRUE(passes(it, {}));
+  EXPECT_TRUE(passes(it, {"/points", ""}));
+  EXPECT_FALSE(passes(it, {"/point", ""}));
+  for (const char* const process : {"lidar", "812", "viewer", "2"})
+    EXPECT_TRUE(passes(it, {"", process})) << process;
+  for (const char* const process : {"0", "lida", "81"})
+    EXPECT_FALSE(passes(it, {"", process})) << process;
+  EXPECT_FALSE(passes(it, {"/points", "other"}));
+  JournalRecord damaged{};
+  damaged.state = JournalState::damaged;
+  EXPECT_TRUE(passes(damaged, {}));
+  EXPECT_FALSE(passes(damaged, {"/points", ""}));
+}
+
+}  // namespace
+}  // namespace agnocast::ctl

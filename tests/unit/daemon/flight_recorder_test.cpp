@@ -1,0 +1,189 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: the flight recorder sends what was asked for and is still there, in order and never more than
+// the log holds; it gives a place its name only while that is still whom the record meant; a damaged
+// record is said to be one. Method: the registry over anonymous memory; records overwritten, places
+// used again, a bit flipped.
+
+#include <daemon/flight_recorder.hpp>
+#include <tests/support/registry_memory.hpp>
+
+#include <gtest/gtest.h>
+
+#include <cstring>
+#include <string>
+
+namespace agnocast::daemon {
+namespace {
+
+using journal::RecordType;
+
+struct Answer {
+  std::vector<wire::JournalRecord> records;
+  wire::JournalEnd end{};
+
+  const wire::JournalRecord* newest(RecordType type) const {
+    for (auto at = records.rbegin(); at != records.rend(); ++at)
+      if (at->type == static_cast<std::uint32_t>(type)) return &*at;
+    return nullptr;
+  }
+};
+
+class FlightRecorder : public testing::Test {
+ protected:
+  FlightRecorder() : registry(memory.parts()) { registry.create(1); }
+
+  Answer ask(std::uint64_t last, std::uint64_t count) const {
+    wire::ReadJournal request{};
+    request.header.request = 7;
+    request.last = last;
+    request.count = count;
+    Answer answer;
+    const auto packets = make_journal(registry, request, 1'000);
+    for (std::size_t i = 0; i < packets.size(); ++i) {
+      wire::Header header{};
+      std::memcpy(&header, packets[i].bytes.data(), sizeof header);
+      EXPECT_EQ(header.request, 7u);
+      EXPECT_EQ(header.bytes, packets[i].bytes.size());
+      if (header.opcode == wire::Opcode::journal_end) {
+        EXPECT_EQ(i + 1, packets.size()) << "the end comes last";
+        std::memcpy(static_cast<void*>(&answer.end), packets[i].bytes.data(), sizeof answer.end);
+      } else {
+        answer.records.emplace_back();
+        std::memcpy(static_cast<void*>(&answer.records.back()), packets[i].bytes.data(),
+                    sizeof answer.records.back());
+      }
+    }
+    EXPECT_EQ(answer.end.record_count, answer.records.size());
+    for (std::size_t i = 1; i < answer.records.size(); ++i)
+      EXPECT_EQ(answer.records[i].lsn, answer.records[i - 1].lsn + 1) << "in order, none left out";
+    return answer;
+  }
+  ClientIndex client(const char* name, std::uint32_t pid) {
+    return registry.add_client({1000, 1000, pid, 0, name}).value();
+  }
+  PublisherPlan publisher(ClientIndex owner, TopicIndex at) {
+    const abi::Qos qos{1, false, true, false, false};
+    const PublisherPlan plan = registry.plan_publisher(owner, at, qos).value();
+    registry.add_publisher(owner, at, qos, plan, "node");
+    return plan;
+  }
+
+  test::RegistryMemory memory;
+  Registry registry;
+};
+
+TEST_F(FlightRecorder, SendsTheNewestThatAreThereAndNoMore) {
+  EXPECT_TRUE(ask(0, 10).records.empty()) << "nothing has happened";
+  const ClientIndex a = client("a", 1);
+  for (std::uint64_t i = 1; i < journal::RedoLog::record_count + 10; ++i) registry.note_rejoined(a);
+  const std::uint64_t newest = journal::RedoLog::record_count + 10;
+  Answer answer = ask(0, 3);
+  EXPECT_EQ(answer.end.newest, newest);
+  EXPECT_EQ(answer.end.oldest, 11u);
+  ASSERT_EQ(answer.records.size(), 3u);
+  EXPECT_EQ(answer.records.back().lsn, newest);
+  EXPECT_EQ(answer.records.back().state, wire::JournalState::applied);
+  EXPECT_GE(answer.records[1].stamp_ns, answer.records[0].stamp_ns);
+  EXPECT_GT(answer.records[0].stamp_ns, 0u);
+  answer = ask(0, ~std::uint64_t{0});
+  ASSERT_EQ(answer.records.size(), journal::RedoLog::record_count);
+  EXPECT_EQ(answer.records.front().lsn, 11u);
+  EXPECT_EQ(ask(12, 5).records.size(), 2u) << "11 and 12; older ones are overwritten";
+  EXPECT_TRUE(ask(10, 5).records.empty());
+  EXPECT_EQ(ask(~std::uint64_t{0}, 1).records.at(0).lsn, newest);
+  EXPECT_TRUE(ask(0, 0).records.empty()) << "only how far it is";
+  EXPECT_EQ(ask(0, 0).end.now_ns, 1'000u);
+}
+
+TEST_F(FlightRecorder, NamesAPlaceOnlyWhileItIsStillTheSame) {
+  const ClientIndex a = client("lidar", 812), b = client("viewer", 813);
+  const TopicIndex t = registry.add_topic({0, "/points", "T", 1}).value();
+  const auto p = publisher(a, t);
+  const EndpointRef ref{Kind::publisher, t, p.index};
+  registry.tell(ref, b);
+  registry.let_go(ref, b);
+  registry.let_go_of_region(a, b);
+  registry.orphan_publisher(t, p.index, 0, journal::LeaveCause::rolled_back);
+  const auto check = [&](bool known) {
+    const Answer answer = ask(0, 100);
+    for (const RecordType type :
+         {RecordType::add_publisher, RecordType::announced, RecordType::leave_publisher}) {
+      const auto* const record = answer.newest(type);
+      ASSERT_NE(record, nullptr);
+      EXPECT_STREQ(record->topic.text, known ? "/points" : "");
+      EXPECT_STREQ(record->process.name.text, known ? "lidar" : "");
+      EXPECT_EQ(record->process.pid, known ? 812u : 0u);
+    }
+    EXPECT_STREQ(answer.newest(RecordType::announced)->receiver.name.text, known ? "viewer" : "");
+    const auto* const unlinked = answer.newest(RecordType::unlinked);
+    EXPECT_STREQ(unlinked->topic.text, "") << "a region belongs to no topic";
+    EXPECT_STREQ(unlinked->process.name.text, known ? "lidar" : "");
+    EXPECT_STREQ(unlinked->receiver.name.text, known ? "viewer" : "");
+  };
+  check(true);
+  registry.end_publisher(t, p.index, EndpointState::free);
+  registry.free_topic(t);
+  for (const ClientIndex gone : {a, b}) {
+    registry.client_died(gone, journal::DeathReason::died);
+    registry.client_forgotten(gone);
+    registry.end_client(gone);
+  }
+  check(true);  // nobody has taken the places yet
+  EXPECT_EQ(client("thief", 900), a);
+  EXPECT_EQ(client("other", 901), b);
+  EXPECT_EQ(registry.add_topic({0, "/other", "T", 1}).value(), t);
+  check(false);
+  EXPECT_STREQ(ask(0, 1).records.at(0).topic.text, "/other");
+}
+
+TEST_F(FlightRecorder, SaysWhatAnEndWasAndCountsIt) {
+  const ClientIndex a = client("a", 1), b = client("b", 2), c = client("c", 3);
+  registry.client_died(a, journal::DeathReason::died);
+  registry.client_died(b, journal::DeathReason::revoked);
+  registry.client_died(c, journal::DeathReason::let_go);
+  EXPECT_EQ(ask(0, 1).records.at(0).argument[2], 1u) << "let go";
+  registry.note_recovered({.pid = 44, .away_ns = 5, .dead_count = 2, .board_word_count = 3});
+  const auto recovered = ask(0, 1).records.at(0);
+  EXPECT_EQ(recovered.argument[0], 44u);
+  EXPECT_EQ(recovered.argument[1], 5u);
+  const wire::DaemonCounters& counters = registry.counters();
+  EXPECT_EQ(counters.clients_registered, 3u);
+  EXPECT_EQ(counters.clients_died, 1u);
+  EXPECT_EQ(counters.clients_revoked, 1u);
+  EXPECT_EQ(counters.clients_let_go, 1u);
+  EXPECT_EQ(counters.restarts, 1u);
+  EXPECT_EQ(counters.clients_died_meanwhile, 2u);
+}
+
+TEST_F(FlightRecorder, CountsOnceHoweverOftenARecordIsRedone) {
+  const ClientIndex a = client("a", 1);
+  registry.client_died(a, journal::DeathReason::died);
+  // applied is the word at 128 of the log (journal/redo_log.hpp).
+  auto& applied = SharedMemory::word(memory.parts().log, 128);
+  for (int again = 0; again < 3; ++again) {
+    applied.store(applied.load() - 1);
+    EXPECT_EQ(ask(0, 1).records.at(0).state, wire::JournalState::pending);
+    Registry next(memory.parts());
+    ASSERT_TRUE(next.open());
+    EXPECT_EQ(next.redone_lsn(), 2u);
+    EXPECT_EQ(next.counters().clients_died, 1u);
+    EXPECT_EQ(next.counters().clients_registered, 1u) << "counters outlive the daemon";
+  }
+  EXPECT_EQ(ask(0, 1).records.at(0).state, wire::JournalState::applied);
+}
+
+TEST_F(FlightRecorder, SaysOfADamagedRecordThatItIsOne) {
+  const ClientIndex a = client("a", 1);
+  for (int i = 0; i < 3; ++i) registry.note_rejoined(a);
+  memory.parts().log[abi::page_bytes + 2 * sizeof(journal::Record) + 30] ^= std::byte{4};
+  const Answer answer = ask(0, 10);
+  ASSERT_EQ(answer.records.size(), 4u);
+  EXPECT_EQ(answer.records[1].state, wire::JournalState::damaged);
+  EXPECT_EQ(answer.records[1].lsn, 2u);
+  EXPECT_EQ(answer.records[1].stamp_ns, 0u) << "nothing of it is told";
+  EXPECT_EQ(answer.records[2].state, wire::JournalState::applied);
+}
+
+}  // namespace
+}  // namespace agnocast::daemon

@@ -1,0 +1,214 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: whatever part of a committed change had been made when the daemon died, redoing its record
+// makes it whole and makes nothing else; docs/recovery.md, rows @R. Method: every kind of record is
+// made once on a registry; then the memory is put back to before it, with some of the words it changed
+// already changed (every subset when they are few, else each one, all but each one, and all beginnings
+// and ends), the record left committed and not applied, and a new registry opened over it.
+
+#include <daemon/registry.hpp>
+#include <tests/support/registry_memory.hpp>
+
+#include <gtest/gtest.h>
+
+#include <cstdio>
+#include <cstring>
+#include <functional>
+#include <set>
+#include <vector>
+
+namespace agnocast::daemon {
+namespace {
+
+using journal::DeathReason;
+using journal::LeaveCause;
+using journal::RecordType;
+
+constexpr std::uint64_t subset_words_max = 8;
+
+/// The part of the memory that this test's few places use, as words.
+class Words {
+ public:
+  explicit Words(const Registry::Memory& memory) {
+    auto& tables = *reinterpret_cast<Tables*>(memory.tables);
+    add(&tables.header, sizeof tables.header);
+    for (std::uint32_t c = 0; c < 4; ++c)
+      add(&tables.client[c], sizeof(ClientRecord), offsetof(ClientRecord, name));
+    for (std::uint32_t t = 0; t < 2; ++t) {
+      add(&tables.topic[t], sizeof(TopicRecord), offsetof(TopicRecord, name));
+      for (std::uint32_t i = 0; i < 2; ++i) {
+        add(&tables.publisher[t][i], sizeof(PublisherRecord), offsetof(PublisherRecord, node));
+        add(&tables.subscription[t][i], sizeof(SubscriptionRecord),
+            offsetof(SubscriptionRecord, node));
+      }
+      std::byte* const line = memory.board + abi::topic_offset(t);
+      epochs_.insert(words_.size());
+      add(line, abi::publisher_entry_offset(2));
+      add(line + abi::subscription_entry_offset(abi::publisher_count_max, 0),
+          2 * sizeof(abi::SubscriptionEntry));
+    }
+  }
+  using State = std::vector<std::uint64_t>;
+  State state() const {
+    State state;
+    for (const std::uint64_t* const word : words_) state.push_back(*word);
+    return state;
+  }
+  void put(const State& state) const {
+    for (std::size_t i = 0; i < words_.size(); ++i) *words_[i] = state[i];
+  }
+  /// Written before the record is: part of every beginning.
+  bool is_name(std::size_t word) const { return names_.count(word) != 0; }
+  /// May move once more than it had to.
+  bool is_epoch(std::size_t word) const { return epochs_.count(word) != 0; }
+
+ private:
+  void add(void* at, std::size_t bytes, std::size_t name_offset = SIZE_MAX) {
+    for (std::size_t offset = 0; offset < bytes; offset += 8) {
+      if (offset >= name_offset) names_.insert(words_.size());
+      words_.push_back(reinterpret_cast<std::uint64_t*>(static_cast<std::byte*>(at) + offset));
+    }
+  }
+  std::vector<std::uint64_t*> words_;
+  std::set<std::size_t> names_, epochs_;
+};
+
+class Redo : public testing::Test {
+ protected:
+  Redo() : words(memory.parts()), life(std::make_unique<Registry>(memory.parts())) {
+    life->create(1);
+  }
+
+  std::uint64_t& applied() {
+    // The word at 128 of the log (journal/redo_log.hpp).
+    return *reinterpret_cast<std::uint64_t*>(memory.parts().log + 128);
+  }
+
+  void redo_from(const Words::State& before, const Words::State& after,
+                 const std::vector<std::size_t>& changed, const std::vector<bool>& made) {
+    Words::State middle = before;
+    for (std::size_t i = 0; i < before.size(); ++i)
+      if (words.is_name(i)) middle[i] = after[i];
+    for (std::size_t i = 0; i < changed.size(); ++i)
+      if (made[i]) middle[changed[i]] = after[changed[i]];
+    words.put(middle);
+    applied() -= 1;
+    Registry next(memory.parts());
+    ASSERT_TRUE(next.open());
+    ++redone;
+    const Words::State found = words.state();
+    for (std::size_t i = 0; i < found.size(); ++i) {
+      if (words.is_epoch(i)) {
+        ASSERT_LE(found[i] - after[i], 1u) << "an epoch";
+      } else {
+        ASSERT_EQ(found[i], after[i]) << "word " << i;
+      }
+    }
+    ASSERT_FALSE(next.log().pending().has_value());
+  }
+
+  /// `operation` makes exactly one record, of this type.
+  void step(RecordType type, const std::function<void(Registry&)>& operation) {
+    SCOPED_TRACE(std::string(journal::name_of(type)));
+    const std::uint64_t lsn = life->log().committed_lsn();
+    const Words::State before = words.state();
+    operation(*life);
+    ASSERT_EQ(life->log().committed_lsn(), lsn + 1) << "one record";
+    ASSERT_EQ(life->log().read(lsn + 1)->type, type);
+    const Words::State after = words.state();
+    std::vector<std::size_t> changed;
+    for (std::size_t i = 0; i < before.size(); ++i)
+      if (before[i] != after[i] && !words.is_name(i)) changed.push_back(i);
+    EXPECT_FALSE(changed.empty()) << "the change is not where this test looks";
+    if (changed.size() <= subset_words_max) {
+      for (std::uint64_t set = 0; set < std::uint64_t{1} << changed.size(); ++set) {
+        std::vector<bool> made;
+        for (std::size_t i = 0; i < changed.size(); ++i) made.push_back((set >> i & 1) != 0);
+        redo_from(before, after, changed, made);
+      }
+    } else {
+      for (std::size_t i = 0; i <= changed.size(); ++i) {
+        std::vector<bool> beginning, end, one, others;
+        for (std::size_t k = 0; k < changed.size(); ++k) {
+          beginning.push_back(k < i);
+          end.push_back(k >= i);
+          one.push_back(k == i);
+          others.push_back(k != i);
+        }
+        for (const auto& made : {beginning, end, one, others})
+          redo_from(before, after, changed, made);
+      }
+    }
+    words.put(after);
+    seen.insert(type);
+    // What is kept beside the tables has to be derived again all the same.
+    life = std::make_unique<Registry>(memory.parts());
+    ASSERT_TRUE(life->open());
+  }
+
+  test::RegistryMemory memory;
+  Words words;
+  std::unique_ptr<Registry> life;
+  std::set<RecordType> seen;
+  std::uint64_t redone = 0;
+};
+
+TEST_F(Redo, MakesEveryChangeWholeWhateverPartOfItWasMade) {
+  using R = Registry;
+  const ClientIndex a{0}, b{1};
+  const TopicIndex t{0};
+  const abi::Qos qos{4, false, true, false, false};
+  const EndpointRef publisher{Kind::publisher, t, 0}, subscription{Kind::subscription, t, 0};
+  for (const auto* const name : {"a", "b"})
+    step(RecordType::register_client, [&](R& r) {
+      ASSERT_TRUE(r.add_client({1000, 1001, 77, 3, name}));
+    });
+  step(RecordType::open_window, [&](R& r) { r.open_window(a, {0x200000000000, 1 << 21}); });
+  step(RecordType::open_executor, [&](R& r) { r.open_executor(b, 5); });
+  step(RecordType::add_topic, [&](R& r) { ASSERT_TRUE(r.add_topic({3, "/topic", "T", 9})); });
+  step(RecordType::add_publisher,
+       [&](R& r) { r.add_publisher(a, t, qos, r.plan_publisher(a, t, qos).value(), "talker"); });
+  step(RecordType::add_subscription, [&](R& r) {
+    auto plan = r.plan_subscription(b, t, qos, 7).value();
+    plan.raises.clear();
+    r.add_subscription(b, t, qos, 7, 5, plan, "listener");
+  });
+  step(RecordType::raise_slots, [&](R& r) { r.raise_slots(t, {0, 512}); });
+  step(RecordType::announced, [&](R& r) { r.tell(publisher, b); });
+  step(RecordType::announced, [&](R& r) { r.tell(subscription, a); });
+  step(RecordType::rejoined, [&](R& r) { r.note_rejoined(a); });
+  step(RecordType::recovered, [&](R& r) {
+    r.note_recovered({.pid = 4, .away_ns = 5, .dead_count = 6, .board_word_count = 7});
+  });
+  step(RecordType::leave_publisher,
+       [&](R& r) { r.orphan_publisher(t, 0, abi::pack_entry(99, 3), LeaveCause::rolled_back); });
+  step(RecordType::leave_subscription,
+       [&](R& r) { r.change_subscription(t, 0, EndpointState::leaving); });
+  step(RecordType::leave_subscription,
+       [&](R& r) { r.change_subscription(t, 0, EndpointState::over); });
+  step(RecordType::client_dead, [&](R& r) { r.client_died(a, DeathReason::died); });
+  step(RecordType::client_forgotten, [&](R& r) { r.client_forgotten(a); });
+  step(RecordType::unlinked, [&](R& r) { r.let_go(publisher, b); });
+  step(RecordType::unlinked, [&](R& r) { r.let_go_of_region(a, b); });
+  step(RecordType::free_publisher, [&](R& r) { r.end_publisher(t, 0, EndpointState::over); });
+  step(RecordType::free_publisher, [&](R& r) { r.end_publisher(t, 0, EndpointState::free); });
+  step(RecordType::free_subscription, [&](R& r) { r.free_subscription(t, 0); });
+  step(RecordType::free_topic, [&](R& r) { r.free_topic(t); });
+  step(RecordType::client_end, [&](R& r) { r.end_client(a); });
+  // Places that were used before.
+  step(RecordType::register_client, [&](R& r) {
+    ASSERT_EQ(r.add_client({1, 2, 78, 3, "c"}).value(), a);
+  });
+  step(RecordType::add_topic, [&](R& r) { ASSERT_EQ(r.add_topic({3, "/x", "T", 9}).value(), t); });
+  step(RecordType::add_publisher,
+       [&](R& r) { r.add_publisher(a, t, qos, r.plan_publisher(a, t, qos).value(), "talker"); });
+#define AGNOCAST_WAS_SEEN(name, number, arguments) \
+  EXPECT_TRUE(number == 0 || seen.count(RecordType::name) == 1) << #name << " was not redone";
+  AGNOCAST_RECORD_TABLE(AGNOCAST_WAS_SEEN)
+#undef AGNOCAST_WAS_SEEN
+  std::printf("redo: %zu kinds of records, %llu ways to die in them\n", seen.size(),
+              static_cast<unsigned long long>(redone));
+}
+
+}  // namespace
+}  // namespace agnocast::daemon
