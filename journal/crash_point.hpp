@@ -12,8 +12,6 @@
 
 #include <base/step.hpp>
 
-#ifdef AGNOCAST_CRASH_POINTS
-
 #include <agnocast/export.hpp>
 
 #include <atomic>
@@ -35,6 +33,8 @@ static_assert(std::atomic<std::uint64_t>::is_always_lock_free);
 
 inline constexpr std::uint64_t jitter_ns_max = 3'000'000;
 
+#ifdef AGNOCAST_CRASH_POINTS
+
 /// From now on this process does what `control` says; it must stay mapped.
 AGNOCAST_PUBLIC void use(Control& control) noexcept;
 
@@ -44,6 +44,6 @@ AGNOCAST_PUBLIC void arm(std::uint64_t n) noexcept;
 /// Crash points reached since arm().
 AGNOCAST_PUBLIC std::uint64_t reached() noexcept;
 
-}  // namespace agnocast::crash_points
-
 #endif
+
+}  // namespace agnocast::crash_points
