@@ -99,6 +99,13 @@ const Script scripts[] = {
      "drain 2;"
      "V release; V sync; A pub 3 /s 20; sync; A publish 3 1; V drain 2; V unsub 2; V sync; V quit;"
      "A unpub 3"},
+    {"a publisher whose subscribers come and go",
+     "A sub 1 /s 20; B sub 4 /s 20; sync; V pub 2 /s 20; sync; V publish 2 1; A drain 1; B take 4; "
+     "A unsub 1;"
+     "V sync; V publish 2 1; B release; B drain 4; B unsub 4; V sync; V publish 2 1; A sub 3 /s "
+     "20; sync;"
+     "V publish 2 1; A take 3; A unsub 3; V sync; V publish 2 1; A release; V sync; V unpub 2; V "
+     "sync; V quit"},
     {"windows are added",
      "A sub 1 /s 30t; V pub 2 /s 30t; sync; V big 2 10; V arm; V big 2 2; V sync; V big 2 3; A "
      "take 1;"
