@@ -83,7 +83,7 @@ Result<void> Broker::adopt_client(ClientIndex client, std::uint64_t& lost) {
       return watch(client, std::move(process));
     }
     whole = false;
-  } else if (is_reaped(client, registry_)) {
+  } else if (record.state == ClientState::forgotten) {
     regions_.bury_client(client);
   }
   if (!whole) {
@@ -153,7 +153,7 @@ std::uint64_t Broker::reap_while_away(const std::vector<ClientIndex>& ended) {
     if (state == ClientState::alive) {
       repair(client, DeathReason::died, "ended while the daemon was away");
       ++dead;
-    } else if (state == ClientState::dead && !is_reaped(client, registry_)) {
+    } else if (state == ClientState::dead) {
       // Its reason is in the record of its death.
       repair(client, DeathReason::died, "its end was not finished by the former daemon");
     }

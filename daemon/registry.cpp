@@ -253,6 +253,7 @@ void Registry::apply_to_client(const Record& record) {
         for (std::uint32_t i = 0; i < topic.subscription_high; ++i)
           forget(tables_.subscription[t][i].told, gone);
       }
+      store(client.state, ClientState::forgotten);
       break;
     }
     default:  // client_end
@@ -472,7 +473,7 @@ void Registry::client_forgotten(ClientIndex index) {
 }
 
 bool Registry::can_end(ClientIndex index) const {
-  return client(index).state == ClientState::dead && endpoints_of(index).empty() &&
+  return client(index).state == ClientState::forgotten && endpoints_of(index).empty() &&
          client(index).told.reusable();
 }
 

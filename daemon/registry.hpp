@@ -170,7 +170,7 @@ class Registry {
   void client_died(ClientIndex index, journal::DeathReason reason);
   /// It has let go of everything that it was ever told about.
   void client_forgotten(ClientIndex index);
-  /// Dead, without endpoints, known to nobody: its place may be used again after end_client().
+  /// Forgotten, without endpoints, known to nobody: its place may be used again after end_client().
   bool can_end(ClientIndex index) const;
   void end_client(ClientIndex index);
 

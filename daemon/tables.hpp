@@ -38,7 +38,8 @@ using AnnounceSet = journal::AnnounceSet<SharedMemory>;
 enum class ClientState : std::uint32_t {
   free = 0,
   alive = 1,
-  dead = 2,  // its process is gone; others may still have its region
+  dead = 2,       // its process is gone; what it had and knew is being undone
+  forgotten = 3,  // that is done; others may still have its region
 };
 enum class TopicState : std::uint32_t { free = 0, used = 1 };
 
