@@ -24,6 +24,9 @@ struct Control {
   std::atomic<std::uint64_t> reached;  // crash points so far
   std::atomic<std::uint64_t> deadly;   // the process dies at this one (1-based); 0 = never
   std::atomic<std::uint64_t> last;     // the Step it died at, plus one; 0 = at none
+  std::atomic<std::uint64_t>
+      from;  // nothing counts before this Step, plus one; 0 = everything does
+  std::atomic<std::uint64_t> then;  // who comes after it dies so many points later; 0 = never
   // Jitter: what happens at the n-th point is a function of the seed and n. Per million points:
   std::atomic<std::uint64_t> seed;
   std::atomic<std::uint64_t> sleeps;  // for up to jitter_ns_max, mostly far less

@@ -34,7 +34,7 @@ using References = std::map<std::uint64_t, wire::Reference>;
 /// What lies in memfds that the kernel keeps for the next daemon.
 class KeptMemory {
  public:
-  KeptMemory() : regions_(Regions::create().value()) {
+  KeptMemory() : regions_(Regions::create(store_).value()) {
     for (std::uint32_t i = 0; i < core_client_count; ++i) {
       if (!regions_.open_client(ClientIndex{i}, i + 1)) throw std::runtime_error("a client region");
       for (int window = 0; window < 2; ++window) {
@@ -44,8 +44,10 @@ class KeptMemory {
     }
   }
   Regions& regions() { return regions_; }
+  DescriptorStore& store() { return store_; }
 
  private:
+  DescriptorStore store_;  // keeps nothing: the test does
   Regions regions_;
 };
 
@@ -55,7 +57,7 @@ class Core final : private Post {
   Core(KeptMemory& memory, const std::string& bells, References& references)
       : regions_(memory.regions()),
         registry_(regions_.memory()),
-        doorbells_(bells),
+        doorbells_(bells, memory.store()),
         membership_(registry_, regions_, doorbells_, *this),
         sessions_(core_client_count),
         references_(references) {}
@@ -147,11 +149,12 @@ class Core final : private Post {
   /// As a daemon begins that finds all this: the change under way, the deaths under way and those that
   /// it finds, whatever is over; everybody who lives comes back.
   void resume(const std::set<std::uint32_t>& ended) {
-    require(registry_.open(), "these are not our tables");
+    require(registry_.open().has_value(), "these are not our tables");
+    registry_.repair_board();
     for (std::uint32_t i = 0; i < registry_.client_high(); ++i) {
       if (is_dying(i) || ended.count(i) != 0) reap(i);
     }
-    membership_.settle_all();
+    membership_.finish();
     for (std::uint32_t i = 0; i < registry_.client_high(); ++i) {
       if (!registry_.is_alive(ClientIndex{i})) continue;
       if (registry_.client(ClientIndex{i}).executors != 0) ring_at(i);

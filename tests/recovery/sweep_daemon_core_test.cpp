@@ -175,7 +175,8 @@ class CoreSweep : public testing::Test {
   }
   /// Resumes and repeats the operation; the progress is 1 when the tables are open.
   void repeat(Core& core, std::size_t at) {
-    if (!core.registry().open()) throw std::runtime_error("no tables of ours");
+    if (const auto opened = core.registry().open(); !opened)
+      throw std::runtime_error("no tables of ours");
     progress_->store(1);
     core.resume(script[at].ended);
     script[at].run(core, true);
@@ -234,7 +235,7 @@ TEST_F(CoreSweep, ADaemonKilledAtAnyStoreIsFollowedByOneThatGoesOn) {
     };
     {
       Core core(memory, bells(), references_);
-      ASSERT_TRUE(core.registry().open()) << where;
+      ASSERT_TRUE(core.registry().open().has_value()) << where;
       created = true;
       const std::uint64_t lsn = core.registry().log().committed_lsn();
       const auto [known, is_new] =

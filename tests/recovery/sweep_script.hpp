@@ -74,6 +74,7 @@ struct Run {
   std::map<std::uint64_t, std::uint64_t> acknowledged;  // publisher → numbers
   std::optional<std::size_t> noticed_dead;              // before or at this command
   std::size_t last_answer = 0;                          // of V
+  int unwelcomed = 0;                                   // how often V had to say hello again
   std::string wrong;
 };
 
@@ -98,26 +99,53 @@ class Performance {
     }
     stage_.set_living(survivors_.size());
     for (int i = 0; i < 2; ++i) {
+      stage_.daemon_control().arm(0);
       reference_ = play(0);
       if (!reference_.wrong.empty()) return "rehearsal: " + reference_.wrong;
       if (i == 0) {
         baseline_ = state_at_rest();
+        descriptors_ = stage_.daemon().descriptor_count();
       }
     }
+    daemon_points_ = stage_.daemon_control().reached();
     points_ = control_.reached();
     return {};
   }
   /// Crash points of V in a run without a death.
   std::uint64_t points() const { return points_; }
 
+  /// Crash points of the daemon in it.
+  std::uint64_t daemon_points() const { return daemon_points_; }
+
   struct Ended {
     std::optional<Step> died_at;
     std::string wrong;
+    bool unwelcomed = false;
   };
+  /// The daemon dies at its n-th point, and the next one `then` points later. Nobody notices.
+  Ended perform_daemon(std::uint64_t n, std::uint64_t then) {
+    ControlPage& control = stage_.daemon_control();
+    control.arm(n, then);
+    daemon_dies_ = true;
+    const Run run = play(0);
+    control.disarm();
+    Ended ended{control.died_at(), run.wrong, run.unwelcomed != 0};
+    if (ended.wrong.empty()) ended.wrong = compare_answers(run);
+    if (ended.wrong.empty()) ended.wrong = stage_.verify();
+    return ended;
+  }
+  /// V dies at its n-th point, and the daemon at the m-th point of what it does about it.
+  Ended perform_pair(std::uint64_t n, std::uint64_t m) {
+    stage_.daemon_control().arm_from(Step::B_reap, m);
+    daemon_dies_ = true;
+    Ended ended = perform(n);
+    stage_.daemon_control().disarm();
+    return ended;
+  }
   /// V dies at its n-th point; then everything once more without a death.
   Ended perform(std::uint64_t n) {
     Run run = play(n);
-    Ended ended{control_.died_at(), std::move(run.wrong)};
+    Ended ended{control_.died_at(), std::move(run.wrong), run.unwelcomed != 0};
     if (ended.wrong.empty()) ended.wrong = compare(run);
     if (!ended.wrong.empty() || !ended.died_at) return ended;
     run = play(0);
@@ -167,7 +195,12 @@ class Performance {
       mourn(run, control_.died_at().has_value());
       return;
     }
-    const auto answer = victim_->ask(command.text);
+    auto answer = victim_->ask(command.text);
+    // A daemon that dies while it welcomes a process: that process is told so, and may try again.
+    while (daemon_dies_ && run.last_answer == 0 && answer &&
+           answer->find("the connection to agnocastd has ended") != std::string::npos &&
+           ++run.unwelcomed < 10)
+      answer = victim_->ask(command.text);
     if (!answer) {
       if (publishes(command)) run.interrupted[command.id] = command.count();
       return mourn(run);
@@ -255,10 +288,8 @@ class Performance {
 
   /// Everything the daemon knows, but generations and times.
   std::string state() {
-    const ctl::System system = stage_.look();
-    std::string text = "descriptors of the daemon " +
-                       std::to_string(stage_.daemon().descriptor_count()) + ", connections " +
-                       std::to_string(system.daemon.connections) + ", windows " +
+    const ctl::System system = stage_.look_in_time();
+    std::string text = "connections " + std::to_string(system.daemon.connections) + ", windows " +
                        std::to_string(system.daemon.windows_used) + "\n";
     const auto name_of = [&](std::uint32_t pid) -> std::string {
       for (const auto& [who, survivor] : survivors_) {
@@ -267,9 +298,9 @@ class Performance {
       return victim_ != nullptr && static_cast<std::uint32_t>(victim_->pid()) == pid ? "V" : "?";
     };
     for (const auto& [index, process] : system.processes) {
-      text += "process " + std::to_string(index) + " " + name_of(process.facts.pid) + " state " +
-              std::to_string(static_cast<std::uint32_t>(process.facts.state)) + " executors " +
-              std::to_string(process.facts.executors) + " windows";
+      text += "process " + std::to_string(index) + " " + name_of(process.facts.pid) +
+              (process.facts.state == ctl::wire::ProcessState::dead ? " dead" : "") +
+              " executors " + std::to_string(process.facts.executors) + " windows";
       for (std::uint32_t w = 0; w < process.facts.window_count; ++w)
         text += " " + std::to_string(process.facts.window[w].base);
       text += "\n";
@@ -304,14 +335,24 @@ class Performance {
     if (baseline_.empty()) return;
     std::string now;
     const auto is_as_before = [&] { return (now = state()) == baseline_; };
-    if (!test::eventually(is_as_before))
+    if (!test::eventually(is_as_before)) {
       run.wrong = "something stays behind; before:\n" + baseline_ + "now:\n" + now;
+      return;
+    }
+    if (daemon_dies_) return;  // the next one has descriptors of its own
+    std::size_t descriptors = 0;
+    if (!test::eventually(
+            [&] { return (descriptors = stage_.daemon().descriptor_count()) == descriptors_; }))
+      run.wrong = "the daemon has " + std::to_string(descriptors) + " descriptors, before " +
+                  std::to_string(descriptors_);
   }
 
   // --- comparisons
 
   std::string compare_answers(const Run& run) const {
     for (std::size_t i = 0; i < commands_.size(); ++i) {
+      // Who had to say hello again may have got another place.
+      if (commands_[i].who == '*' && run.unwelcomed != 0) continue;
       if (run.answers[i] != reference_.answers[i]) return differs(i, run.answers[i]);
     }
     return {};
@@ -392,7 +433,9 @@ class Performance {
   bool left_something_ = false;
   Run reference_;
   std::string baseline_;
-  std::uint64_t points_ = 0;
+  std::size_t descriptors_ = 0;
+  bool daemon_dies_ = false;
+  std::uint64_t points_ = 0, daemon_points_ = 0;
 };
 
 }  // namespace agnocast::sweep

@@ -39,12 +39,26 @@ class ControlPage {
     mapping_ = Mapping::map(file.get(), abi::page_bytes, Mapping::Access::read_write).value();
   }
   const std::string& path() const { return path_; }
-  /// The process dies at the n-th point from now on; 0 = it only counts.
-  void arm(std::uint64_t n) {
+  /// The process dies at the n-th point from now on; 0 = it only counts. `then`: who comes after it
+  /// on this page dies so many points later.
+  void arm(std::uint64_t n, std::uint64_t then = 0) {
     words().last.store(0);
     words().deadly.store(0);
+    words().from.store(0);
     words().reached.store(0);
+    words().then.store(then);
     words().deadly.store(n);
+  }
+  /// The same, counted from the next time that it comes to this step.
+  void arm_from(Step step, std::uint64_t n) {
+    arm(0);
+    words().from.store(static_cast<std::uint64_t>(step) + 1);
+    words().deadly.store(n);
+  }
+  void disarm() {
+    words().deadly.store(0);
+    words().then.store(0);
+    words().from.store(0);
   }
   std::uint64_t reached() const { return words().reached.load(); }
   /// Where it died, if at a crash point.
@@ -129,7 +143,13 @@ class SweepStage {
     return std::make_unique<SweepProcess>(std::move(*listener_.accept().value()), pid);
   }
 
-  /// What the daemon knows now.
+  /// What the daemon knows, as soon as there is one.
+  ctl::System look_in_time() {
+    ctl::System system;
+    (void)test::eventually([&] { return (system = look()).daemon.pid != 0; });
+    return system;
+  }
+  /// What the daemon knows now; nothing when there is none.
   ctl::System look() {
     if (!observer_) {
       auto connected = ctl::Observer::connect(daemon_.socket_path());
@@ -146,7 +166,7 @@ class SweepStage {
   std::string verify() {
     std::set<ctl::Finding> broken;
     for (int looks = 0; looks < 6; ++looks) {
-      const ctl::System system = look();
+      const ctl::System system = look_in_time();
       if (!observer_) return "the daemon does not answer";
       const ctl::Audit audit = ctl::audit(system, observer_->region_bytes());
       if (looks == 0) {

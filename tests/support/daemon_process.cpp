@@ -183,6 +183,7 @@ void DaemonProcess::begin(const DaemonOptions& options) {
   ASSERT_EQ(::chmod(notify.c_str(), 0666), 0);
 
   Start what;
+  if (!options.program.empty()) what.program = options.program;
   what.arguments = {"--foreground", "--config", directory_ + "/agnocastd.toml", "--socket",
                     socket_path_};
   what.arguments.insert(what.arguments.end(), options.arguments.begin(), options.arguments.end());

@@ -42,6 +42,8 @@ struct DaemonOptions {
   std::vector<std::string> arguments = {};
   /// Where to listen; empty: in its own directory.
   std::string socket = {};
+  /// The program, another one than the build's.
+  std::string program = {};
   /// As on a kernel before 6.5: SO_PEERPIDFD is not known (a seccomp filter answers).
   bool without_peer_pidfd = false;
   /// NAME=value, beside the test's own.
