@@ -78,7 +78,7 @@ class Core final : private Post {
     const ClientIndex index{client};
     if (again && registry_.client(index).window_count > window) return;
     registry_.open_window(
-        index, {0x200000000000 + (client * 2 + window) * core_window_bytes, core_window_bytes});
+        index, {0x200000000000 + (client * 2 + window) * core_window_bytes, core_window_bytes, 0});
     membership_.announce_window(index);
   }
   void open_executor(std::uint32_t client) {
