@@ -84,9 +84,7 @@ Errc UntypedPublisher::state() const noexcept {
   return service_state();
 }
 
-bool UntypedPublisher::is_active() const noexcept {
-  return endpoint_ != nullptr && !is_revoked();
-}
+bool UntypedPublisher::is_active() const noexcept { return endpoint_ != nullptr && !is_revoked(); }
 
 Errc UntypedPublisher::publish(void* message, std::size_t bytes) noexcept {
   switch (endpoint_->publish(message, bytes)) {

@@ -316,6 +316,13 @@ void Broker::reap_peer(Peer& peer, DeathReason reason, std::string_view how) {
     // The rest was done when it was revoked; now its place may be used again.
     registry_.client_died(client, reason);
     store_.remove(DescriptorStore::process(client));
+    const ClientRecord& record = registry_.client(client);
+    note(LogLevel::info, record.uid, "client gone",
+         {{"client", number(client)},
+          {"pid", record.pid},
+          {"uid", record.uid},
+          {"how", how},
+          {"was", "revoked"}});
     membership_.settle_client(client);
     return;
   }
@@ -350,6 +357,7 @@ void Broker::revoke(Peer& peer, const std::string& why) {
     ++detached_count_;
     ++connections_[peer.session.identity().uid].detached;
   }
+  obstacles_.forget(client);
   const Reaped reaped =
       reap(client, DeathReason::revoked, registry_, regions_, doorbells_, membership_);
   log_.write(LogLevel::warning, "client revoked",

@@ -113,6 +113,7 @@ class Broker final : private Post {
   bool was_revoked(const Peer& peer) const;
   // --- resume
   [[nodiscard]] Result<void> adopt_client(ClientIndex client, std::uint64_t& lost);
+  [[nodiscard]] Result<void> adopt_revoked(ClientIndex client, bool whole);
   void back_endpoints(ClientIndex client);
   [[nodiscard]] Result<void> watch(ClientIndex client, UniqueFd process);
   std::uint64_t reap_while_away(const std::vector<ClientIndex>& ended);

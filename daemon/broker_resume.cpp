@@ -19,6 +19,7 @@
 #include <sys/epoll.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <utility>
 
 namespace agnocast::daemon {
@@ -85,14 +86,9 @@ Result<void> Broker::adopt_client(ClientIndex client, std::uint64_t& lost) {
     whole = false;
   } else {
     if (registry_.is_revoked(client)) {
-      const std::size_t peers = peers_.size();
-      if (UniqueFd process = store_.take(DescriptorStore::process(client))) {
-        if (auto watched = watch(client, std::move(process)); !watched) return watched;
-      }
-      // Nobody to be watched: its place need not be kept.
-      if (peers_.size() == peers) registry_.client_died(client, DeathReason::died);
+      if (auto backed = adopt_revoked(client, whole); !backed) return backed;
     }
-    if (is_reaped(client, registry_)) regions_.bury_client(client);
+    if (record.state == ClientState::forgotten) regions_.bury_client(client);
   }
   if (!whole) {
     ++lost;
@@ -101,6 +97,21 @@ Result<void> Broker::adopt_client(ClientIndex client, std::uint64_t& lost) {
                 {"pid", record.pid},
                 {"why", adopted ? "its pidfd was not kept" : adopted.error().what}});
   }
+  return {};
+}
+
+// Whom nobody can watch any more has ended, as far as this daemon can know: its place need not be kept.
+Result<void> Broker::adopt_revoked(ClientIndex client, bool whole) {
+  UniqueFd process = store_.take(DescriptorStore::process(client));
+  if (process && whole) {
+    if (auto watched = watch(client, std::move(process)); !watched) return watched;
+  }
+  const auto is_watched = [&](const auto& entry) {
+    return entry.second->revoked && entry.second->session.client() == client;
+  };
+  if (std::any_of(peers_.begin(), peers_.end(), is_watched)) return {};
+  registry_.client_died(client, DeathReason::died);
+  store_.remove(DescriptorStore::process(client));
   return {};
 }
 
@@ -162,7 +173,7 @@ std::uint64_t Broker::reap_while_away(const std::vector<ClientIndex>& ended) {
     if (state == ClientState::alive) {
       repair(client, DeathReason::died, "ended while the daemon was away");
       ++dead;
-    } else if (state == ClientState::dead && !is_reaped(client, registry_)) {
+    } else if (state == ClientState::dead) {
       repair(client, registry_.client(client).reason,
              "its end was not finished by the former daemon");
     }

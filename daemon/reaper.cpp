@@ -78,32 +78,6 @@ Reaped reap(ClientIndex client, journal::DeathReason reason, Registry& registry,
   return reaped;
 }
 
-bool is_reaped(ClientIndex client, const Registry& registry) {
-  for (const EndpointRef& ref : registry.endpoints_of(client)) {
-    const EndpointState state = ref.kind == Kind::publisher
-                                    ? registry.publisher(ref.topic, ref.index).state
-                                    : registry.subscription(ref.topic, ref.index).state;
-    if (state == EndpointState::active || state == EndpointState::leaving) return false;
-  }
-  const auto is_told = [&](const AnnounceSet& told) { return told.contains(number(client)); };
-  bool forgotten = true;
-  for (std::uint32_t i = 0; i < registry.client_high(); ++i) {
-    const ClientRecord& other = registry.client(static_cast<ClientIndex>(i));
-    forgotten = forgotten && (other.state == ClientState::free || !is_told(other.told));
-  }
-  for (std::uint32_t t = 0; t < registry.topic_high(); ++t) {
-    const TopicIndex topic{t};
-    if (registry.topic(topic).state == TopicState::free) continue;
-    registry.for_each_publisher(topic, [&](std::uint32_t, const PublisherRecord& record) {
-      forgotten = forgotten && !is_told(record.told);
-    });
-    registry.for_each_subscription(topic, [&](std::uint32_t, const SubscriptionRecord& record) {
-      forgotten = forgotten && !is_told(record.told);
-    });
-  }
-  return forgotten;
-}
-
 bool maps_file(pid_t pid, const Regions::FileId& file) noexcept {
   if (pid <= 0) return true;
   char path[64];

@@ -41,9 +41,6 @@ struct Reaped {
 Reaped reap(ClientIndex client, journal::DeathReason reason, Registry& registry, Regions& regions,
             Doorbells& doorbells, Membership& membership);
 
-/// Whether reap() has done for a dead process whatever nobody else has to let go of first.
-bool is_reaped(ClientIndex client, const Registry& registry);
-
 /// Whether the process has a mapping of this file. True as well when it cannot be known.
 bool maps_file(pid_t pid, const Regions::FileId& file) noexcept;
 

@@ -237,7 +237,8 @@ void Registry::apply_to_client(const Record& record) {
       break;
     case Type::client_dead:
       store(client.reason, static_cast<DeathReason>(record.argument[2]));
-      store(client.state, ClientState::dead);
+      // What was revoked is forgotten already when it ends.
+      store(client.state, std::max(client.state, ClientState::dead));
       store(death_counter(tables_.header.counters, static_cast<DeathReason>(record.argument[2])),
             record.argument[3]);
       break;
@@ -254,6 +255,7 @@ void Registry::apply_to_client(const Record& record) {
         for (std::uint32_t i = 0; i < topic.subscription_high; ++i)
           forget(tables_.subscription[t][i].told, gone);
       }
+      store(client.state, ClientState::forgotten);
       break;
     }
     default:  // client_end
@@ -461,8 +463,8 @@ void Registry::open_executor(ClientIndex index, std::uint32_t executor) {
 }
 
 void Registry::client_died(ClientIndex index, DeathReason reason) {
-  AGNOCAST_CHECK(client(index).state != ClientState::free);
-  // The end of what was revoked is no death more.
+  AGNOCAST_CHECK(is_alive(index) || is_revoked(index));
+  // It was counted when it was revoked.
   const std::uint64_t more = is_revoked(index) ? 0 : 1;
   change(Type::client_dead,
          {number(index), client(index).generation, static_cast<std::uint64_t>(reason),
@@ -475,7 +477,7 @@ void Registry::client_forgotten(ClientIndex index) {
 }
 
 bool Registry::can_end(ClientIndex index) const {
-  return client(index).state == ClientState::dead && !is_revoked(index) &&
+  return client(index).state == ClientState::forgotten && !is_revoked(index) &&
          endpoints_of(index).empty() && client(index).told.reusable();
 }
 

@@ -169,13 +169,15 @@ class Registry {
   /// It is no member any more. Its endpoints stay what they are until they are changed one by one.
   /// Said again of one that was revoked when its process is gone.
   void client_died(ClientIndex index, journal::DeathReason reason);
+  /// No member any more, and its process has not ended.
   bool is_revoked(ClientIndex index) const noexcept {
-    return client(index).state == ClientState::dead &&
+    return client(index).state >= ClientState::dead &&
            client(index).reason == journal::DeathReason::revoked;
   }
   /// It has let go of everything that it was ever told about.
   void client_forgotten(ClientIndex index);
-  /// Gone, without endpoints, known to nobody: its place may be used again after end_client().
+  /// Gone, forgotten, without endpoints, known to nobody: its place may be used again after
+  /// end_client().
   bool can_end(ClientIndex index) const;
   void end_client(ClientIndex index);
 

@@ -29,6 +29,8 @@ std::uint64_t mixed(std::uint64_t x) noexcept {
 }
 
 void die(Control& told, Step step) noexcept {
+  if (const std::uint64_t more = told.then.exchange(0, std::memory_order_relaxed); more != 0)
+    told.deadly.fetch_add(more, std::memory_order_relaxed);
   told.last.store(static_cast<std::uint64_t>(step) + 1, std::memory_order_relaxed);
   ::kill(::getpid(), SIGKILL);
 }
@@ -62,6 +64,10 @@ void jitter(Control& told, Step step, std::uint64_t seed, std::uint64_t n) noexc
 
 void crash_point(Step step) noexcept {
   Control& told = *control.load(std::memory_order_relaxed);
+  if (const std::uint64_t from = told.from.load(std::memory_order_relaxed); from != 0) {
+    if (from != static_cast<std::uint64_t>(step) + 1) return;
+    told.from.store(0, std::memory_order_relaxed);
+  }
   const std::uint64_t n = told.reached.fetch_add(1, std::memory_order_relaxed) + 1;
   if (n == told.deadly.load(std::memory_order_relaxed)) die(told, step);
   if (const std::uint64_t seed = told.seed.load(std::memory_order_relaxed); seed != 0)

@@ -12,8 +12,6 @@
 
 #include <base/step.hpp>
 
-#ifdef AGNOCAST_CRASH_POINTS
-
 #include <agnocast/export.hpp>
 
 #include <atomic>
@@ -26,6 +24,9 @@ struct Control {
   std::atomic<std::uint64_t> reached;  // crash points so far
   std::atomic<std::uint64_t> deadly;   // the process dies at this one (1-based); 0 = never
   std::atomic<std::uint64_t> last;     // the Step it died at, plus one; 0 = at none
+  std::atomic<std::uint64_t>
+      from;  // nothing counts before this Step, plus one; 0 = everything does
+  std::atomic<std::uint64_t> then;  // who comes after it dies so many points later; 0 = never
   // Jitter: what happens at the n-th point is a function of the seed and n. Per million points:
   std::atomic<std::uint64_t> seed;
   std::atomic<std::uint64_t> sleeps;  // for up to jitter_ns_max, mostly far less
@@ -34,6 +35,8 @@ struct Control {
 static_assert(std::atomic<std::uint64_t>::is_always_lock_free);
 
 inline constexpr std::uint64_t jitter_ns_max = 3'000'000;
+
+#ifdef AGNOCAST_CRASH_POINTS
 
 /// From now on this process does what `control` says; it must stay mapped.
 AGNOCAST_PUBLIC void use(Control& control) noexcept;
@@ -44,6 +47,6 @@ AGNOCAST_PUBLIC void arm(std::uint64_t n) noexcept;
 /// Crash points reached since arm().
 AGNOCAST_PUBLIC std::uint64_t reached() noexcept;
 
-}  // namespace agnocast::crash_points
-
 #endif
+
+}  // namespace agnocast::crash_points

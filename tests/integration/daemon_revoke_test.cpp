@@ -3,11 +3,14 @@
 // Goal: the membership of a process that lives can be ended: nobody else is hurt, waits or loses
 // what was committed; the process is told, may not come back, and its places are used again only
 // after its end. Who lies about what it holds is put out without being asked for.
-// Method: raw clients in processes of their own, SIGSTOP, and an observer that revokes.
+// All that outlives the daemon.
+// Method: raw clients in processes of their own, SIGSTOP, and an observer that revokes; SIGKILL of the
+// daemon, whose supervisor starts the next one.
 
 #include <agnocast/abi/observe.hpp>
 #include <tests/recovery/stage.hpp>
 #include <tests/support/daemon_process.hpp>
+#include <tests/support/wire_dump.hpp>
 #include <tests/support/wire_node.hpp>
 
 #include <grp.h>
@@ -17,7 +20,9 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <map>
 #include <memory>
+#include <optional>
 #include <string>
 
 namespace agnocast::test {
@@ -34,7 +39,8 @@ const DaemonOptions talkative{.arguments = {"--log-level", "debug"}};
 char answer(bool done) { return testing::Test::HasFailure() ? '!' : done ? '+' : '-'; }
 
 // What every child can: R reads packets up to `revoked` and the end behind it · H says hello on a new
-// connection and is refused · A the same, and is welcome.
+// connection and is refused · J the same with rejoin · A hello, and is welcome · e executes another
+// program, and so does not answer.
 char execute_common(WireNode& node, const std::string& socket, char what) {
   if (what == 'R') {
     for (;;) {
@@ -46,7 +52,9 @@ char execute_common(WireNode& node, const std::string& socket, char what) {
                     node.wire().is_hung_up());
     }
   }
+  if (what == 'e') ::execlp("sleep", "sleep", "60", static_cast<char*>(nullptr));
   WireClient again(socket);
+  if (what == 'J') return answer(again.rejoin(node.welcome()).refused_code() == Errc::revoked);
   const Incoming said = again.hello();
   if (what == 'H') return answer(said.refused_code() == Errc::revoked);
   return what == 'A' ? answer(said.opcode() == wire::Opcode::welcome) : '?';
@@ -247,7 +255,7 @@ TEST(DaemonRevoke, IsForgottenWhenTheProcessExecutesAnotherProgramOrEnds) {
   DaemonProcess daemon(talkative);
   Observer observer(daemon.socket_path());
   Child first = publisher_child(daemon.socket_path());
-  ASSERT_EQ(first.command('x'), '?');
+  ASSERT_EQ(first.command('p'), '+');
   const auto process = observer.processes().at(0);
   ASSERT_EQ(observer.revoke(0, process.generation).opcode(), wire::Opcode::done);
   EXPECT_EQ(first.command('H'), '+');
@@ -255,8 +263,141 @@ TEST(DaemonRevoke, IsForgottenWhenTheProcessExecutesAnotherProgramOrEnds) {
   ASSERT_TRUE(daemon.wait_for_log("client place free client=0"));
   EXPECT_EQ(observer.revoke(0, process.generation).refused_code(), Errc::endpoint_gone);
   Child second = publisher_child(daemon.socket_path());
-  ASSERT_EQ(second.command('x'), '?');
+  ASSERT_EQ(second.command('p'), '+');
   EXPECT_EQ(second.command('A'), '+') << "another process is welcome";
+  const auto again = observer.processes().at(0);
+  EXPECT_NE(again.generation, process.generation);
+  ASSERT_EQ(observer.revoke(0, again.generation).opcode(), wire::Opcode::done);
+  EXPECT_EQ(second.command('e'), std::nullopt);
+  EXPECT_TRUE(eventually([&] { return observer.processes().count(0) == 0; }));
+  const auto counters = wire_dump(daemon.socket_path()).daemon.counters;
+  EXPECT_EQ(counters.clients_revoked, 2u);
+  EXPECT_EQ(counters.clients_died, 0u) << "each is counted once";
+  EXPECT_EQ(counters.clients_let_go, 1u) << "the one that was welcome";
+}
+
+// --- and the daemon dies
+
+void restart(DaemonProcess& daemon) {
+  const pid_t old = daemon.kill_worker();
+  ASSERT_TRUE(daemon.wait_for_next(old)) << daemon.log();
+}
+
+enum class End : std::uint8_t { later, while_away, becomes_another_program };
+
+TEST(DaemonRevoke, OutlivesTheDaemonAndThePlaceIsKeptUntilTheProcessEnds) {
+  for (const End end : {End::later, End::while_away, End::becomes_another_program}) {
+    SCOPED_TRACE(static_cast<int>(end));
+    DaemonProcess daemon(talkative);
+    std::uint64_t others = 0;  // that were members and are none any more
+    const auto revoke = [&](std::uint64_t client) {
+      Observer observer(daemon.socket_path());
+      return observer.revoke(client, observer.processes().at(client).generation).opcode();
+    };
+    const auto process = [&](std::uint64_t client) {
+      const WireDump dump = wire_dump(daemon.socket_path());
+      const wire::DaemonCounters& counters = dump.daemon.counters;
+      EXPECT_EQ(counters.clients_revoked, 1u);
+      EXPECT_LE(counters.clients_died + counters.clients_let_go, others) << "counted once more";
+      EXPECT_EQ(counters.clients_died_meanwhile, 0u);
+      const auto* const found = dump.process(client);
+      return found == nullptr ? std::optional<wire::DumpProcess>() : *found;
+    };
+    Child bystander = publisher_child(daemon.socket_path());  // process 0
+    ASSERT_EQ(bystander.command('p'), '+');
+    const std::size_t kept = daemon.kept_count();
+    Child revoked = publisher_child(daemon.socket_path());
+    ASSERT_EQ(revoked.command('p'), '+');
+    ASSERT_EQ(revoke(1), wire::Opcode::done);
+    const auto before = process(1);
+    ASSERT_TRUE(before);
+    EXPECT_EQ(before->state, wire::ProcessState::revoked);
+    for (int life = 0; life < 3; ++life) {
+      restart(daemon);
+      // Longer than the daemon takes between two looks at a process without a connection.
+      ::usleep(600'000);
+      const auto now = process(1);
+      ASSERT_TRUE(now) << "its place was given away";
+      EXPECT_EQ(now->state, wire::ProcessState::revoked);
+      EXPECT_EQ(now->generation, before->generation);
+      EXPECT_EQ(revoked.command('H'), '+');
+      EXPECT_EQ(revoked.command('J'), '+');
+      EXPECT_EQ(revoked.command('p'), '+') << "it is not disturbed in its own memory";
+      {
+        Child other = publisher_child(daemon.socket_path());
+        ASSERT_EQ(other.command('p'), '+');
+        const auto its = process(2);
+        ASSERT_TRUE(its) << "index 1 was given away";
+        EXPECT_NE(its->window[0].base, before->window[0].base);
+        ++others;
+      }
+      ASSERT_TRUE(eventually([&] { return !process(2); }));
+    }
+    if (end == End::while_away) {
+      ::kill(daemon.supervisor_pid(), SIGSTOP);
+      const pid_t old = daemon.kill_worker();
+      revoked.end();
+      ::kill(daemon.supervisor_pid(), SIGCONT);
+      ASSERT_TRUE(daemon.wait_for_next(old));
+    } else if (end == End::becomes_another_program) {
+      EXPECT_EQ(revoked.command('e'), std::nullopt);
+    } else {
+      revoked.end();
+    }
+    EXPECT_TRUE(eventually([&] { return !process(1); })) << "its place is not free";
+    EXPECT_TRUE(eventually([&] { return daemon.kept_count() == kept; }))
+        << daemon.kept_count() << " of " << kept;
+    Child next = publisher_child(daemon.socket_path());
+    ASSERT_EQ(next.command('p'), '+');
+    const auto after = process(1);
+    ASSERT_TRUE(after);
+    EXPECT_EQ(after->state, wire::ProcessState::connected);
+    EXPECT_EQ(after->window[0].base, before->window[0].base);
+    EXPECT_EQ(daemon.log().find("client lost"), std::string::npos) << daemon.log();
+  }
+}
+
+TEST(DaemonRevoke, OfAProcessWithoutAConnectionIsHeardOfWhenItComesBack) {
+  DaemonProcess daemon(talkative);
+  WireNode publisher(daemon.socket_path());  // process 0
+  ASSERT_TRUE(publisher.create_publisher(topic_name, deep));
+  Child subscriber = subscriber_child(daemon.socket_path());
+  ASSERT_TRUE(publisher.wait_for([&] { return publisher.attached_count() == 1; }));
+  ASSERT_EQ(subscriber.command('w'), '+');
+  for (std::uint64_t number = 1; number <= 5; ++number) ASSERT_TRUE(publisher.publish(number));
+  for (int i = 0; i < 3; ++i) ASSERT_EQ(subscriber.command('t'), '+');
+  ASSERT_EQ(::kill(subscriber.pid(), SIGSTOP), 0);
+  restart(daemon);
+  publisher.wire().connect_again(daemon.socket_path());
+  ASSERT_EQ(publisher.wire().rejoin(publisher.welcome()).opcode(), wire::Opcode::rejoined);
+  publisher.wire().expect<wire::Own>(wire::Opcode::own);
+  publisher.wire().expect<wire::Announcement>(wire::Opcode::announce);
+  publisher.wire().expect<wire::Reference>(wire::Opcode::region);
+
+  Observer observer(daemon.socket_path());
+  const auto before = observer.processes().at(1);
+  EXPECT_EQ(before.state, wire::ProcessState::orphaned) << "alive, but without a connection";
+  ASSERT_EQ(observer.revoke(1, before.generation).opcode(), wire::Opcode::done);
+  EXPECT_EQ(observer.processes().at(1).state, wire::ProcessState::revoked);
+  ASSERT_TRUE(publisher.wait_for([&] { return publisher.attached_count() == 0; }));
+  publisher.pass();
+  EXPECT_EQ(publisher.allocated_count(), 0u) << "what it held and had not read is free";
+
+  // Handled before the daemon dies: everybody else has let go of it.
+  EXPECT_EQ(publisher.wire().open_window(7).opcode(), wire::Opcode::refused);
+
+  restart(daemon);  // nobody has told it yet
+  ASSERT_EQ(::kill(subscriber.pid(), SIGCONT), 0);
+  EXPECT_EQ(subscriber.command('J'), '+');
+  EXPECT_EQ(subscriber.command('H'), '+');
+  EXPECT_EQ(subscriber.command('t'), '-');
+  const auto state = [&] { return wire_dump(daemon.socket_path()); };
+  ASSERT_NE(state().process(1), nullptr);
+  EXPECT_EQ(state().process(1)->state, wire::ProcessState::revoked);
+  subscriber.end();
+  EXPECT_TRUE(eventually([&] { return state().process(1) == nullptr; }));
+  EXPECT_EQ(state().daemon.counters.clients_revoked, 1u);
+  EXPECT_EQ(state().daemon.counters.clients_died, 0u);
 }
 
 TEST(DaemonRevoke, PutsOutASubscriptionThatHoldsMoreThanItsQuota) {

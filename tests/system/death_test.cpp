@@ -255,6 +255,66 @@ TEST_F(Death, AStoppedSubscriberBlocksNobodyIsSeenAndCanBeRevoked) {
   EXPECT_NE(idle->ask("drop"), "(it has ended)") << "what it held is still mapped";
   EXPECT_EQ(publisher->ask("publish 1"), "ok");
   EXPECT_EQ(busy->ask("expect 2005 2005"), "ok");
+
+  const auto counted_once = [&] {
+    const auto counters = ctl({"status"})["counters"];
+    EXPECT_EQ(counters["processes_revoked"], 1);
+    EXPECT_EQ(counters["processes_died"], 0);
+    EXPECT_EQ(counters["processes_let_go"], 0);
+    EXPECT_EQ(counters["processes_reaped"], 1);
+  };
+  counted_once();
+  const pid_t gone = idle->pid();
+  idle->kill();
+  EXPECT_TRUE(is_reaped(gone));
+  EXPECT_TRUE(eventually([&] { return process(gone).is_null(); }));
+  counted_once();
+  const CtlResult status = run_ctl(daemon_.socket_path(), {"status"});
+  EXPECT_THAT(status.out, HasSubstr("1 process: 0 died, 0 let go, 1 revoked"));
+}
+
+TEST_F(Death, OfTheDaemonLeavesARevokedProcessRevokedAndOneThatWasStoppedIsToldWhenItGoesOn) {
+  const auto publisher = node(true), first = node(), second = node(), busy = node();
+  ASSERT_EQ(publisher->ask("pub /away 1"), "ok");
+  ASSERT_EQ(first->ask("sub /away 20 4"), "ok");
+  ASSERT_EQ(second->ask("sub /away 20 4"), "ok");
+  ASSERT_EQ(busy->ask("sub /away 1000 16"), "ok");
+  ASSERT_TRUE(publisher->eventually("matched", "3"));
+  ASSERT_EQ(publisher->ask("publish 4"), "ok");
+  ASSERT_EQ(busy->ask("expect 1 4"), "ok");
+  ASSERT_EQ(second->ask("take"), "1");
+  const auto revoke = [&](const SteeredProcess& one) {
+    return run_ctl(daemon_.socket_path(), {"process", "revoke", std::to_string(one.pid())}).status;
+  };
+  const auto restart = [&] {
+    const pid_t old = daemon_.kill_worker();
+    ASSERT_TRUE(daemon_.wait_for_next(old));
+    // Who runs has come back.
+    ASSERT_TRUE(eventually([&] {
+      return process(busy->pid())["state"] == "alive" &&
+             process(publisher->pid())["state"] == "alive";
+    }));
+  };
+  EXPECT_EQ(revoke(*first), 0);
+  ASSERT_TRUE(first->eventually("active", "0 0"));
+  stop(*second);
+  restart();
+  EXPECT_EQ(process(first->pid())["state"], "revoked");
+  EXPECT_THAT(first->ask("sub /another 1 1"), StartsWith("refused the membership of this process"));
+  EXPECT_EQ(revoke(*second), 0) << "it has no connection";
+  restart();
+  EXPECT_EQ(process(first->pid())["state"], "revoked");
+  EXPECT_EQ(process(second->pid())["state"], "revoked");
+  go_on(*second);
+  EXPECT_EQ(second->ask("take"), "none");
+  EXPECT_TRUE(second->eventually("active", "0 0"));
+  EXPECT_EQ(second->ask("matched"), "0");
+  EXPECT_THAT(second->ask("sub /another 1 1"),
+              StartsWith("refused the membership of this process"));
+  EXPECT_EQ(publisher->ask("publish 1"), "ok");
+  EXPECT_EQ(busy->ask("expect 5 5"), "ok");
+  EXPECT_EQ(busy->ask("lost"), "0");
+  EXPECT_EQ(ctl({"status"})["counters"]["processes_revoked"], 2);
 }
 
 TEST_F(Death, ARevokedPublisherSaysSoAndWhatItHadCommittedIsDelivered) {

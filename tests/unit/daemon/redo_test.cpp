@@ -163,7 +163,7 @@ TEST_F(Redo, MakesEveryChangeWholeWhateverPartOfItWasMade) {
     step(RecordType::register_client, [&](R& r) {
       ASSERT_TRUE(r.add_client({1000, 1001, 77, 3, name}));
     });
-  step(RecordType::open_window, [&](R& r) { r.open_window(a, {0x200000000000, 1 << 21}); });
+  step(RecordType::open_window, [&](R& r) { r.open_window(a, {0x200000000000, 1 << 21, 0}); });
   step(RecordType::open_executor, [&](R& r) { r.open_executor(b, 5); });
   step(RecordType::add_topic, [&](R& r) { ASSERT_TRUE(r.add_topic({3, "/topic", "T", 9})); });
   step(RecordType::add_publisher,

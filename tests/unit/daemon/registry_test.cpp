@@ -169,6 +169,8 @@ TEST_F(RegistryTest, EndsAProcessOnlyWhenNothingOfItIsKnown) {
   registry.end_publisher(t, p.index, EndpointState::free);
   EXPECT_FALSE(registry.can_end(a)) << "b still maps its region";
   registry.let_go_of_region(a, b);
+  EXPECT_FALSE(registry.can_end(a)) << "it counts as told of what others have";
+  registry.client_forgotten(a);
   EXPECT_TRUE(registry.can_end(a));
   const std::uint64_t generation = registry.client(a).generation;
   registry.end_client(a);

@@ -1,0 +1,249 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Processes for the process sweeps: a program that makes processes by fork, before it has used the
+// library itself. The library is the twin with crash points. Each process it makes connects to the
+// test's socket, obeys the control page of its own, and answers each packet with one packet.
+//
+//   pub ID TOPIC QOS · sub ID TOPIC QOS · cb ID TOPIC QOS      QOS: depth, then t (transient local), a (keep-all)
+//       cb: a callback in a thread of the node keeps what it gets
+//   publish ID COUNT · foreign ID COUNT · big ID COUNT         → how many were committed
+//       foreign: built outside the shared heap, so adopted. big: 4 MiB of addresses each
+//   take ID → none | PUBLISHER:NUMBER, held · drain ID → all of them, not held · heard ID → what the callback got
+//   release → ok | nothing             the oldest that is held, looked at once more
+//   unpub ID · unsub ID                 what is held stays
+//   fork                                a child that lives as long as this process, with all it inherits
+//   sync                                everything announced so far has been handled
+//   quit                                ends like a program that returns from main
+
+#include <base/packet_socket.hpp>
+#include <journal/crash_point.hpp>
+#include <tests/recovery/sweep_parcel.hpp>
+
+#include <fcntl.h>
+#include <signal.h>
+#include <sys/mman.h>
+#include <sys/prctl.h>
+#include <unistd.h>
+
+#include <array>
+#include <cstdlib>
+#include <deque>
+#include <iostream>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <sstream>
+#include <string>
+#include <utility>
+
+namespace agnocast::sweep {
+namespace {
+
+struct Node {
+  const char* get_name() const { return "actor"; }
+  const char* get_namespace() const { return "/"; }
+  const char* get_fully_qualified_name() const { return "/actor"; }
+};
+
+QoS qos_of(const std::string& text) {
+  std::size_t end = 0;
+  const std::size_t depth = std::stoul(text, &end);
+  QoS qos(depth);
+  for (const char letter : text.substr(end)) {
+    if (letter == 't') qos.transient_local();
+    if (letter == 'a') qos.keep_all(depth);
+  }
+  return qos;
+}
+
+constexpr std::size_t big_bytes = std::size_t{4} << 20;  // of addresses; hardly any is touched
+
+using Message = ipc_shared_ptr<const Parcel>;
+
+std::string report(const Parcel& parcel) { return parcel.intact() ? parcel.name() : "bad content"; }
+
+class Actor {
+ public:
+  std::string execute(std::istringstream& line) {
+    std::string what, topic, qos;
+    std::uint64_t id = 0, count = 0;
+    line >> what;
+    if (what == "sync") return sync();
+    if (what == "release") return release();
+    if (what == "fork") return fork_child();
+    line >> id;
+    if (what == "take") return take(id);
+    if (what == "drain") return drain(id);
+    if (what == "heard") return heard(id);
+    if (what == "unpub") return publishers_.erase(id), "ok";
+    if (what == "unsub") return subscriptions_.erase(id), callbacks_.erase(id), "ok";
+    if (what == "publish" || what == "foreign" || what == "big") {
+      line >> count;
+      return publish(what, id, count);
+    }
+    line >> topic >> qos;
+    if (what == "pub") {
+      publishers_[id].publisher = create_publisher<Parcel>(node_, topic, qos_of(qos));
+    } else if (what == "sub") {
+      subscriptions_[id] = create_subscription<Parcel>(node_, topic, qos_of(qos));
+    } else if (what == "cb") {
+      listen(id, topic, qos_of(qos));
+    } else {
+      return "bad command " + what;
+    }
+    return "ok";
+  }
+
+ private:
+  struct OwnPublisher {
+    Publisher<Parcel>::SharedPtr publisher;
+    std::uint64_t number = 0;
+  };
+  struct Heard {
+    std::mutex mutex;
+    std::string names;
+  };
+  struct Callback {
+    std::shared_ptr<Heard> heard;
+    Subscription<Parcel>::SharedPtr subscription;
+  };
+
+  std::string publish(const std::string& how, std::uint64_t id, std::uint64_t count) {
+    OwnPublisher& own = publishers_.at(id);
+    std::uint64_t committed = 0;
+    for (; committed < count; ++committed) {
+      const std::uint64_t words = 40 + own.number % 7;
+      PublishResult result;
+      if (how == "foreign") {
+        auto parcel = std::make_unique<Parcel>();
+        parcel->fill(id, own.number + 1, words);
+        result = own.publisher->publish(std::move(parcel));
+      } else {
+        auto loan = own.publisher->borrow_loaned_message();
+        if (how == "big") loan->words.reserve(big_bytes / sizeof loan->words[0]);
+        loan->fill(id, own.number + 1, words);
+        // A window may be on its way; what was built meanwhile lies outside the heap.
+        for (int i = 0; i < 10'000; ++i) {
+          result = own.publisher->publish(std::move(loan));
+          if (how != "big" || result.code != Errc::heap_exhausted) break;
+          ::usleep(1000);
+        }
+      }
+      if (!result) return std::to_string(committed) + " " + sentence_of(result.code);
+      if (how != "big" && (how == "foreign") != (result.adopted_bytes != 0)) return "bad adoption";
+      ++own.number;
+    }
+    return std::to_string(committed);
+  }
+
+  std::string take(std::uint64_t id) {
+    Message message = subscriptions_.at(id)->take();
+    if (!message) return "none";
+    const std::string name = report(*message);
+    held_.push_back(std::move(message));
+    return name;
+  }
+  std::string drain(std::uint64_t id) {
+    std::string names;
+    while (const Message message = subscriptions_.at(id)->take()) names += report(*message) + " ";
+    return names;
+  }
+  std::string release() {
+    if (held_.empty()) return "nothing";
+    const bool intact = held_.front()->intact();
+    held_.pop_front();
+    return intact ? "ok" : "bad content";
+  }
+
+  void listen(std::uint64_t id, const std::string& topic, const QoS& qos) {
+    auto heard = std::make_shared<Heard>();
+    callbacks_[id] = {
+        heard, create_subscription<Parcel>(node_, topic, qos, [heard](const Message& message) {
+          const std::lock_guard lock(heard->mutex);
+          heard->names += report(*message) + " ";
+        })};
+  }
+  std::string heard(std::uint64_t id) {
+    Heard& heard = *callbacks_.at(id).heard;
+    const std::lock_guard lock(heard.mutex);
+    return heard.names;
+  }
+
+  // Answers of the daemon come in order with what it announces. This one is refused.
+  std::string sync() {
+    const auto refused = try_create_subscription<Parcel>(node_, "/sync", QoS(1000));
+    if (refused) return "bad sync";
+    return refused.error().code == Errc::depth_refused ? "ok" : "bad " + text_of(refused.error());
+  }
+
+  static std::string fork_child() {
+    const pid_t parent = ::getpid();
+    if (::fork() == 0) {
+      ::prctl(PR_SET_PDEATHSIG, SIGKILL);
+      while (::getppid() == parent) ::pause();
+      ::_exit(0);
+    }
+    return "ok";
+  }
+
+  Node node_;
+  std::map<std::uint64_t, OwnPublisher> publishers_;
+  std::map<std::uint64_t, Subscription<Parcel>::SharedPtr> subscriptions_;
+  std::map<std::uint64_t, Callback> callbacks_;
+  std::deque<Message> held_;
+};
+
+// What the test writes into the page is obeyed from the first step on.
+void obey(const std::string& control_path) {
+  const int file = ::open(control_path.c_str(), O_RDWR | O_CLOEXEC);
+  void* const page =
+      ::mmap(nullptr, sizeof(crash_points::Control), PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
+  if (page == MAP_FAILED) std::abort();
+  ::close(file);
+  crash_points::use(*static_cast<crash_points::Control*>(page));
+}
+
+/// Returns when it shall end properly.
+void serve(const std::string& socket_path, const std::string& control_path) {
+  const PacketSocket socket = PacketSocket::connect(socket_path).value();
+  obey(control_path);
+  static Actor& actor = *new Actor;  // as in a program whose endpoints live in statics
+  std::array<std::byte, 4096> buffer;
+  for (;;) {
+    const auto packet = socket.receive(buffer, Wait::yes);
+    if (!packet || packet->kind != Packet::Kind::data) ::_exit(0);
+    const std::string text(reinterpret_cast<const char*>(buffer.data()), packet->bytes);
+    std::istringstream line(text);
+    std::string answer;
+    if (text == "quit") return;
+    try {
+      answer = actor.execute(line);
+    } catch (const std::exception& error) {
+      answer = std::string("bad ") + error.what();
+    }
+    answer += '\n';  // a packet is never empty
+    (void)socket.send(std::as_bytes(std::span(answer.data(), answer.size())), {}, Wait::yes);
+  }
+}
+
+}  // namespace
+}  // namespace agnocast::sweep
+
+// spawn SOCKET CONTROL → its pid
+int main() {
+  ::signal(SIGCHLD, SIG_IGN);  // nobody waits for them
+  const pid_t maker = ::getpid();
+  std::string what, socket_path, control_path;
+  while (std::cin >> what >> socket_path >> control_path) {
+    std::cout.flush();
+    const pid_t pid = ::fork();
+    if (pid == 0) {
+      ::prctl(PR_SET_PDEATHSIG, SIGKILL);
+      if (::getppid() != maker) return 1;
+      agnocast::sweep::serve(socket_path, control_path);
+      return 0;
+    }
+    std::cout << pid << std::endl;
+  }
+  return 0;
+}

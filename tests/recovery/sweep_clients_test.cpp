@@ -1,0 +1,126 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: a process that uses the library may be killed at any crash point of anything it does: it
+// disturbs nobody, what it had committed arrives, and nothing of it stays behind.
+// Method: scripts steer the real library (with heap hook and control thread) against the real daemon.
+// V is the victim, A and B survive. Each script runs once without a death; then V is killed at its
+// 1st, 2nd, … n-th crash point until it survives. After each death:
+//   - the daemon has recovered, and verify() holds with the survivors in the middle of their work;
+//   - the survivors go on with the script, and get what they got without the death, except what V
+//     had not committed (Judge says it exactly);
+//   - when they are through, the daemon knows nothing that it did not know before;
+//   - the whole script without a death gives every answer again, in the same places: table
+//     indexes, extents, addresses of windows.
+// AGNOCAST_SWEEP_STRIDE=N tries every N-th point only, AGNOCAST_SWEEP_SCRIPT=I the I-th script only.
+
+#include <tests/recovery/sweep_script.hpp>
+#include <tests/recovery/sweep_scripts.hpp>
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cstdio>
+#include <cstdlib>
+#include <memory>
+#include <mutex>
+#include <set>
+#include <string>
+#include <thread>
+#include <vector>
+
+namespace agnocast::sweep {
+namespace {
+
+struct Totals {
+  std::uint64_t points = 0, deaths = 0, survived = 0;
+  std::set<Step> died_at;
+  std::vector<std::string> violations;
+};
+
+/// Deaths at first, first + stride, …
+Totals sweep(const Script& script, SweepStage& stage, std::uint64_t first, std::uint64_t stride) {
+  Totals totals;
+  Performance performance(stage, script);
+  std::string wrong = performance.rehearse();
+  for (std::uint64_t n = first; wrong.empty(); n += stride) {
+    const Performance::Ended ended = performance.perform(n);
+    totals.points = performance.points();
+    if (!ended.wrong.empty()) {
+      wrong = "death at point " + std::to_string(n) +
+              (ended.died_at ? std::string(" (") + name_of(*ended.died_at) + ")" : "") + ": " +
+              ended.wrong;
+    } else if (ended.died_at) {
+      ++totals.deaths;
+      totals.died_at.insert(*ended.died_at);
+    } else if (n > performance.points()) {
+      break;
+    } else {
+      ++totals.survived;  // fewer looks of the control thread than in the rehearsal
+    }
+  }
+  if (!wrong.empty()) totals.violations.push_back(std::string(script.name) + ": " + wrong);
+  return totals;
+}
+
+TEST(ClientSweep, AProcessKilledAtAnyPointDisturbsNobodyAndLeavesNothing) {
+  const std::uint64_t stride = std::max<std::uint64_t>(1, number_of("AGNOCAST_SWEEP_STRIDE", 1));
+  const std::uint64_t only = number_of("AGNOCAST_SWEEP_SCRIPT", 0);
+  constexpr unsigned worker_count = 2;
+  Totals sum;
+  for (std::size_t i = 0; i < std::size(scripts); ++i) {
+    if (only != 0 && only != i + 1) continue;
+    const auto begin = std::chrono::steady_clock::now();
+    // Made in this thread: a daemon dies with the thread that started it.
+    std::vector<std::unique_ptr<SweepStage>> stages;
+    std::vector<Totals> parts(worker_count);
+    for (unsigned w = 0; w < worker_count; ++w) stages.push_back(std::make_unique<SweepStage>());
+    std::vector<std::thread> workers;
+    for (unsigned w = 0; w < worker_count; ++w) {
+      workers.emplace_back([&, w] {
+        parts[w] = sweep(scripts[i], *stages[w], 1 + w * stride, stride * worker_count);
+      });
+    }
+    for (std::thread& worker : workers) worker.join();
+    Totals total;
+    for (unsigned w = 0; w < worker_count; ++w) {
+      total.points = std::max(total.points, parts[w].points);
+      total.deaths += parts[w].deaths;
+      total.survived += parts[w].survived;
+      total.died_at.merge(parts[w].died_at);
+      for (const std::string& violation : parts[w].violations) {
+        ADD_FAILURE() << violation << "\nagnocastd wrote:\n" << stages[w]->daemon().log();
+        total.violations.push_back(violation);
+      }
+    }
+    const double seconds =
+        std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+    std::printf("%-62s %4ju points, %4ju deaths at %2zu names, %2zu violations, %5.1f s\n",
+                scripts[i].name, std::uintmax_t{total.points}, std::uintmax_t{total.deaths},
+                total.died_at.size(), total.violations.size(), seconds);
+    std::fflush(stdout);
+    sum.points += total.points;
+    sum.deaths += total.deaths;
+    sum.survived += total.survived;
+    sum.died_at.merge(total.died_at);
+    sum.violations.insert(sum.violations.end(), total.violations.begin(), total.violations.end());
+  }
+  std::printf(
+      "clients: %ju points (every %ju. of them tried), %ju deaths, %ju not reached again, "
+      "%zu violations\n",
+      std::uintmax_t{sum.points}, std::uintmax_t{stride}, std::uintmax_t{sum.deaths},
+      std::uintmax_t{sum.survived}, sum.violations.size());
+  std::string missed;
+  for (std::uint16_t s = 0; s < static_cast<std::uint16_t>(Step::count); ++s) {
+    const Step step{s};
+    if (name_of(step)[0] == 'C' && sum.died_at.count(step) == 0)
+      missed += std::string(" ") + name_of(step);
+  }
+  std::printf("nobody died at:%s\n", missed.empty() ? " (every C_ name was hit)" : missed.c_str());
+  if (stride == 1 && only == 0) {
+    EXPECT_EQ(missed, "") << "a named place that no script reaches";
+  }
+}
+
+}  // namespace
+}  // namespace agnocast::sweep

@@ -1,0 +1,329 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// The daemon's core as it works, without its sockets: registry, membership and reaper on real
+// tables, board and client regions, which outlive the process that changes them. Post hands packets
+// to sessions that nobody reads.
+#pragma once
+
+#include <daemon/membership.hpp>
+#include <daemon/reaper.hpp>
+#include <journal/crash_point.hpp>
+
+#include <cstdint>
+#include <iterator>
+#include <map>
+#include <memory>
+#include <set>
+#include <sstream>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace agnocast::sweep {
+
+using namespace agnocast::daemon;
+
+inline constexpr std::uint32_t core_client_count = 5;
+inline constexpr std::uint64_t core_window_bytes = std::uint64_t{64} << 20;
+
+/// What the processes know of their endpoints, by the number of the request that created each. It
+/// outlives the daemon as well.
+using References = std::map<std::uint64_t, wire::Reference>;
+
+/// What lies in memfds that the kernel keeps for the next daemon.
+class KeptMemory {
+ public:
+  KeptMemory() : regions_(Regions::create(store_).value()) {
+    for (std::uint32_t i = 0; i < core_client_count; ++i) {
+      if (!regions_.open_client(ClientIndex{i}, i + 1)) throw std::runtime_error("a client region");
+      for (int window = 0; window < 2; ++window) {
+        if (!regions_.open_window(ClientIndex{i}, core_window_bytes))
+          throw std::runtime_error("a window");
+      }
+    }
+  }
+  Regions& regions() { return regions_; }
+  DescriptorStore& store() { return store_; }
+
+ private:
+  DescriptorStore store_;  // keeps nothing: the test does
+  Regions regions_;
+};
+
+/// One life of the daemon.
+class Core final : private Post {
+ public:
+  Core(KeptMemory& memory, const std::string& bells, References& references)
+      : regions_(memory.regions()),
+        registry_(regions_.memory()),
+        doorbells_(bells, memory.store()),
+        membership_(registry_, regions_, doorbells_, *this),
+        sessions_(core_client_count),
+        references_(references) {}
+
+  Registry& registry() { return registry_; }
+
+  // Operations. `again`: the one that the last daemon died in.
+
+  void hello(std::uint32_t client, bool again) {
+    const ClientIndex index{client};
+    if (!again || client >= registry_.client_high() || !registry_.is_alive(index)) {
+      const auto made = registry_.add_client({1000, 1000, 4000 + client, 0, "node"});
+      require(made && number(*made) == client, "a process got another place");
+    }
+    connect(client);
+  }
+  void open_window(std::uint32_t client, std::uint64_t window, bool again) {
+    const ClientIndex index{client};
+    if (again && registry_.client(index).window_count > window) return;
+    registry_.open_window(
+        index, {0x200000000000 + (client * 2 + window) * core_window_bytes, core_window_bytes, 0});
+    membership_.announce_window(index);
+  }
+  void open_executor(std::uint32_t client) {
+    ring_at(client);
+    registry_.open_executor(ClientIndex{client}, 0);
+  }
+  void create(std::uint32_t client, Kind kind, const char* topic, std::uint64_t request,
+              std::uint32_t depth, bool again) {
+    CreateRequest asked;
+    asked.again = again;
+    asked.kind = kind;
+    asked.request = request;
+    asked.qos = {depth, false, true, false, false};
+    asked.layout_hash = 7;
+    asked.quota = kind == Kind::subscription ? 8 : 0;
+    asked.topic = topic;
+    asked.type = "tests/Type";
+    asked.node = "/node";
+    if (!again || !membership_.answer_again(ClientIndex{client}, asked))
+      require(static_cast<bool>(membership_.create(ClientIndex{client}, asked)), "a creation");
+    const auto ref = registry_.find_creation(ClientIndex{client}, kind, request);
+    require(ref.has_value(), "an endpoint is not where its creation says");
+    wire::Reference reference{};
+    reference.kind = kind;
+    reference.topic = number(ref->topic);
+    reference.index = ref->index;
+    reference.generation = registry_.generation_of(*ref);
+    references_[request] = reference;
+  }
+  void leave(std::uint32_t client, std::uint64_t request, bool again) {
+    LeaveRequest asked;
+    asked.again = again;
+    asked.reference = references_.at(request);
+    require(static_cast<bool>(membership_.leave(ClientIndex{client}, asked)), "leave");
+  }
+  void drained(std::uint32_t client, std::uint64_t request, bool again) {
+    DrainedRequest asked;
+    asked.again = again;
+    asked.reference = references_.at(request);
+    require(static_cast<bool>(membership_.drained(ClientIndex{client}, asked)), "drained");
+  }
+  /// `by` says that it has let go of what was created by that request.
+  void unlinked(std::uint32_t by, std::uint64_t request) {
+    const wire::Reference of = references_.at(request);
+    wire::Unlinked statement{};
+    statement.kind = of.kind;
+    statement.topic = of.topic;
+    statement.index = of.index;
+    statement.generation = of.generation;
+    statement.seen = sessions_[by]->packet_count();
+    require(static_cast<bool>(membership_.unlinked(ClientIndex{by}, statement)), "unlinked");
+  }
+  void unlinked_region(std::uint32_t by, std::uint32_t client) {
+    wire::Unlinked statement{};
+    statement.kind = Kind::region;
+    statement.index = client;
+    statement.generation = registry_.client(ClientIndex{client}).generation;
+    statement.seen = sessions_[by]->packet_count();
+    require(static_cast<bool>(membership_.unlinked(ClientIndex{by}, statement)), "let go");
+  }
+  void reap(std::uint32_t client) {
+    sessions_[client].reset();
+    end_membership(client, journal::DeathReason::died);
+  }
+  /// The process lives, and keeps its place.
+  void revoke(std::uint32_t client) {
+    sessions_[client].reset();
+    end_membership(client, journal::DeathReason::revoked);
+  }
+  /// One that was revoked ends.
+  void end(std::uint32_t client) {
+    const ClientIndex index{client};
+    if (registry_.is_revoked(index)) registry_.client_died(index, journal::DeathReason::died);
+    membership_.settle_client(index);
+  }
+
+  /// As a daemon begins that finds all this: the change under way, the deaths under way and those that
+  /// it finds, whatever is over; everybody who lives comes back.
+  void resume(const std::set<std::uint32_t>& ended) {
+    require(registry_.open().has_value(), "these are not our tables");
+    registry_.repair_board();
+    for (std::uint32_t i = 0; i < registry_.client_high(); ++i) {
+      if (ended.count(i) != 0 && registry_.is_revoked(ClientIndex{i})) end(i);
+      if (is_dying(i) || ended.count(i) != 0) reap(i);
+    }
+    membership_.finish();
+    for (std::uint32_t i = 0; i < registry_.client_high(); ++i) {
+      if (!registry_.is_alive(ClientIndex{i})) continue;
+      if (registry_.client(ClientIndex{i}).executors != 0) ring_at(i);
+      connect(i);
+      membership_.welcome_back(ClientIndex{i});
+    }
+  }
+
+  /// Everything that counts, in words: tables, board, and what the registry derives from them.
+  /// Generations as they are, or only their order: an operation that begins anew takes new ones.
+  enum class Generations { exact, order };
+  std::string state(Generations generations) const;
+
+ private:
+  static void require(bool holds, const char* what) {
+    if (!holds) throw std::runtime_error(what);
+  }
+  void end_membership(std::uint32_t client, journal::DeathReason reason) {
+    const ClientIndex index{client};
+    if (!registry_.is_alive(index) && !is_dying(client)) return;
+    daemon::reap(index, is_dying(client) ? registry_.client(index).reason : reason, registry_,
+                 regions_, doorbells_, membership_);
+  }
+  bool is_dying(std::uint32_t client) const {
+    return registry_.client(ClientIndex{client}).state == ClientState::dead;
+  }
+  void connect(std::uint32_t client) {
+    sessions_[client] = std::make_unique<Session>(PacketSocket(), PeerIdentity());
+    sessions_[client]->greet(ClientIndex{client});
+  }
+  void ring_at(std::uint32_t client) {
+    if (!doorbells_.is_open(ClientIndex{client}, 0))
+      require(static_cast<bool>(doorbells_.open(ClientIndex{client}, 0)), "bells");
+  }
+
+  Session* session_of(ClientIndex client) override { return sessions_[number(client)].get(); }
+  std::uint64_t user_namespace_of(ClientIndex) override { return 1; }
+  void send(ClientIndex client, std::span<const std::byte> packet,
+            std::vector<SharedFd> fds) override {
+    Session* const session = session_of(client);
+    if (session == nullptr) return;
+    crash_point(Step::B_send);
+    session->push(packet, std::move(fds));
+    session->drop_output();
+    crash_point(Step::B_sent);
+  }
+
+  Regions& regions_;
+  Registry registry_;
+  Doorbells doorbells_;
+  Membership membership_;
+  std::vector<std::unique_ptr<Session>> sessions_;
+  References& references_;
+};
+
+inline std::string Core::state(Generations generations) const {
+  const Registry& registry = registry_;
+  std::set<std::uint64_t> all;
+  for (std::uint32_t i = 0; i < registry.client_high(); ++i)
+    all.insert(registry.client(ClientIndex{i}).generation);
+  for (std::uint32_t t = 0; t < registry.topic_high(); ++t) {
+    const TopicIndex at{t};
+    if (registry.topic(at).state == TopicState::free) continue;
+    all.insert(registry.topic(at).generation);
+    registry.for_each_publisher(
+        at, [&](std::uint32_t, const PublisherRecord& record) { all.insert(record.generation); });
+    registry.for_each_subscription(at, [&](std::uint32_t, const SubscriptionRecord& record) {
+      all.insert(record.generation);
+    });
+  }
+  const auto shown = [&](std::uint64_t generation) -> std::uint64_t {
+    if (generations == Generations::exact) return generation;
+    const auto found = all.find(generation);
+    return found == all.end() ? generation
+                              : static_cast<std::uint64_t>(std::distance(all.begin(), found)) + 1;
+  };
+  std::ostringstream text;
+  const auto set = [&](const AnnounceSet& told) {
+    for (std::uint32_t i = 0; i < core_client_count; ++i) text << (told.contains(i) ? '1' : '0');
+    text << " of " << shown(told.generation());
+  };
+  const auto member = [&](std::uint64_t word) {
+    text << ' ' << shown(abi::generation_of(word)) << '/' << static_cast<int>(abi::state_of(word));
+  };
+  for (std::uint32_t i = 0; i < registry.client_high(); ++i) {
+    const ClientRecord& client = registry.client(ClientIndex{i});
+    text << "process " << i << " state " << static_cast<int>(client.state);
+    if (client.state != ClientState::free) {
+      text << " generation " << shown(client.generation) << " uid " << client.uid << " gid "
+           << client.gid << " pid " << client.pid << " executors " << client.executors << " name "
+           << client.name;
+      if (client.state != ClientState::alive) text << " reason " << static_cast<int>(client.reason);
+      text << " windows";
+      for (std::uint64_t w = 0; w < client.window_count; ++w)
+        text << ' ' << client.window[w].base << '+' << client.window[w].bytes;
+      text << " known to ";
+      set(client.told);
+      text << " has " << registry.endpoints_of(ClientIndex{i}).size();
+    }
+    text << '\n';
+  }
+  const Usage usage = registry.usage_of(1000);
+  text << "user " << usage.clients << ' ' << usage.publishers << ' ' << usage.subscriptions << ' '
+       << usage.executors << ' ' << usage.heap_bytes << ' ' << usage.held_messages << '\n';
+  for (std::uint32_t t = 0; t < registry.topic_high(); ++t) {
+    const TopicIndex at{t};
+    const TopicRecord& topic = registry.topic(at);
+    const dataplane::TopicWords<SharedMemory> words{regions_.memory().board, abi::topic_offset(t)};
+    text << "topic " << t << " state " << static_cast<int>(topic.state);
+    if (topic.state != TopicState::free)
+      text << ' ' << topic.name << ' ' << topic.type << " generation " << shown(topic.generation)
+           << " layout " << topic.layout_hash << " highs " << topic.publisher_high << ' '
+           << topic.subscription_high << ' ' << words.publisher_high().load() << ' '
+           << words.subscription_high().load();
+    text << '\n';
+    for (std::uint32_t i = 0; i < topic.publisher_high; ++i) {
+      const PublisherRecord& record = registry.publisher(at, i);
+      const auto word = [&](std::size_t field) { return words.publisher(i, field).load(); };
+      using Entry = abi::PublisherEntry;
+      text << "  publisher " << i << " state " << static_cast<int>(record.state) << " board "
+           << static_cast<int>(abi::state_of(word(offsetof(Entry, word))));
+      if (record.state != EndpointState::free) {
+        text << " generation " << shown(record.generation) << " client " << number(record.client)
+             << " qos " << record.qos << " extent " << record.extent << " slots "
+             << record.slot_count << " node " << record.node << " board";
+        member(word(offsetof(Entry, word)));
+        text << (word(offsetof(Entry, first_sequence)) == abi::first_sequence_of(record.generation)
+                     ? " begins right"
+                     : " begins wrong");
+        for (const std::size_t field : {offsetof(Entry, qos), offsetof(Entry, client),
+                                        offsetof(Entry, extent), offsetof(Entry, slot_count)})
+          text << ' ' << word(field);
+        text << " told ";
+        set(record.told);
+      }
+      text << '\n';
+    }
+    for (std::uint32_t i = 0; i < topic.subscription_high; ++i) {
+      const SubscriptionRecord& record = registry.subscription(at, i);
+      const auto word = [&](std::size_t field) { return words.subscription(i, field).load(); };
+      using Entry = abi::SubscriptionEntry;
+      text << "  subscription " << i << " state " << static_cast<int>(record.state) << " board "
+           << static_cast<int>(abi::state_of(word(offsetof(Entry, word))));
+      if (record.state != EndpointState::free) {
+        text << " generation " << shown(record.generation) << " client " << number(record.client)
+             << " qos " << record.qos << " extent " << record.extent << " quota " << record.quota
+             << " executor " << record.executor << " node " << record.node << " board";
+        member(word(offsetof(Entry, word)));
+        for (const std::size_t field :
+             {offsetof(Entry, qos), offsetof(Entry, client), offsetof(Entry, extent),
+              offsetof(Entry, quota), offsetof(Entry, executor)})
+          text << ' ' << word(field);
+        text << " told ";
+        set(record.told);
+      }
+      text << '\n';
+    }
+  }
+  return text.str();
+}
+
+}  // namespace agnocast::sweep

@@ -1,0 +1,290 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: the daemon may be killed before any store into its redo log, its tables, the board and the
+// client regions, before and after any packet, again and again; the next one goes on as if nothing
+// had happened.
+// Method: the daemon's core (registry, membership, reaper) carries out a script in a child process on
+// memory that outlives it, and is killed at its 1st, 2nd, … n-th crash point. Then
+//   - open() makes of what it finds exactly the state after the last committed record;
+//   - a daemon that resumes and is asked once more for what was under way comes to the state that the
+//     operation had without a death, and from there through the rest of the script;
+//   - pairs: the same when the resuming daemon is killed at its m-th crash point before.
+// AGNOCAST_SWEEP=all: all pairs; single: none; otherwise all those in which the second daemon dies while
+// it opens its tables, and every 31st or so of the others.
+
+#include <tests/recovery/sweep_daemon_core.hpp>
+#include <tests/support/temporary_directory.hpp>
+
+#include <gtest/gtest.h>
+
+#include <sys/mman.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <csignal>
+#include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+#include <functional>
+#include <set>
+#include <utility>
+
+namespace agnocast::sweep {
+namespace {
+
+struct Operation {
+  std::string name;
+  std::function<void(Core&, bool again)> run;
+  std::set<std::uint32_t> ended;  // processes that are dead when it begins
+};
+
+Operation hello(std::uint32_t c) {
+  return {"hello", [=](Core& core, bool again) { core.hello(c, again); }, {}};
+}
+Operation window(std::uint32_t c, std::uint64_t w) {
+  return {"window", [=](Core& core, bool again) { core.open_window(c, w, again); }, {}};
+}
+Operation executor(std::uint32_t c) {
+  return {"executor", [=](Core& core, bool) { core.open_executor(c); }, {}};
+}
+Operation publisher(std::uint32_t c, const char* topic, std::uint64_t request) {
+  return {
+      "create a publisher",
+      [=](Core& core, bool again) { core.create(c, Kind::publisher, topic, request, 5, again); },
+      {}};
+}
+Operation subscription(std::uint32_t c, const char* topic, std::uint64_t request,
+                       std::uint32_t depth = 5) {
+  return {"create a subscription",
+          [=](Core& core, bool again) {
+            core.create(c, Kind::subscription, topic, request, depth, again);
+          },
+          {}};
+}
+Operation leave(std::uint32_t c, std::uint64_t request) {
+  return {"leave", [=](Core& core, bool again) { core.leave(c, request, again); }, {}};
+}
+Operation drained(std::uint32_t c, std::uint64_t request) {
+  return {"drained", [=](Core& core, bool again) { core.drained(c, request, again); }, {}};
+}
+Operation unlinked(std::uint32_t by, std::uint64_t request) {
+  return {"unlinked", [=](Core& core, bool) { core.unlinked(by, request); }, {}};
+}
+Operation unlinked_region(std::uint32_t by, std::uint32_t c) {
+  return {"unlinked a region", [=](Core& core, bool) { core.unlinked_region(by, c); }, {}};
+}
+Operation reap(std::uint32_t c) {
+  return {"reap", [=](Core& core, bool) { core.reap(c); }, {c}};
+}
+Operation revoke(std::uint32_t c) {
+  return {"revoke", [=](Core& core, bool) { core.revoke(c); }, {}};
+}
+Operation end_of_revoked(std::uint32_t c) {
+  return {"the end of a revoked process", [=](Core& core, bool) { core.end(c); }, {c}};
+}
+Operation reap_both(std::uint32_t first, std::uint32_t second) {
+  return {"two deaths",
+          [=](Core& core, bool) {
+            core.reap(first);
+            core.reap(second);
+          },
+          {first, second}};
+}
+
+// Processes 0 … 4. A publisher's depth, slots that must grow, indexes given out again, both orders of
+// leaving, deaths of processes with both kinds of endpoints, one that is revoked and ends later, and
+// in the end nobody.
+const std::vector<Operation> script = {
+    hello(0), window(0, 0), publisher(0, "/a", 1), hello(1), executor(1), subscription(1, "/a", 2),
+    hello(2), executor(2), window(2, 0), subscription(2, "/a", 3, 500), publisher(2, "/b", 4),
+    subscription(1, "/b", 5), window(0, 1), subscription(2, "/b", 6), publisher(1, "/a", 7),
+    // a subscription leaves; its index is used again
+    leave(1, 2), drained(1, 2), unlinked(0, 2), unlinked(1, 2), subscription(1, "/a", 8),
+    // a publisher leaves
+    leave(0, 1), unlinked(1, 1), unlinked(2, 1), drained(0, 1), unlinked_region(2, 0),
+    publisher(0, "/a", 9),
+    // processes die
+    hello(3), publisher(3, "/a", 10), executor(3), subscription(3, "/c", 11), hello(4),
+    window(4, 0), publisher(4, "/a", 12), executor(4), subscription(4, "/b", 13), revoke(4),
+    unlinked(1, 12), unlinked(2, 12), unlinked(2, 13), unlinked_region(1, 4), unlinked_region(2, 4),
+    end_of_revoked(4), reap(3), unlinked(1, 10), unlinked(2, 10), unlinked_region(1, 3),
+    unlinked_region(2, 3), reap(2), unlinked(1, 4), unlinked(1, 3), unlinked(0, 3),
+    unlinked_region(1, 2), unlinked_region(0, 2), leave(1, 5), drained(1, 5), leave(1, 7),
+    unlinked(1, 7), drained(1, 7), reap_both(1, 0)};
+
+class CoreSweep : public testing::Test {
+ protected:
+  CoreSweep() {
+    void* const page =
+        ::mmap(nullptr, abi::page_bytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
+    control_ = static_cast<crash_points::Control*>(page);
+    progress_ = reinterpret_cast<std::atomic<std::uint64_t>*>(static_cast<std::byte*>(page) + 2048);
+    crash_points::use(*control_);
+  }
+
+  const std::string& bells() {
+    for (const auto& entry : std::filesystem::directory_iterator(directory_.path()))
+      std::filesystem::remove(entry);
+    return directory_.path();
+  }
+
+  /// Without a death: what the processes know, and the state after each operation.
+  void rehearse() {
+    crash_points::arm(0);
+    KeptMemory memory;
+    Core core(memory, bells(), references_);
+    core.registry().create(1);
+    for (const Operation& operation : script) {
+      operation.run(core, false);
+      after_.push_back(core.state(Core::Generations::order));
+    }
+  }
+
+  struct Death {
+    bool died = false;
+    Step step = Step::count;
+    std::uint64_t progress = 0;  // operations that were over
+  };
+  /// `body` in a child that dies at its n-th crash point.
+  template <class Body>
+  Death dies(std::uint64_t n, Body body) {
+    control_->last.store(0);
+    progress_->store(0);
+    const pid_t pid = ::fork();
+    if (pid == 0) {
+      crash_points::arm(n);
+      try {
+        body();
+      } catch (const std::exception& error) {
+        std::fprintf(stderr, "%s\n", error.what());
+        ::_exit(1);
+      }
+      ::_exit(0);
+    }
+    int status = 0;
+    ::waitpid(pid, &status, 0);
+    Death death;
+    death.died = WIFSIGNALED(status) && WTERMSIG(status) == SIGKILL && control_->last.load() != 0;
+    EXPECT_TRUE(death.died || (WIFEXITED(status) && WEXITSTATUS(status) == 0))
+        << "it ended otherwise, status " << status;
+    if (death.died) death.step = static_cast<Step>(control_->last.load() - 1);
+    death.progress = progress_->load();
+    crash_points::arm(0);
+    return death;
+  }
+  Death first_life(KeptMemory& memory, std::uint64_t n) {
+    const std::string& directory = bells();
+    return dies(n, [&] {
+      Core core(memory, directory, references_);
+      core.registry().create(1);
+      for (const Operation& operation : script) {
+        operation.run(core, false);
+        progress_->fetch_add(1);
+      }
+    });
+  }
+  /// Resumes and repeats the operation; the progress is 1 when the tables are open.
+  void repeat(Core& core, std::size_t at) {
+    if (const auto opened = core.registry().open(); !opened)
+      throw std::runtime_error("no tables of ours");
+    progress_->store(1);
+    core.resume(script[at].ended);
+    script[at].run(core, true);
+  }
+
+  test::TemporaryDirectory directory_;
+  crash_points::Control* control_ = nullptr;
+  std::atomic<std::uint64_t>* progress_ = nullptr;
+  References references_;
+  std::vector<std::string> after_;
+};
+
+TEST_F(CoreSweep, ADaemonKilledAtAnyStoreIsFollowedByOneThatGoesOn) {
+  const char* const extent = std::getenv("AGNOCAST_SWEEP");
+  const std::uint64_t stride = extent != nullptr && std::string(extent) == "all" ? 1 : 31;
+  const bool with_pairs = extent == nullptr || std::string(extent) != "single";
+  rehearse();
+  std::map<std::uint64_t, std::pair<std::string, std::string>> by_lsn;  // state, and where from
+  std::map<std::string, std::uint64_t> by_name;
+  std::set<std::uint64_t> untouched;  // states that no repair had a part in
+  std::uint64_t points = 0, pairs = 0, opening = 0, violations = 0;
+  bool created = false;
+  for (std::uint64_t n = 1; violations < 5; ++n) {
+    KeptMemory memory;
+    const Death first = first_life(memory, n);
+    if (!first.died) break;
+    const std::size_t at = first.progress;
+    const std::string where = "death at point " + std::to_string(n) + " (" + name_of(first.step) +
+                              ") in operation " + std::to_string(at + 1) + ", " + script[at].name;
+    ++points;
+    ++by_name[name_of(first.step)];
+    const auto expect_equal = [&](const std::string& got, const std::string& wanted,
+                                  const std::string& what) {
+      if (got == wanted) return true;
+      ++violations;
+      ADD_FAILURE() << where << ": " << what << "\n--- got\n" << got << "--- wanted\n" << wanted;
+      return false;
+    };
+    const auto complete = [&](KeptMemory& left, bool to_the_end) {
+      try {
+        Core core(left, bells(), references_);
+        repeat(core, at);
+        if (!expect_equal(core.state(Core::Generations::order), after_[at],
+                          "the operation asked for again"))
+          return;
+        for (std::size_t i = at + 1; to_the_end && i < script.size(); ++i) {
+          script[i].run(core, false);
+          if (!expect_equal(core.state(Core::Generations::order), after_[i],
+                            "operation " + std::to_string(i + 1)))
+            return;
+        }
+      } catch (const std::exception& error) {
+        ++violations;
+        ADD_FAILURE() << where << ": " << error.what();
+      }
+    };
+    {
+      Core core(memory, bells(), references_);
+      ASSERT_TRUE(core.registry().open().has_value()) << where;
+      created = true;
+      const std::uint64_t lsn = core.registry().log().committed_lsn();
+      const auto [known, is_new] =
+          by_lsn.try_emplace(lsn, core.state(Core::Generations::exact), where);
+      if (!is_new)
+        expect_equal(core.state(Core::Generations::exact), known->second.first,
+                     "record " + std::to_string(lsn) + " and " + known->second.second);
+      if (first.step == Step::W1_record) untouched.insert(lsn);
+    }
+    complete(memory, true);
+    for (std::uint64_t m = 1; with_pairs && violations < 5;) {
+      KeptMemory again;
+      (void)first_life(again, n);
+      const std::string& directory = bells();
+      const Death second = dies(m, [&] {
+        Core core(again, directory, references_);
+        repeat(core, at);
+      });
+      if (!second.died) break;
+      ++pairs;
+      opening += second.progress == 0;
+      complete(again, false);
+      m += second.progress == 0 ? 1 : 1 + (n + m) % stride;
+    }
+  }
+  EXPECT_TRUE(created);
+  std::printf("daemon core: %ju points, %zu records, %zu of their states seen without a repair\n",
+              std::uintmax_t{points}, by_lsn.size(), untouched.size());
+  std::printf(
+      "daemon core: %ju pairs, in %ju of them the second died while it opened its tables%s\n",
+      std::uintmax_t{pairs}, std::uintmax_t{opening},
+      stride == 1 ? "; all pairs" : "; of the others a sample");
+  std::printf("daemon core: %ju violations\n", std::uintmax_t{violations});
+  for (const auto& [name, count] : by_name)
+    std::printf("  %-20s %5ju\n", name.c_str(), std::uintmax_t{count});
+  EXPECT_EQ(violations, 0u);
+  EXPECT_GT(points, 500u);
+  EXPECT_EQ(after_.back().find("state 1"), std::string::npos) << after_.back();
+}
+
+}  // namespace
+}  // namespace agnocast::sweep

@@ -1,0 +1,165 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: the daemon may be killed at any crash point, once and again while it resumes, and no process
+// notices; a process and the daemon that recovers it may be killed together.
+// Method: the scripts of sweep_clients with real processes. The daemon's worker is killed at its n-th
+// crash point and started again by its supervisor:
+//   - alone: every answer that a process gets, every message and every place is what it is without the
+//     death; nothing stays behind;
+//   - twice: the next daemon dies as well, a few points later, mostly while it resumes;
+//   - pairs: V dies at its n-th point, the daemon at the m-th point of what it does about it; what has to
+//     hold is what sweep_clients demands.
+// AGNOCAST_SWEEP=all: every point, and all pairs of every script. Otherwise a sample, of which
+// AGNOCAST_SEED chooses another; the number of all is printed.
+
+#include <tests/recovery/sweep_script.hpp>
+#include <tests/recovery/sweep_scripts.hpp>
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cstdio>
+#include <functional>
+#include <memory>
+#include <set>
+#include <string>
+#include <thread>
+#include <vector>
+
+namespace agnocast::sweep {
+namespace {
+
+constexpr unsigned worker_count = 2;
+constexpr std::uint64_t recovery_points_max =
+    200;  // of one death; more are counted when they exist
+
+bool can_restart() {
+  return test::run_daemon({"--help"}).out.find("--fd-store") != std::string::npos;
+}
+
+bool runs_everything() {
+  const char* const extent = std::getenv("AGNOCAST_SWEEP");
+  return extent != nullptr && std::string(extent) == "all";
+}
+
+struct Totals {
+  std::uint64_t points = 0, deaths = 0, unwelcomed = 0;
+  std::set<Step> died_at;
+  std::vector<std::string> violations;
+
+  void note(const Script& script, const Performance::Ended& ended, const std::string& what) {
+    if (!ended.wrong.empty()) {
+      violations.push_back(
+          std::string(script.name) + ": " + what +
+          (ended.died_at ? std::string(" (") + name_of(*ended.died_at) + ")" : "") + ": " +
+          ended.wrong);
+    } else if (ended.died_at) {
+      ++deaths;
+      unwelcomed += ended.unwelcomed;
+      died_at.insert(*ended.died_at);
+    }
+  }
+  void add(const Totals& other) {
+    points += other.points;
+    deaths += other.deaths;
+    unwelcomed += other.unwelcomed;
+    died_at.insert(other.died_at.begin(), other.died_at.end());
+    violations.insert(violations.end(), other.violations.begin(), other.violations.end());
+  }
+};
+
+/// Runs `sweep(script, stage, worker)` for every script in as many threads as there are workers.
+Totals sweep_scripts(
+    const char* what,
+    const std::function<Totals(const Script&, SweepStage&, std::uint64_t worker)>& sweep) {
+  const std::uint64_t only = number_of("AGNOCAST_SWEEP_SCRIPT", 0);
+  Totals sum;
+  for (std::size_t i = 0; i < std::size(scripts); ++i) {
+    if (only != 0 && only != i + 1) continue;
+    const auto begin = std::chrono::steady_clock::now();
+    std::vector<std::unique_ptr<SweepStage>>
+        stages;  // a daemon dies with the thread that started it
+    for (unsigned w = 0; w < worker_count; ++w) stages.push_back(std::make_unique<SweepStage>());
+    std::vector<Totals> parts(worker_count);
+    std::vector<std::thread> workers;
+    for (unsigned w = 0; w < worker_count; ++w)
+      workers.emplace_back([&, w] { parts[w] = sweep(scripts[i], *stages[w], w); });
+    for (std::thread& worker : workers) worker.join();
+    Totals total;
+    for (unsigned w = 0; w < worker_count; ++w) {
+      for (const std::string& violation : parts[w].violations)
+        ADD_FAILURE() << violation << "\nagnocastd wrote:\n" << stages[w]->daemon().log();
+      total.add(parts[w]);
+    }
+    total.points /= worker_count;  // each counts all
+    std::printf("%-62s %6ju %s, %5ju deaths at %2zu names, %zu violations, %5.1f s\n",
+                scripts[i].name, std::uintmax_t{total.points}, what, std::uintmax_t{total.deaths},
+                total.died_at.size(), total.violations.size(),
+                std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count());
+    std::fflush(stdout);
+    sum.add(total);
+  }
+  std::printf(
+      "daemon: %ju %s, %ju deaths, %zu violations; in %ju of them a process had to say hello "
+      "again\n",
+      std::uintmax_t{sum.points}, what, std::uintmax_t{sum.deaths}, sum.violations.size(),
+      std::uintmax_t{sum.unwelcomed});
+  return sum;
+}
+
+TEST(DaemonSweep, NobodyNoticesADaemonKilledAtAnyPointOnceOrTwice) {
+  if (!can_restart()) GTEST_SKIP() << "this daemon does not outlive itself";
+  const bool all = runs_everything();
+  const std::uint64_t stride = all ? 1 : number_of("AGNOCAST_SWEEP_STRIDE", 9);
+  const std::uint64_t seed = number_of("AGNOCAST_SEED", 0);
+  const Totals sum =
+      sweep_scripts("points", [&](const Script& script, SweepStage& stage, std::uint64_t worker) {
+        Totals totals;
+        Performance performance(stage, script);
+        if (const std::string wrong = performance.rehearse(); !wrong.empty()) {
+          totals.violations.push_back(std::string(script.name) + ": " + wrong);
+          return totals;
+        }
+        totals.points = performance.daemon_points();
+        for (std::uint64_t n = 1 + seed % stride + worker * stride;
+             n <= totals.points && totals.violations.empty(); n += stride * worker_count) {
+          // Every second time the next daemon dies as well, sooner or later.
+          const std::uint64_t then = n / stride % 2 == 0 ? 0 : 1 + (n * 7 + seed) % 60;
+          totals.note(script, performance.perform_daemon(n, then),
+                      "the daemon's death at point " + std::to_string(n) + ", then " +
+                          std::to_string(then));
+        }
+        return totals;
+      });
+  EXPECT_GT(sum.deaths, 100u);
+}
+
+TEST(DaemonSweep, AProcessAndTheDaemonThatRecoversItDieTogether) {
+  if (!can_restart()) GTEST_SKIP() << "this daemon does not outlive itself";
+  const bool all = runs_everything();
+  const std::uint64_t stride = all ? 1 : number_of("AGNOCAST_SWEEP_PAIR_STRIDE", 499);
+  const std::uint64_t seed = number_of("AGNOCAST_SEED", 0);
+  const Totals sum =
+      sweep_scripts("pairs", [&](const Script& script, SweepStage& stage, std::uint64_t worker) {
+        Totals totals;
+        Performance performance(stage, script);
+        if (const std::string wrong = performance.rehearse(); !wrong.empty()) {
+          totals.violations.push_back(std::string(script.name) + ": " + wrong);
+          return totals;
+        }
+        totals.points = performance.points() * recovery_points_max;
+        for (std::uint64_t pair = seed % stride + worker * stride;
+             pair < totals.points && totals.violations.empty(); pair += stride * worker_count) {
+          const std::uint64_t n = pair / recovery_points_max + 1,
+                              m = pair % recovery_points_max + 1;
+          totals.note(script, performance.perform_pair(n, m),
+                      "deaths at points " + std::to_string(n) + " and " + std::to_string(m));
+        }
+        return totals;
+      });
+  EXPECT_GT(sum.deaths, 50u);
+}
+
+}  // namespace
+}  // namespace agnocast::sweep

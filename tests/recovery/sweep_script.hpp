@@ -1,0 +1,441 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Performance: a script of commands to three processes (sweep_actor), played without a death and
+// with the death of one of them, and the comparison of the two.
+//
+//   "A sub 1 /s 20; sync; V pub 2 /s 20; …"     V may die; A and B live as long as the performance.
+//       Ids are of the whole script. "sync": everybody who lives. "V arm": points count from here on.
+//
+// What the death of V may change, and nothing else:
+//   - V's commands after it are not given;
+//   - of each of V's publishers a survivor's subscription gets a prefix of what it gets without the
+//     death. The prefix has every message whose publish had returned, if the subscription was there
+//     before V's last answer; besides it at most what the interrupted publish was committing;
+//   - so a take may find nothing, and a release nothing to release.
+// What survivors get of each other is the same, in the same order.
+#pragma once
+
+#include <tests/recovery/sweep_stage.hpp>
+
+#include <algorithm>
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <optional>
+#include <sstream>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace agnocast::sweep {
+
+struct Script {
+  const char* name;
+  const char* commands;
+};
+
+struct Command {
+  char who = '*';
+  std::string text;  // without who
+  std::string what;
+  std::uint64_t id = 0;
+  std::string topic;  // or a count
+  std::uint64_t count() const { return std::strtoull(topic.c_str(), nullptr, 10); }
+};
+
+inline std::vector<Command> parse(const char* text) {
+  std::vector<Command> commands;
+  std::istringstream lines(text);
+  for (std::string line; std::getline(lines, line, ';');) {
+    line.erase(0, line.find_first_not_of(' '));
+    Command command;
+    if (line != "sync") {
+      command.who = line[0];
+      line.erase(0, 2);
+    }
+    command.text = line;
+    std::istringstream words(line);
+    words >> command.what >> command.id >> command.topic;
+    commands.push_back(command);
+  }
+  return commands;
+}
+
+/// What happened in one run, as far as it shall be the same in another.
+struct Run {
+  using Names = std::vector<std::uint64_t>;
+
+  std::vector<std::string> answers;  // by command; empty: not given
+  std::map<std::uint64_t, std::map<std::uint64_t, Names>>
+      got;                                      // subscription → publisher → numbers
+  std::map<std::uint64_t, std::size_t> joined;  // subscription → command
+  std::map<std::uint64_t, std::uint64_t>
+      interrupted;  // publisher → numbers V was asked for when it died
+  std::map<std::uint64_t, std::uint64_t> acknowledged;  // publisher → numbers
+  std::optional<std::size_t> noticed_dead;              // before or at this command
+  std::size_t last_answer = 0;                          // of V
+  int unwelcomed = 0;                                   // how often V had to say hello again
+  std::string wrong;
+};
+
+class Performance {
+ public:
+  Performance(SweepStage& stage, const Script& script)
+      : stage_(stage), commands_(parse(script.commands)), control_(stage.directory() + "/victim") {
+    for (const Command& command : commands_) {
+      if (command.what == "pub") publishers_[command.id] = {command.who, command.topic};
+    }
+  }
+
+  /// Plays it without a death, so that everything is warm; then what every other run is compared
+  /// with. What is wrong, or nothing.
+  std::string rehearse() {
+    for (const char who : {'A', 'B'}) {
+      const bool plays = std::any_of(commands_.begin(), commands_.end(),
+                                     [&](const Command& command) { return command.who == who; });
+      if (!plays) continue;
+      pages_.push_back(std::make_unique<ControlPage>(stage_.directory() + "/" + who));
+      survivors_[who] = stage_.make(*pages_.back());
+    }
+    stage_.set_living(survivors_.size());
+    for (int i = 0; i < 2; ++i) {
+      stage_.daemon_control().arm(0);
+      reference_ = play(0);
+      if (!reference_.wrong.empty()) return "rehearsal: " + reference_.wrong;
+      if (i == 0) {
+        baseline_ = state_at_rest();
+        descriptors_ = stage_.daemon().descriptor_count();
+      }
+    }
+    daemon_points_ = stage_.daemon_control().reached();
+    points_ = control_.reached();
+    return {};
+  }
+  /// Crash points of V in a run without a death.
+  std::uint64_t points() const { return points_; }
+
+  /// Crash points of the daemon in it.
+  std::uint64_t daemon_points() const { return daemon_points_; }
+
+  struct Ended {
+    std::optional<Step> died_at;
+    std::string wrong;
+    bool unwelcomed = false;
+  };
+  /// The daemon dies at its n-th point, and the next one `then` points later. Nobody notices.
+  Ended perform_daemon(std::uint64_t n, std::uint64_t then) {
+    ControlPage& control = stage_.daemon_control();
+    control.arm(n, then);
+    daemon_dies_ = true;
+    const Run run = play(0);
+    control.disarm();
+    Ended ended{control.died_at(), run.wrong, run.unwelcomed != 0};
+    if (ended.wrong.empty()) ended.wrong = compare_answers(run);
+    if (ended.wrong.empty()) ended.wrong = stage_.verify();
+    return ended;
+  }
+  /// V dies at its n-th point, and the daemon at the m-th point of what it does about it.
+  Ended perform_pair(std::uint64_t n, std::uint64_t m) {
+    stage_.daemon_control().arm_from(Step::B_reap, m);
+    daemon_dies_ = true;
+    Ended ended = perform(n);
+    stage_.daemon_control().disarm();
+    return ended;
+  }
+  /// V dies at its n-th point; then everything once more without a death.
+  Ended perform(std::uint64_t n) {
+    Run run = play(n);
+    Ended ended{control_.died_at(), std::move(run.wrong), run.unwelcomed != 0};
+    if (ended.wrong.empty()) ended.wrong = compare(run);
+    if (!ended.wrong.empty() || !ended.died_at) return ended;
+    run = play(0);
+    ended.wrong = run.wrong.empty() ? compare_answers(run) : run.wrong;
+    if (!ended.wrong.empty()) ended.wrong = "afterwards: " + ended.wrong;
+    return ended;
+  }
+
+ private:
+  struct Publisher {
+    char owner;
+    std::string topic;
+  };
+
+  Run play(std::uint64_t n) {
+    Run run;
+    run.answers.resize(commands_.size());
+    left_something_ = false;
+    const bool armed_later = std::any_of(commands_.begin(), commands_.end(),
+                                         [](const Command& c) { return c.text == "arm"; });
+    control_.arm(armed_later ? 0 : n);
+    for (at_ = 0; at_ < commands_.size() && run.wrong.empty(); ++at_) {
+      const Command& command = commands_[at_];
+      if (command.what.rfind("un", 0) == 0) left_something_ = true;
+      if (victim_ != nullptr && !run.noticed_dead && victim_->is_dead()) mourn(run);
+      if (command.who == '*') {
+        sync(run);
+      } else if (command.who != 'V') {
+        tell_survivor(command, run);
+      } else if (!run.noticed_dead) {
+        tell_victim(command, n, run);
+      }
+    }
+    if (victim_ != nullptr && run.wrong.empty()) run.wrong = "the script does not end V";
+    victim_.reset();
+    if (run.wrong.empty()) await_nothing_left(run);
+    return run;
+  }
+
+  void tell_victim(const Command& command, std::uint64_t n, Run& run) {
+    if (command.text == "arm") return control_.arm(n);
+    if (victim_ == nullptr) victim_ = stage_.make(control_);
+    if (command.text == "quit") {
+      run.answers[at_] = "quit";
+      victim_->tell("quit");
+      if (!victim_->wait_for_end()) run.wrong = "V does not end";
+      mourn(run, control_.died_at().has_value());
+      return;
+    }
+    auto answer = victim_->ask(command.text);
+    // A daemon that dies while it welcomes a process: that process is told so, and may try again.
+    while (daemon_dies_ && run.last_answer == 0 && answer &&
+           answer->find("the connection to agnocastd has ended") != std::string::npos &&
+           ++run.unwelcomed < 10)
+      answer = victim_->ask(command.text);
+    if (!answer) {
+      if (publishes(command)) run.interrupted[command.id] = command.count();
+      return mourn(run);
+    }
+    run.answers[at_] = *answer;
+    run.last_answer = at_;
+    if (answer->rfind("bad", 0) == 0) return complain(run, *answer);
+    if (publishes(command))
+      run.acknowledged[command.id] += std::strtoull(answer->c_str(), nullptr, 10);
+  }
+  static bool publishes(const Command& command) {
+    return command.what == "publish" || command.what == "foreign" || command.what == "big";
+  }
+
+  /// V is dead: the daemon has to deal with it before anything else happens.
+  void mourn(Run& run, bool by_crash = true) {
+    if (!victim_->wait_for_end()) run.wrong = "V neither answers nor ends";
+    if (by_crash && !control_.died_at()) return complain(run, "V ended, and not at a crash point");
+    if (by_crash) run.noticed_dead = at_;
+    const pid_t pid = victim_->pid();
+    victim_.reset();
+    if (!stage_.wait_until_recovered(pid)) return complain(run, "the daemon does not recover");
+    if (const std::string broken = stage_.verify(); !broken.empty()) return complain(run, broken);
+    sync(run);
+  }
+
+  void tell_survivor(const Command& command, Run& run) {
+    if (command.what == "sub" || command.what == "cb") run.joined[command.id] = at_;
+    SweepProcess& survivor = *survivors_.at(command.who);
+    std::string answer;
+    const auto ask = [&] {
+      answer = survivor.ask(command.text).value_or("bad: it has ended");
+      return answer.rfind("bad", 0) == 0 || command.what != "heard" ||
+             count_of(answer) >= expected(command.id, run);
+    };
+    if (!test::eventually(ask)) complain(run, "not heard in time: " + answer);
+    run.answers[at_] = answer;
+    if (answer.find("bad") != std::string::npos) return complain(run, answer);
+    if (command.what == "take" || command.what == "drain" || command.what == "heard")
+      note(command.id, answer, run);
+  }
+  static std::size_t count_of(const std::string& names) {
+    return static_cast<std::size_t>(std::count(names.begin(), names.end(), ':'));
+  }
+  /// How many messages a callback has to have got: it was there first, and nothing is lost.
+  std::size_t expected(std::uint64_t subscription, const Run& run) const {
+    const auto joined = std::find_if(commands_.begin(), commands_.end(), [&](const Command& c) {
+      return c.id == subscription && c.what == "cb";
+    });
+    std::size_t count = 0;
+    for (const auto& [publisher, numbers] : run.acknowledged) {
+      if (publishers_.at(publisher).topic == joined->topic) count += numbers;
+    }
+    return count;
+  }
+  static void note(std::uint64_t subscription, const std::string& answer, Run& run) {
+    std::istringstream names(answer);
+    for (std::string name; names >> name;) {
+      const std::size_t colon = name.find(':');
+      if (colon == std::string::npos) continue;
+      run.got[subscription][std::stoull(name)].push_back(std::stoull(name.substr(colon + 1)));
+    }
+  }
+
+  void sync(Run& run) {
+    for (auto& [who, survivor] : survivors_) {
+      const std::string answer = survivor->ask("sync").value_or("it has ended");
+      if (answer != "ok") return complain(run, std::string(1, who) + " sync: " + answer);
+    }
+    if (victim_ != nullptr) {
+      const auto answer = victim_->ask("sync");
+      if (!answer) return mourn(run);
+      if (*answer != "ok") return complain(run, "V sync: " + *answer);
+    }
+    // Places, as long as nobody is on his way out.
+    if (run.wrong.empty() && commands_[at_].who == '*' && !left_something_ && !run.noticed_dead)
+      run.answers[at_] = state();
+  }
+
+  void complain(Run& run, const std::string& what) {
+    if (run.wrong.empty())
+      run.wrong = "command " + std::to_string(at_ + 1) + " (" + commands_[at_].who + " " +
+                  commands_[at_].text + "): " + what;
+  }
+
+  /// Everything the daemon knows, but generations and times.
+  std::string state() {
+    const ctl::System system = stage_.look_in_time();
+    std::string text = "connections " + std::to_string(system.daemon.connections) + ", windows " +
+                       std::to_string(system.daemon.windows_used) + "\n";
+    const auto name_of = [&](std::uint32_t pid) -> std::string {
+      for (const auto& [who, survivor] : survivors_) {
+        if (static_cast<std::uint32_t>(survivor->pid()) == pid) return {who};
+      }
+      return victim_ != nullptr && static_cast<std::uint32_t>(victim_->pid()) == pid ? "V" : "?";
+    };
+    for (const auto& [index, process] : system.processes) {
+      text += "process " + std::to_string(index) + " " + name_of(process.facts.pid) +
+              (process.facts.state == ctl::wire::ProcessState::dead ? " dead" : "") +
+              " executors " + std::to_string(process.facts.executors) + " windows";
+      for (std::uint32_t w = 0; w < process.facts.window_count; ++w)
+        text += " " + std::to_string(process.facts.window[w].base);
+      text += "\n";
+    }
+    for (const auto& [index, topic] : system.topics) {
+      text += "topic " + std::to_string(index) + " " + topic.name + "\n";
+      for (const auto* endpoints : {&topic.publishers, &topic.subscriptions}) {
+        for (const ctl::Endpoint& endpoint : *endpoints)
+          text += std::string(endpoint.is_publisher() ? "  publisher " : "  subscription ") +
+                  std::to_string(endpoint.facts.index) + " of " +
+                  std::to_string(endpoint.facts.client) + " at " +
+                  std::to_string(endpoint.facts.extent) + " slots " +
+                  std::to_string(endpoint.facts.slot_count) + " executor " +
+                  std::to_string(endpoint.facts.executor) + "\n";
+      }
+    }
+    return text;
+  }
+
+  /// The last errands are over when two looks at some distance see the same.
+  std::string state_at_rest() {
+    std::string before, now;
+    (void)test::eventually([&] {
+      before = std::exchange(now, state());
+      ::usleep(100'000);
+      return before == now;
+    });
+    return now;
+  }
+
+  void await_nothing_left(Run& run) {
+    if (baseline_.empty()) return;
+    std::string now;
+    const auto is_as_before = [&] { return (now = state()) == baseline_; };
+    if (!test::eventually(is_as_before)) {
+      run.wrong = "something stays behind; before:\n" + baseline_ + "now:\n" + now;
+      return;
+    }
+    if (daemon_dies_) return;  // the next one has descriptors of its own
+    std::size_t descriptors = 0;
+    if (!test::eventually(
+            [&] { return (descriptors = stage_.daemon().descriptor_count()) == descriptors_; }))
+      run.wrong = "the daemon has " + std::to_string(descriptors) + " descriptors, before " +
+                  std::to_string(descriptors_);
+  }
+
+  // --- comparisons
+
+  std::string compare_answers(const Run& run) const {
+    for (std::size_t i = 0; i < commands_.size(); ++i) {
+      // Who had to say hello again may have got another place.
+      if (commands_[i].who == '*' && run.unwelcomed != 0) continue;
+      if (run.answers[i] != reference_.answers[i]) return differs(i, run.answers[i]);
+    }
+    return {};
+  }
+  std::string differs(std::size_t i, const std::string& answer) const {
+    return "command " + std::to_string(i + 1) + " (" + commands_[i].who + " " + commands_[i].text +
+           "): got '" + answer + "', without a death '" + reference_.answers[i] + "'";
+  }
+
+  std::string compare(const Run& run) const {
+    if (!run.noticed_dead) return compare_answers(run);
+    for (std::size_t i = 0; i < commands_.size(); ++i) {
+      const Command& command = commands_[i];
+      if (command.who == '*' || run.answers[i] == reference_.answers[i]) continue;
+      if (command.who == 'V') {
+        if (!run.answers[i].empty()) return differs(i, run.answers[i]);
+        continue;
+      }
+      const bool is_judged = command.what == "take" || command.what == "drain" ||
+                             command.what == "heard" ||
+                             (command.what == "release" && run.answers[i] == "nothing");
+      if (!is_judged) return differs(i, run.answers[i]);
+    }
+    for (const auto& [subscription, joined] : run.joined) {
+      for (const auto& [publisher, whose] : publishers_) {
+        if (const std::string wrong = judge(run, subscription, publisher); !wrong.empty())
+          return wrong;
+      }
+    }
+    return {};
+  }
+
+  std::string judge(const Run& run, std::uint64_t subscription, std::uint64_t publisher) const {
+    const Run::Names got = names(run, subscription, publisher);
+    const Run::Names wanted = names(reference_, subscription, publisher);
+    const auto say = [&](const char* what) {
+      std::string text = "subscription " + std::to_string(subscription) + " of publisher " +
+                         std::to_string(publisher) + ": " + what + "; got";
+      for (const std::uint64_t number : got) text += " " + std::to_string(number);
+      text += ", without a death";
+      for (const std::uint64_t number : wanted) text += " " + std::to_string(number);
+      return text;
+    };
+    if (publishers_.at(publisher).owner != 'V')
+      return got == wanted ? "" : say("a survivor's messages");
+    const std::uint64_t acknowledged = number_in(run.acknowledged, publisher);
+    if (got.size() > wanted.size() || !std::equal(got.begin(), got.end(), wanted.begin()))
+      return say("no prefix");
+    if (!got.empty() && got.back() > acknowledged + number_in(run.interrupted, publisher))
+      return say("more than was published");
+    const auto owed = static_cast<std::size_t>(
+        std::count_if(wanted.begin(), wanted.end(),
+                      [&](std::uint64_t number) { return number <= acknowledged; }));
+    if (run.joined.at(subscription) < run.last_answer && got.size() < owed)
+      return say("a committed message is missing");
+    return {};
+  }
+  static std::uint64_t number_in(const std::map<std::uint64_t, std::uint64_t>& numbers,
+                                 std::uint64_t publisher) {
+    const auto found = numbers.find(publisher);
+    return found == numbers.end() ? 0 : found->second;
+  }
+  static Run::Names names(const Run& run, std::uint64_t subscription, std::uint64_t publisher) {
+    const auto of = run.got.find(subscription);
+    if (of == run.got.end()) return {};
+    const auto from = of->second.find(publisher);
+    return from == of->second.end() ? Run::Names() : from->second;
+  }
+
+  SweepStage& stage_;
+  std::vector<Command> commands_;
+  ControlPage control_;
+  std::map<std::uint64_t, Publisher> publishers_;
+  std::vector<std::unique_ptr<ControlPage>> pages_;
+  std::map<char, std::unique_ptr<SweepProcess>> survivors_;
+  std::unique_ptr<SweepProcess> victim_;
+  std::size_t at_ = 0;
+  bool left_something_ = false;
+  Run reference_;
+  std::string baseline_;
+  std::size_t descriptors_ = 0;
+  bool daemon_dies_ = false;
+  std::uint64_t points_ = 0, daemon_points_ = 0;
+};
+
+}  // namespace agnocast::sweep

@@ -1,0 +1,213 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// SweepStage: a daemon and processes of sweep_actor, all with crash points and a control page each
+// that the test writes; and a look at everything the daemon knows, as agnocast-ctl has it.
+//
+// No expectation in here: stages are used by several threads. What is wrong is said in words.
+#pragma once
+
+#include <base/mapping.hpp>
+#include <base/packet_socket.hpp>
+#include <base/pidfd.hpp>
+#include <ctl/audit.hpp>
+#include <ctl/system.hpp>
+#include <journal/crash_point.hpp>
+#include <tests/support/daemon_process.hpp>
+#include <tests/support/steered_process.hpp>
+
+#include <fcntl.h>
+#include <poll.h>
+#include <unistd.h>
+
+#include <array>
+#include <atomic>
+#include <cstdint>
+#include <cstdlib>
+#include <memory>
+#include <optional>
+#include <string>
+#include <utility>
+
+namespace agnocast::sweep {
+
+/// A control page in a file, shared with one process after the other.
+class ControlPage {
+ public:
+  explicit ControlPage(std::string path) : path_(std::move(path)) {
+    const UniqueFd file(::open(path_.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600));
+    if (::ftruncate(file.get(), abi::page_bytes) != 0) std::abort();
+    mapping_ = Mapping::map(file.get(), abi::page_bytes, Mapping::Access::read_write).value();
+  }
+  const std::string& path() const { return path_; }
+  /// The process dies at the n-th point from now on; 0 = it only counts. `then`: who comes after it
+  /// on this page dies so many points later.
+  void arm(std::uint64_t n, std::uint64_t then = 0) {
+    words().last.store(0);
+    words().deadly.store(0);
+    words().from.store(0);
+    words().reached.store(0);
+    words().then.store(then);
+    words().deadly.store(n);
+  }
+  /// The same, counted from the next time that it comes to this step.
+  void arm_from(Step step, std::uint64_t n) {
+    arm(0);
+    words().from.store(static_cast<std::uint64_t>(step) + 1);
+    words().deadly.store(n);
+  }
+  void disarm() {
+    words().deadly.store(0);
+    words().then.store(0);
+    words().from.store(0);
+  }
+  std::uint64_t reached() const { return words().reached.load(); }
+  /// Where it died, if at a crash point.
+  std::optional<Step> died_at() const {
+    const std::uint64_t last = words().last.load();
+    if (last == 0) return std::nullopt;
+    return static_cast<Step>(last - 1);
+  }
+
+ private:
+  crash_points::Control& words() const {
+    return *reinterpret_cast<crash_points::Control*>(mapping_.base());
+  }
+  std::string path_;
+  Mapping mapping_;
+};
+
+/// One process, asked line by line.
+class SweepProcess {
+ public:
+  SweepProcess(PacketSocket socket, pid_t pid)
+      : socket_(std::move(socket)), pid_(pid), process_(Pidfd::open(pid).value_or(Pidfd())) {}
+
+  pid_t pid() const { return pid_; }
+  /// The answer, or nothing when it died of it.
+  std::optional<std::string> ask(const std::string& line) {
+    if (!tell(line)) return std::nullopt;
+    pollfd readable{socket_.fd(), POLLIN, 0};
+    if (::poll(&readable, 1, patience_ms) <= 0) return "bad: no answer within 20 s";
+    std::array<std::byte, 4096> buffer;
+    const auto packet = socket_.receive(buffer);
+    if (!packet || packet->kind != Packet::Kind::data) return std::nullopt;
+    return std::string(reinterpret_cast<const char*>(buffer.data()), packet->bytes - 1);
+  }
+  bool tell(const std::string& line) {
+    const auto sent = socket_.send(std::as_bytes(std::span(line.data(), line.size())));
+    return sent && *sent == Sent::sent;
+  }
+  bool is_dead() const { return wait(0); }
+  bool wait_for_end() const { return wait(patience_ms); }
+
+ private:
+  static constexpr int patience_ms = 20'000;
+  bool wait(int timeout_ms) const {
+    if (process_.fd() < 0) return true;  // it was over before it could be watched
+    pollfd over{process_.fd(), POLLIN, 0};
+    return ::poll(&over, 1, timeout_ms) > 0;
+  }
+  PacketSocket socket_;
+  pid_t pid_;
+  Pidfd process_;
+};
+
+class SweepStage {
+ public:
+  SweepStage()
+      : directory_(test::make_directory()),
+        daemon_control_(directory_ + "/daemon"),
+        daemon_({.config = "[daemon]\nsocket_mode = \"0666\"\n[limits]\ndepth_max = 100\n"
+                           "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"4GiB\"\n",
+                 .arguments = {"--log-level", "debug"},
+                 .program = AGNOCAST_CRASH_DAEMON,
+                 .environment = {"AGNOCAST_CRASH_CONTROL=" + daemon_control_.path()}}),
+        listener_(PacketListener::listen(directory_ + "/actors").value()),
+        maker_({AGNOCAST_SWEEP_ACTOR},
+               {"AGNOCAST_SOCKET=" + daemon_.socket_path(), "LD_PRELOAD=" AGNOCAST_HOOK}) {}
+  ~SweepStage() {
+    observer_.reset();
+    maker_.kill();
+    test::remove_directory(directory_);
+  }
+
+  test::DaemonProcess& daemon() { return daemon_; }
+  ControlPage& daemon_control() { return daemon_control_; }
+  const std::string& directory() const { return directory_; }
+
+  std::unique_ptr<SweepProcess> make(const ControlPage& control) {
+    const std::string answer = maker_.ask("spawn " + directory_ + "/actors " + control.path());
+    const pid_t pid = static_cast<pid_t>(std::atoi(answer.c_str()));
+    pollfd waiting{listener_.fd(), POLLIN, 0};
+    if (pid <= 0 || ::poll(&waiting, 1, 20'000) <= 0) std::abort();
+    return std::make_unique<SweepProcess>(std::move(*listener_.accept().value()), pid);
+  }
+
+  /// What the daemon knows, as soon as there is one.
+  ctl::System look_in_time() {
+    ctl::System system;
+    (void)test::eventually([&] { return (system = look()).daemon.pid != 0; });
+    return system;
+  }
+  /// What the daemon knows now; nothing when there is none.
+  ctl::System look() {
+    if (!observer_) {
+      auto connected = ctl::Observer::connect(daemon_.socket_path());
+      if (!connected) return {};
+      observer_.emplace(std::move(*connected));
+    }
+    auto system = observer_->look();
+    if (system) return std::move(*system);
+    observer_.reset();
+    return {};
+  }
+  /// What was looked at; empty when every invariant holds. As agnocast-ctl verify decides it: broken is
+  /// what several looks find with the same words.
+  std::string verify() {
+    std::set<ctl::Finding> broken;
+    for (int looks = 0; looks < 6; ++looks) {
+      const ctl::System system = look_in_time();
+      if (!observer_) return "the daemon does not answer";
+      const ctl::Audit audit = ctl::audit(system, observer_->region_bytes());
+      if (looks == 0) {
+        broken = audit.findings;
+      } else {
+        ctl::keep_what_lasts(broken, audit);
+      }
+      if (broken.empty()) return {};
+      ::usleep(20'000u << looks);
+    }
+    std::string text;
+    for (const ctl::Finding& finding : broken)
+      text += finding.where + ": " + journal::sentence_of(finding.invariant) + "; ";
+    return text;
+  }
+  /// True when the daemon has accepted whoever connected before, and dealt with the death of this
+  /// process.
+  bool wait_until_recovered(pid_t dead) {
+    observer_.reset();  // a new one stands in the queue behind the dead
+    return test::eventually([&] {
+      const ctl::System system = look();
+      if (!observer_) return false;
+      for (const auto& [index, process] : system.processes) {
+        if (static_cast<pid_t>(process.facts.pid) == dead &&
+            process.facts.state != ctl::wire::ProcessState::dead)
+          return false;
+      }
+      return system.daemon.connections == living_;
+    });
+  }
+  /// How many processes are connected when everybody else is gone.
+  void set_living(std::uint64_t count) { living_ = count; }
+
+ private:
+  std::string directory_;
+  ControlPage daemon_control_;
+  test::DaemonProcess daemon_;
+  PacketListener listener_;
+  test::SteeredProcess maker_;
+  std::optional<ctl::Observer> observer_;
+  std::uint64_t living_ = 0;
+};
+
+}  // namespace agnocast::sweep
