@@ -122,21 +122,22 @@ class Stream {
     const std::int64_t now = now_ns();
     if (last_number_ != 0) {
       lost_ += sample.number - last_number_ - 1;
-      gaps_[with_deaths ? 1 : 0].push_back(now - last_ns_);
+      gaps_[phase].push_back(now - last_ns_);
     }
     last_number_ = sample.number;
     last_ns_ = now;
     ++count;
   }
-  std::vector<std::int64_t>& gaps(bool with) { return gaps_[with ? 1 : 0]; }
+  enum Phase { warming_up, quiet, deadly, phase_count };
+  const std::vector<std::int64_t>& gaps(Phase of) const { return gaps_[of]; }
   std::uint64_t lost() const { return lost_; }
-  std::atomic<bool> with_deaths{false};
+  std::atomic<Phase> phase{warming_up};
   std::atomic<std::uint64_t> count{0};
 
  private:
   std::uint64_t last_number_ = 0, lost_ = 0;
   std::int64_t last_ns_ = 0;
-  std::vector<std::int64_t> gaps_[2];
+  std::vector<std::int64_t> gaps_[phase_count];
 };
 
 class Bench {
@@ -206,20 +207,21 @@ class Bench {
     wait_until([&] { return stream.count > 100; }, "the hundredth message of a stream");
     const std::int64_t end = budget(seconds);
     for (std::size_t done = 0; done < rounds && now_ns() < end; done += restarts_in_a_row) {
+      stream.phase = Stream::quiet;
       for (std::size_t i = 0; i < restarts_in_a_row; ++i)
         paced([&] { without.ns.push_back(time_of_creation()); });
-      stream.with_deaths = true;
+      stream.phase = Stream::deadly;
       for (std::size_t i = 0; i < restarts_in_a_row; ++i)
         paced([&] { kill_daemon(answered, all_back); });
-      stream.with_deaths = false;
     }
     // What is under way is received before it is said that nothing was lost.
     std::this_thread::sleep_for(std::chrono::milliseconds(20));
     subscription.reset();
     source.reset();
     for (Series* series : {&without, &answered, &all_back}) figures_.add(std::move(*series));
-    Series gaps[2]{{"1 kHz stream, " + how + ", no death: gap", stream.gaps(false)},
-                   {"1 kHz stream, " + how + ", a death each 200 ms: gap", stream.gaps(true)}};
+    Series gaps[2]{
+        {"1 kHz stream, " + how + ", no death: gap", stream.gaps(Stream::quiet)},
+        {"1 kHz stream, " + how + ", a death each 200 ms: gap", stream.gaps(Stream::deadly)}};
     const double ratio = static_cast<double>(gaps[1].at(1)) / static_cast<double>(gaps[0].at(1));
     for (Series& series : gaps) figures_.add(std::move(series));
     figures_.add_number("1 kHz stream, " + how + ": longest gap with deaths / without", ratio);
