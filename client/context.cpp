@@ -319,10 +319,16 @@ void Context::ask_for_window() {
 bool Context::add_window(Incoming& answer) noexcept {
   wire::WindowOpened opened{};
   if (!answer.read(opened) || answer.packet.descriptor_count != 2) return false;
+  if (opened.window != window_count_) return false;
+  // The daemon announces it to everybody else. Before it is in use, so that nobody waits for it.
+  if (const auto own = peers_.find({client_, client_generation_}); own != peers_.end())
+    (void)add_window_of(own->second, {opened.window, opened.base, opened.bytes, opened.first},
+                        UniqueFd());
   const auto fds = answer.packet.fds();
-  return opened.window == window_count_ &&
-         heap_->add_window(region_.base(), opened.window, opened.base, opened.bytes, fds[0].get(),
-                           fds[1].get(), opened.first == opened.window);
+  return heap_
+      ->add_window(region_.base(), opened.window, opened.base, opened.bytes, fds[0].get(),
+                   fds[1].get(), opened.first == opened.window)
+      .has_value();
 }
 
 namespace {

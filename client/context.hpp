@@ -143,8 +143,10 @@ class Context {
   void on_kick(Incoming& packet);
   void on_notice(Incoming& packet);
   void on_move_heap(Incoming& packet);
-  Result<void> add_window_of(KnownPeer& known, bool own, const PeerHeap::Announced& window,
-                             UniqueFd fd);
+  bool is_self(std::uint64_t client, std::uint64_t generation) const noexcept {
+    return client == client_ && generation == client_generation_;
+  }
+  Result<void> add_window_of(KnownPeer& known, const PeerHeap::Announced& window, UniqueFd fd);
 
   // control thread: coming back
   void reconnect();

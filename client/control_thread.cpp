@@ -173,11 +173,9 @@ std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
                                        std::span<UniqueFd> fds, std::size_t& used) {
   used = 1 + announcement.window_count;
   if (announcement.window_count > abi::window_count_max || fds.size() < used) return nullptr;
-  const bool own =
-      announcement.client == client_ && announcement.client_generation == client_generation_;
   KnownPeer& known = peers_[{announcement.client, announcement.client_generation}];
   if (known.peer == nullptr) {
-    if (own) {
+    if (is_self(announcement.client, announcement.client_generation)) {
       known.peer = std::make_unique<Peer>(client_, client_generation_, region_.base());
     } else {
       AGNOCAST_CRASH_POINT(C_peer_map);
@@ -194,8 +192,7 @@ std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
   }
   for (std::uint32_t i = 0; i < announcement.window_count; ++i) {
     const auto& window = announcement.window[i];
-    if (!add_window_of(known, own, {i, window.base, window.bytes, window.first},
-                       std::move(fds[1 + i])))
+    if (!add_window_of(known, {i, window.base, window.bytes, window.first}, std::move(fds[1 + i])))
       return nullptr;
   }
   const std::uint64_t bytes = announcement.kind == Kind::publisher ? abi::publisher_extent_bytes
@@ -207,13 +204,14 @@ std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
   return use(known);
 }
 
-Result<void> Context::add_window_of(KnownPeer& known, bool own, const PeerHeap::Announced& window,
+Result<void> Context::add_window_of(KnownPeer& known, const PeerHeap::Announced& window,
                                     UniqueFd fd) {
   PeerHeap& heap = known.peer->heap();
   if (!arena_.contains(window.base, window.length))
     return fail(Errc::protocol_violation, "a window outside the arena");
   AGNOCAST_CRASH_POINT(C_peer_window);
   const std::uint64_t before = heap.window_count();
+  const bool own = is_self(known.peer->client(), known.peer->generation());
   Result<void> added = own                                      ? heap.add_own(window)
                        : arena_.has(window.base, window.length) ? heap.add(window, std::move(fd))
                                                                 : heap.add_blocked(window);
@@ -298,8 +296,7 @@ void Context::on_window(Incoming& packet) {
   const auto found = peers_.find({announced.client, announced.client_generation});
   if (found == peers_.end())
     return;  // unmapped meanwhile: the next announcement brings all windows
-  const bool own = announced.client == client_ && announced.client_generation == client_generation_;
-  (void)add_window_of(found->second, own,
+  (void)add_window_of(found->second,
                       {announced.window, announced.base, announced.bytes, announced.first},
                       std::move(packet.packet.fds()[0]));
 }
@@ -456,8 +453,7 @@ void Context::collect_peers() {
     const auto [client, generation] = it->first;
     AGNOCAST_CRASH_POINT(C_peer_unmap);
     it = peers_.erase(it);  // unmapped here, said after
-    if (client != client_ || generation != client_generation_)
-      say_unlinked(Kind::region, 0, client, generation);
+    if (!is_self(client, generation)) say_unlinked(Kind::region, 0, client, generation);
   }
 }
 

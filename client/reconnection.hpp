@@ -6,7 +6,7 @@
 //                         ▲───────end──────┘└──refused──▶ island (for good)
 //
 // The pause doubles from try to try. A connection that has lasted is what makes it short again: a
-// daemon that dies of what we say is not asked a thousand times a second.
+// daemon that dies of what we say does so at once, and is not asked a thousand times a second.
 #pragma once
 
 #include <algorithm>
@@ -19,7 +19,7 @@ class Reconnection {
  public:
   enum class State : std::uint8_t { connected, waiting, rejoining, island };
   using Clock = std::chrono::steady_clock;
-  static constexpr std::chrono::milliseconds pause_first{1}, pause_last{250}, lasting{1000};
+  static constexpr std::chrono::milliseconds pause_first{1}, pause_last{250}, lasting{100};
 
   State state() const noexcept { return state_; }
   /// Until when to wait; only while waiting.

@@ -32,8 +32,8 @@ constexpr int first_passed = 3;                   // where LISTEN_FDS begins
 constexpr std::size_t datagram_bytes_max = 4096;  // as systemd takes them
 constexpr std::size_t descriptors_per_datagram_max = 253;
 constexpr std::uint64_t pause_first_ms = 20;
-// Whoever has been ready found nothing at its start that kills it.
-constexpr std::uint64_t pause_of_ready_ms = 100;
+// Whoever has been ready found nothing at its start that kills it: ten lives a second, at most.
+constexpr std::uint64_t life_of_ready_ms = 100;
 constexpr std::uint64_t pause_most_ms = 5'000;
 // Who has lived so long did not die of what it found at its start.
 constexpr std::uint64_t settled_ms = 10'000;
@@ -290,8 +290,10 @@ void Supervisor::on_worker_end(int status) {
     due_ms_ = 0;
     return;
   }
-  if (now_ms() - started_ms_ >= settled_ms) failures_ = 0;
-  const std::uint64_t most = is_ready_ ? pause_of_ready_ms : pause_most_ms;
+  const std::uint64_t lived_ms = now_ms() - started_ms_;
+  if (lived_ms >= settled_ms) failures_ = 0;
+  const std::uint64_t most =
+      is_ready_ ? life_of_ready_ms - std::min(lived_ms, life_of_ready_ms) : pause_most_ms;
   const std::uint64_t pause =
       failures_ == 0 ? 0 : std::min(pause_first_ms << std::min(failures_ - 1, 16U), most);
   ++failures_;

@@ -10,9 +10,10 @@
 // worker itself count. The socket has no name that anybody else could send to.
 //
 // A worker that ends by a signal or a failure is started again, at once the first time, then after a
-// pause that doubles: up to a tenth of a second if it had been ready, up to five seconds if it never
-// came so far. It is never given up: what is kept here cannot be got back, and a try every five
-// seconds costs nothing; the log says each one. Only a worker that fails before
+// pause that doubles: up to five seconds if it never was ready. One that had been ready begins a
+// tenth of a second after the former one's start at the latest, so what lived longer is replaced at
+// once however often it dies. It is never given up: what is kept here cannot be got back, and a try
+// every five seconds costs nothing; the log says each one. Only a worker that fails before
 // any has ever been ready ends the supervisor, with its status: then nothing is kept, and whoever
 // started us wants to know.
 //

@@ -42,9 +42,9 @@ class AnnounceSet {
     return (members_[client / 64] & bit(client)) != 0;
   }
   bool reusable() const noexcept {
-    std::uint64_t any = 0;
-    for (std::uint64_t word : members_) any |= word;
-    return M::holds(Step::R4_reusable, any == 0);
+    std::uint64_t told = 0;
+    for (std::uint64_t word : members_) told |= word;
+    return M::holds(Step::R4_reusable, told == 0);
   }
 
  private:

@@ -1,8 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Runs inside the machine of systemd_test.sh: our unit, real clients, kill -9, restart and stop.
+//
+// One test speaks the protocol by itself, so that it can say what must be known where; the other has
+// two ordinary nodes of two users that never stop.
 
 #include <tests/recovery/stage.hpp>
+#include <tests/support/steered_process.hpp>
 #include <tests/support/wire_dump.hpp>
 #include <tests/support/wire_node.hpp>
 
@@ -16,6 +20,7 @@
 #include <cstdlib>
 #include <filesystem>
 #include <memory>
+#include <sstream>
 #include <string>
 
 namespace agnocast::test {
@@ -117,6 +122,71 @@ TEST(Systemd, KeepsTheIncarnationOverDeathAndRestartAndLetsItGoWithAStop) {
   EXPECT_NE(anew.incarnation, first.incarnation);
   EXPECT_TRUE(anew.processes.empty());
   EXPECT_EQ(property("NFileDescriptorStore"), "4");
+}
+
+/// An honest_node (tests/hostile/) of a user that is not root.
+class UserNode {
+ public:
+  explicit UserNode(uid_t uid)
+      : process_({AGNOCAST_INSIDE_NODE, std::to_string(uid)},
+                 {std::string("AGNOCAST_SOCKET=") + socket_path}) {}
+  std::string ask(const std::string& line) { return process_.ask(line); }
+  struct State {
+    std::uint64_t published = 0, refused = 0, received = 0, wrong = 0, lost = 0;
+  };
+  State state() {
+    State state;
+    const std::string text = ask("state");
+    std::istringstream words(text);
+    words >> state.published >> state.refused >> state.received >> state.wrong >> state.lost;
+    EXPECT_FALSE(words.fail()) << text;
+    return state;
+  }
+
+ private:
+  SteeredProcess process_;
+};
+
+TEST(Systemd, LosesNoMessageOfTwoUsersOverDeathsAndRestartsUnderTraffic) {
+  ASSERT_TRUE(systemctl("stop"));
+  ASSERT_TRUE(systemctl("start")) << output_of("systemctl status agnocastd");
+  const std::uint64_t incarnation = wire_dump(socket_path).incarnation;
+  UserNode subscriber(65534), publisher(65533);
+  ASSERT_EQ(subscriber.ask("subscribe /stream"), "ok");
+  ASSERT_EQ(publisher.ask("publish /stream"), "ok");
+  const auto goes_on = [&] {
+    const std::uint64_t wanted = subscriber.state().received + 50;
+    return eventually([&] { return subscriber.state().received >= wanted; });
+  };
+  ASSERT_TRUE(goes_on());
+
+  for (int life = 0; life < 6; ++life) {
+    const pid_t old = main_pid();
+    if (life % 2 == 0) {
+      ASSERT_EQ(::kill(old, SIGKILL), 0);
+    } else {
+      ASSERT_TRUE(systemctl("restart"));
+    }
+    // Asked for while nobody is there, or while everybody comes back.
+    EXPECT_EQ(publisher.ask("create /more"), "ok");
+    EXPECT_EQ(subscriber.ask("create /more"), "ok");
+    ASSERT_TRUE(eventually([&] { return is_next(old); }))
+        << output_of("systemctl status agnocastd");
+    EXPECT_TRUE(goes_on());
+    EXPECT_EQ(wire_dump(socket_path).incarnation, incarnation);
+  }
+
+  ASSERT_EQ(publisher.ask("stop"), "ok");
+  const UserNode::State sent = publisher.state();
+  EXPECT_TRUE(eventually([&] { return subscriber.state().received == sent.published; }));
+  const UserNode::State got = subscriber.state();
+  EXPECT_EQ(got.received, sent.published);
+  EXPECT_GE(got.received, 6u * 50u);
+  EXPECT_EQ(got.lost, 0u);
+  EXPECT_EQ(got.wrong, 0u);
+  EXPECT_EQ(sent.refused, 0u);
+  EXPECT_EQ(wire_dump(socket_path).processes.size(), 2u);
+  std::printf("%llu messages over 6 lives\n", static_cast<unsigned long long>(got.received));
 }
 
 }  // namespace

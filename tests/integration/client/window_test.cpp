@@ -1,11 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a heap that was refused to grow grows when what it needs is there again.
-// Method: the real daemon with a heap quota of two small windows; another client has the second one
-// and gives it back. The publisher keeps all it has published, so that only another window makes room.
+// Goal: a heap that was refused to grow grows when what it needs is there again, and the process's own
+// subscriptions read in a window that came after they had linked.
+// Method: the real daemon with small windows; in the first test with a quota of two, and another client
+// has the second one and gives it back. The publisher keeps all it has published, so that only another
+// window makes room. Each in a process of its own, because a process has one heap.
 
 #include <agnocast/agnocast.hpp>
 #include <tests/support/daemon_process.hpp>
+#include <tests/support/own_process.hpp>
 #include <tests/support/plain_node.hpp>
 #include <tests/support/wire_client.hpp>
 
@@ -38,7 +41,7 @@ struct MessageTraits<Bulk> {
 
 namespace {
 
-TEST(Window, ARefusedOneIsAskedForAgain) {
+void grow_after_a_refusal() {
   test::DaemonProcess daemon(
       {.config =
            "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"1GiB\"\n" AGNOCAST_TEST_ARENA_BASE
@@ -67,6 +70,38 @@ TEST(Window, ARefusedOneIsAskedForAgain) {
     result = publisher->publish(std::move(loan));
     return static_cast<bool>(result);
   })) << sentence_of(result.code);
+}
+
+void grow_while_linked() {
+  test::DaemonProcess daemon(
+      {.config =
+           "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"1GiB\"\n" AGNOCAST_TEST_ARENA_BASE});
+  ::setenv("AGNOCAST_SOCKET", daemon.socket_path().c_str(), 1);
+  const QoS qos = QoS(100).transient_local();
+  auto subscriber = create_subscription<Bulk>(PlainNode(), "bulk", qos);
+  auto publisher = create_publisher<Bulk>(PlainNode(), "bulk", qos);
+  for (std::uint8_t number = 1; number <= 32; ++number) {  // twice the first window
+    auto loan = publisher->borrow_loaned_message();
+    ASSERT_TRUE(test::eventually([&] {  // the next window is on its way
+      loan->data.assign(4 << 20, number);
+      return static_cast<bool>(publisher->publish(std::move(loan)));
+    }));
+    ipc_shared_ptr<const Bulk> taken;
+    ASSERT_TRUE(test::eventually([&] {
+      taken = subscriber->take();
+      return static_cast<bool>(taken);
+    })) << "message "
+        << int{number};
+    EXPECT_EQ(taken->data.back(), number);
+  }
+  EXPECT_EQ(subscriber->get_lost_count(), 0u);
+}
+
+TEST(Window, ARefusedOneIsAskedForAgain) {
+  EXPECT_TRUE(test::in_own_process(grow_after_a_refusal));
+}
+TEST(Window, TheProcessItselfReadsInANewOne) {
+  EXPECT_TRUE(test::in_own_process(grow_while_linked));
 }
 
 }  // namespace

@@ -59,7 +59,7 @@ struct Made {
     process.facts.client = index;
     process.facts.generation = 100 + index;
     process.facts.window_count = 1;
-    process.facts.window[0] = {arena + index * granule, granule};
+    process.facts.window[0] = {arena + index * granule, granule, 0};
     process.name = "made";
     const UniqueFd fd = std::move(make_memfd("test", region_bytes).value());
     process.region =

@@ -1,0 +1,102 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <bench/recovery_client.hpp>
+
+#include <bench/recovery_figures.hpp>
+
+#include <agnocast/agnocast.hpp>
+
+#include <sys/prctl.h>
+#include <time.h>
+#include <unistd.h>
+
+#include <csignal>
+#include <cstdio>
+#include <cstdlib>
+#include <utility>
+
+namespace agnocast::bench {
+
+Sample::~Sample() { destroyed_ns = now_ns(); }
+
+void touch(const Sample& sample) noexcept {
+  const volatile std::uint8_t* const bytes = sample.bytes.data();
+  for (std::size_t i = 0; i < sample.bytes.size(); i += 4096) static_cast<void>(bytes[i]);
+}
+
+namespace {
+
+void say_ready() {
+  std::puts("ready");
+  std::fflush(stdout);
+}
+[[noreturn]] void wait_for_death() {
+  for (;;) ::pause();
+}
+
+[[noreturn]] void be_publisher(const std::string& bytes) {
+  Node node("publisher");
+  // Transient local: it stays in the queue when it has been read.
+  const auto publisher =
+      create_publisher<Sample>(node, topic_of_dying_publisher, QoS(1).transient_local());
+  auto message = publisher->borrow_loaned_message();
+  message->bytes.resize(std::strtoull(bytes.c_str(), nullptr, 10), 1);
+  if (!publisher->publish(std::move(message))) ::_exit(1);
+  say_ready();
+  wait_for_death();
+}
+
+[[noreturn]] void be_subscriber() {
+  Node node("subscriber");
+  const auto subscription = create_subscription<Sample>(node, topic_of_dying_subscriber, QoS(1));
+  ipc_shared_ptr<const Sample> held;
+  while (!(held = subscription->take())) ::usleep(200);
+  touch(*held);
+  say_ready();
+  wait_for_death();
+}
+
+[[noreturn]] void be_stream() {
+  Node node("stream");
+  const auto publisher = create_publisher<Sample>(node, topic_of_stream, QoS(stream_depth));
+  while (publisher->get_subscription_count() == 0) ::usleep(200);
+  say_ready();
+  timespec next{};
+  ::clock_gettime(CLOCK_MONOTONIC, &next);
+  for (std::uint64_t number = 1;; ++number) {
+    auto message = publisher->borrow_loaned_message();
+    message->number = number;
+    if (!publisher->publish(std::move(message))) ::_exit(1);
+    next.tv_nsec += 1'000'000;
+    if (next.tv_nsec >= 1'000'000'000) {
+      ++next.tv_sec;
+      next.tv_nsec -= 1'000'000'000;
+    }
+    ::clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &next, nullptr);
+  }
+}
+
+[[noreturn]] void be_idle(const std::string& topic) {
+  Node node("idle");
+  const auto publisher = create_publisher<Sample>(node, topic, QoS(1));
+  const auto subscription = create_subscription<Sample>(node, topic, QoS(1));
+  say_ready();
+  wait_for_death();
+}
+
+}  // namespace
+
+void be(const std::string& role, const std::string& argument) {
+  ::prctl(PR_SET_PDEATHSIG, SIGKILL);
+  try {
+    if (role == "publisher") be_publisher(argument);
+    if (role == "subscriber") be_subscriber();
+    if (role == "stream") be_stream();
+    if (role == "idle") be_idle(argument);
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "recovery_bench, %s: %s\n", role.c_str(), error.what());
+  }
+  ::_exit(1);
+}
+
+}  // namespace agnocast::bench
