@@ -199,7 +199,9 @@ std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
                                                                    : abi::subscription_extent_bytes;
   AGNOCAST_CRASH_POINT(C_peer_extent);
   // On a new connection an endpoint of our own may be announced before its creation is answered.
-  if (own && !region_.open(announcement.extent, bytes)) return nullptr;
+  if (is_self(announcement.client, announcement.client_generation) &&
+      !region_.open(announcement.extent, bytes))
+    return nullptr;
   if (!known.peer->open(announcement.extent, bytes)) return nullptr;
   return use(known);
 }
