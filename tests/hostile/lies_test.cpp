@@ -86,6 +86,8 @@ void honest_goes_on_beside(Stage& stage, const std::function<void(Attack&)>& bod
 /// The honest publisher gets through all its slots while the daemon stands still: the daemon puts out
 /// who holds more than its quota (daemon/hold_watch.hpp), and nobody may have to wait for that.
 void honest_helps_itself(Stage& stage) {
+  // Until it has mapped a member it must keep everything for it, and it hears of it from the daemon.
+  ASSERT_TRUE(stage.publisher().eventually("matched", "2"));
   const pid_t daemon = stage.daemon().pid();
   ASSERT_EQ(::kill(daemon, SIGSTOP), 0);
   EXPECT_FALSE(is_revoked(stage)) << "the attack was over before it was withstood";
