@@ -361,11 +361,15 @@ void Supervisor::keep(const Notification& notification, std::vector<UniqueFd> fd
   if (notification.remove) kept_.erase(notification.name);
   if (notification.store) {
     for (UniqueFd& fd : fds) {
-      if (kept_.size() < kept_count_max) kept_.insert_or_assign(notification.name, std::move(fd));
+      if (kept_.size() < kept_count_max) {
+        kept_.insert_or_assign(notification.name, std::move(fd));
+      } else {
+        lost = true;
+      }
     }
     if (lost || fds.empty())
       log_.write(LogLevel::error, "a descriptor was lost",
-                 {{"name", notification.name}, {"why", "no descriptor left; raise LimitNOFILE"}});
+                 {{"name", notification.name}, {"why", "as many are kept as may be, or LimitNOFILE is too low"}});
   }
   if (notification.ready) {
     was_ready_ = is_ready_ = true;
