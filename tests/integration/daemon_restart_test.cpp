@@ -464,8 +464,8 @@ TEST(DaemonRestart, RefusesTheTablesOfAnotherBuildAndHarmsNothing) {
     EXPECT_EQ(client.ask(wire::Opcode::rejoin, rejoin).refused_code(), Errc::layout_mismatch);
     wire::Observe observe{};
     EXPECT_EQ(client.ask(wire::Opcode::observe, observe).refused_code(), Errc::layout_mismatch);
-    daemon.kill_worker();  // it may die as often as it likes
-    ASSERT_TRUE(eventually([&] { return daemon.pid() > 0; }));
+    const pid_t old = daemon.kill_worker();  // it may die as often as it likes
+    ASSERT_TRUE(eventually([&] { return daemon.pid() > 0 && daemon.pid() != old; }));
   }
   pair.exchange();
   EXPECT_EQ(daemon.kept_count(), kept);
