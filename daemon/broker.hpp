@@ -110,6 +110,7 @@ class Broker final : private Post {
 
   void serve(Peer& peer, const Request& request);
   [[nodiscard]] Result<void> check_caller(const Peer& peer, std::uint64_t fingerprint);
+  void end_unwelcomed(const Peer& again);
   [[nodiscard]] Result<void> hello(Peer& peer, const wire::Hello& hello);
   [[nodiscard]] Result<void> rejoin(Peer& peer, const wire::Rejoin& request);
   [[nodiscard]] Result<Peer*> lost_peer(const Peer& peer, const wire::Rejoin& request);
