@@ -9,8 +9,8 @@
 //   pidfd readable        reap
 //   started again         broker_resume.cpp
 //
-// One thread. The order of things inside one event is the protocol's; between events everything is
-// consistent, so the daemon may be killed at any time.
+// One thread; another one frees memory (closer.hpp). The order of things inside one event is the
+// protocol's; between events everything is consistent, so the daemon may be killed at any time.
 #pragma once
 
 #include <daemon/access.hpp>
