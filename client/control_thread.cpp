@@ -199,7 +199,9 @@ std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
                                                                    : abi::subscription_extent_bytes;
   AGNOCAST_CRASH_POINT(C_peer_extent);
   // On a new connection an endpoint of our own may be announced before its creation is answered.
-  if (own && !region_.open(announcement.extent, bytes)) return nullptr;
+  if (is_self(announcement.client, announcement.client_generation) &&
+      !region_.open(announcement.extent, bytes))
+    return nullptr;
   if (!known.peer->open(announcement.extent, bytes)) return nullptr;
   return use(known);
 }
@@ -315,7 +317,8 @@ void Context::on_orphaned(Incoming& packet) {
   if (!packet.read(gone)) return;
   const std::lock_guard lock(endpoints_);
   for (const auto& [key, subscription] : subscriptions_) {
-    if (key.first == gone.topic) subscription->orphan(gone.index, gone.generation);
+    if (key.first == gone.topic)
+      subscription->orphan(gone.index, gone.generation, gone.final_head == 0);
   }
 }
 

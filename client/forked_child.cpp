@@ -12,11 +12,11 @@
 namespace agnocast {
 namespace {
 
-constinit const std::atomic<std::uint32_t> always_own{1};
+constinit std::atomic<std::uint32_t> always_own{detail::served};
 
 }  // namespace
 
-constinit std::atomic<const std::atomic<std::uint32_t>*> detail::own_process_word{&always_own};
+constinit std::atomic<std::atomic<std::uint32_t>*> detail::own_process_word{&always_own};
 
 Result<void> recognise_forked_children() noexcept {
   if (detail::own_process_word.load(std::memory_order_relaxed) != &always_own) return {};
@@ -28,7 +28,7 @@ Result<void> recognise_forked_children() noexcept {
     ::munmap(page, abi::page_bytes);
     return fail(Errc::os_failure, "a page that knows its process", error);
   }
-  detail::own_process_word.store(new (page) std::atomic<std::uint32_t>(1),
+  detail::own_process_word.store(new (page) std::atomic<std::uint32_t>(detail::served),
                                  std::memory_order_release);
   return {};
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Forked child: is this process a child, made without exec, of one that uses the library?
+// Forked child: does the library serve this process, or is it a child, made without exec, of one
+// that uses it, or was its membership revoked?
 //
 // Such a child has copies of all our objects and none of our threads; locks may be held for ever;
 // sockets, bells and other processes' regions are the parent's; its own region and windows are not
@@ -8,6 +9,9 @@
 // before it takes a lock or touches shared memory: creation and publish say shut_down, take finds
 // nothing, destructors let go of nothing but memory. The answer comes from a page that the kernel
 // wipes at fork, so children of _Fork and clone are known too; it costs two loads.
+//
+// The same page says that the membership was revoked, so nobody on the data path looks twice:
+// publish says revoked, take finds nothing; what is held stays, and is let go of as always.
 #pragma once
 
 #include <agnocast/result.hpp>
@@ -22,14 +26,34 @@ namespace agnocast {
 [[nodiscard]] Result<void> recognise_forked_children() noexcept;
 
 namespace detail {
-// 1 in the process that uses the library, 0 in its children. Before that: a constant 1.
-extern std::atomic<const std::atomic<std::uint32_t>*> own_process_word;
+// Before that: a word that always says `served`.
+extern std::atomic<std::atomic<std::uint32_t>*> own_process_word;
+inline constexpr std::uint32_t forked = 0;  // as the kernel wipes it
+inline constexpr std::uint32_t served = 1;
+inline constexpr std::uint32_t revoked = 2;
+inline std::uint32_t service_word() noexcept {
+  return own_process_word.load(std::memory_order_acquire)->load(std::memory_order_relaxed);
+}
 }  // namespace detail
 
 /// Any thread.
-inline bool is_forked_child() noexcept {
+inline bool is_forked_child() noexcept { return detail::service_word() == detail::forked; }
+/// ok, shut_down in a forked child, or revoked. Any thread.
+inline Errc service_state() noexcept {
+  const std::uint32_t word = detail::service_word();
+  if (word == detail::served) return Errc::ok;
+  return word == detail::forked ? Errc::shut_down : Errc::revoked;
+}
+inline bool is_served() noexcept { return detail::service_word() == detail::served; }
+/// Sees also what was written before end_service(). Any thread.
+inline bool is_revoked() noexcept {
   return detail::own_process_word.load(std::memory_order_acquire)
-             ->load(std::memory_order_relaxed) == 0;
+             ->load(std::memory_order_acquire) == detail::revoked;
+}
+/// The membership of this process is over, for good. After recognise_forked_children().
+inline void end_service() noexcept {
+  detail::own_process_word.load(std::memory_order_acquire)
+      ->store(detail::revoked, std::memory_order_release);
 }
 
 /// What creation functions begin with.

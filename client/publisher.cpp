@@ -81,8 +81,10 @@ UntypedPublisher::~UntypedPublisher() {
 
 Errc UntypedPublisher::state() const noexcept {
   if (endpoint_ == nullptr) return Errc::switched_off;
-  return is_forked_child() ? Errc::shut_down : Errc::ok;
+  return service_state();
 }
+
+bool UntypedPublisher::is_active() const noexcept { return endpoint_ != nullptr && !is_revoked(); }
 
 Errc UntypedPublisher::publish(void* message, std::size_t bytes) noexcept {
   switch (endpoint_->publish(message, bytes)) {

@@ -170,6 +170,7 @@ bool PublisherEndpoint::is_linked(const Attached& attached) const noexcept {
 
 // A match is reported when the subscription has linked: before, it may still miss what is published.
 void PublisherEndpoint::note_links() noexcept {
+  if (!is_served()) return;
   std::size_t linked = 0;
   {
     const std::lock_guard lock(mutex_);
@@ -200,6 +201,17 @@ void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) no
     attached_.erase(found);
   });
   if (was_matched) events_.ceased();
+}
+
+// What is attached stays: its readers are waited for as before, as far as the board tells of them.
+void PublisherEndpoint::revoke() noexcept {
+  std::ptrdiff_t matched = 0;
+  {
+    const std::lock_guard lock(mutex_);
+    matched = std::count_if(attached_.begin(), attached_.end(),
+                            [](const Attached& attached) { return attached.matched; });
+  }
+  for (; matched > 0; --matched) events_.ceased();
 }
 
 std::vector<PublisherEndpoint::Member> PublisherEndpoint::detach_all() {
@@ -248,7 +260,7 @@ std::uint64_t PublisherEndpoint::allocated_count() const noexcept {
   return core_->allocated_count();
 }
 std::size_t PublisherEndpoint::subscription_count() const noexcept {
-  if (is_forked_child()) return 0;
+  if (!is_served()) return 0;
   const std::lock_guard lock(mutex_);
   return static_cast<std::size_t>(
       std::count_if(attached_.begin(), attached_.end(),

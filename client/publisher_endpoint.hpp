@@ -72,6 +72,8 @@ class PublisherEndpoint {
   bool is_attached(std::uint64_t index, std::uint64_t generation) const noexcept;
   /// It is over: looks at it no more and lets go of its region.
   void detach(std::uint64_t index, std::uint64_t generation) noexcept;
+  /// The membership of the process was revoked: nobody is matched any more.
+  void revoke() noexcept;
   /// A subscription that it is attached to.
   struct Member {
     std::uint64_t index;

@@ -13,6 +13,7 @@
 // endpoints to a new region; become_island() is where that would begin.
 
 #include <client/context.hpp>
+#include <client/forked_child.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/step.hpp>
@@ -53,6 +54,12 @@ void Context::become_island(const Failure& why) noexcept {
   reconnection_.refused();
   island_reason_.store(why.code, std::memory_order_release);
   connection_->refuse(why);
+  if (why.code == Errc::revoked) {
+    end_service();
+    const std::lock_guard lock(endpoints_);
+    for (const auto& [key, publisher] : publishers_) publisher->revoke();
+    for (const auto& [key, subscription] : subscriptions_) subscription->revoke();
+  }
   tell_state(ConnectionState::island);
 }
 

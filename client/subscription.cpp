@@ -138,7 +138,10 @@ UntypedSubscription::~UntypedSubscription() {
   Context::instance().destroy(endpoint_);
 }
 
-bool UntypedSubscription::is_own() const noexcept { return !is_forked_child(); }
+bool UntypedSubscription::is_own() const noexcept { return is_served(); }
+bool UntypedSubscription::is_active() const noexcept {
+  return endpoint_ != nullptr && !is_revoked();
+}
 Block* UntypedSubscription::take() noexcept {
   return endpoint_ != nullptr ? take_block(*endpoint_) : nullptr;
 }

@@ -43,18 +43,29 @@ bool SubscriptionEndpoint::add_publisher(const Publisher& publisher, std::shared
   return true;
 }
 
-void SubscriptionEndpoint::orphan(std::uint64_t publisher, std::uint64_t generation) noexcept {
+void SubscriptionEndpoint::orphan(std::uint64_t publisher, std::uint64_t generation,
+                                  bool give_up) noexcept {
   const std::lock_guard lock(mutex_);
   for (const auto& link : links_) {
     if (link->publisher() != publisher || link->generation() != generation) continue;
     AGNOCAST_CRASH_POINT(C_orphaned);
     link->core_.observe_publisher();
     if (!std::exchange(link->ceased_, true)) events_.ceased();
+    if (!give_up) continue;
+    while (link->core_.unread() > 0) link->core_.skip();
+    note_losses(*link);
   }
   // Publishers that come and go must not pile up behind a subscription that nobody looks at: beyond
   // its depth it owes nothing to those that are gone.
   drop_beyond_depth();
   sleeper_->wake();
+}
+
+void SubscriptionEndpoint::revoke() noexcept {
+  const std::lock_guard lock(mutex_);
+  for (const auto& link : links_) {
+    if (!std::exchange(link->ceased_, true)) events_.ceased();
+  }
 }
 
 void SubscriptionEndpoint::close() noexcept {
@@ -146,10 +157,18 @@ void SubscriptionEndpoint::note_losses(Link& link) noexcept {
   words.counter(offsetof(Counters, unreachable)).fetch_add(unreachable, std::memory_order_relaxed);
 }
 
+// A process that was stopped while it was revoked may come here before its control thread has read
+// of it; publishers keep nothing for it any more.
+bool SubscriptionEndpoint::is_member() const noexcept {
+  return self_.topic.subscription(self_.index, offsetof(abi::SubscriptionEntry, word))
+             .load(std::memory_order_acquire) ==
+         abi::pack_member(self_.generation, abi::MemberState::active);
+}
+
 std::optional<Received> SubscriptionEndpoint::take() noexcept {
-  if (is_forked_child()) return std::nullopt;
+  if (!is_served()) return std::nullopt;
   const std::lock_guard lock(mutex_);
-  if (closed_) return std::nullopt;
+  if (closed_ || !is_member()) return std::nullopt;
   drop_beyond_depth();
   // A link whose candidate was gone when looked at closely is asked again; each round loses or
   // takes something.
@@ -172,7 +191,7 @@ std::optional<Received> SubscriptionEndpoint::take() noexcept {
 }
 
 bool SubscriptionEndpoint::has_news() const noexcept {
-  if (is_forked_child()) return false;
+  if (!is_served()) return false;
   const std::lock_guard lock(mutex_);
   return !closed_ && std::any_of(links_.begin(), links_.end(), [](const auto& link) {
     return link->is_ready() && link->core_.has_news();

@@ -127,8 +127,11 @@ class SubscriptionEndpoint {
   /// An announced publisher; announced again, it only may have new windows. False when it is not
   /// linked: it was before, this subscription is closed, or it is not on the board.
   [[nodiscard]] bool add_publisher(const Publisher& publisher, std::shared_ptr<Peer> peer);
-  /// The daemon says that this publisher is gone: what it committed is still delivered.
-  void orphan(std::uint64_t publisher, std::uint64_t generation) noexcept;
+  /// The daemon says that this publisher is gone: what it committed is still delivered, unless it is
+  /// to be given up. Then what is unread is lost.
+  void orphan(std::uint64_t publisher, std::uint64_t generation, bool give_up) noexcept;
+  /// The membership of the process was revoked: nobody is matched any more.
+  void revoke() noexcept;
   /// Links that are over and of which nothing is held: unlinked here; the caller tells the daemon.
   std::vector<std::shared_ptr<Link>> collect_unlinked();
   bool is_linked_to(std::uint64_t publisher, std::uint64_t generation) const noexcept;
@@ -157,6 +160,7 @@ class SubscriptionEndpoint {
   Departure& departure() noexcept { return departure_; }
 
  private:
+  bool is_member() const noexcept;
   using Book = journal::AnnouncementBook<SharedMemory>;
   void drop_beyond_depth() noexcept;
   void note_losses(Link& link) noexcept;

@@ -40,17 +40,24 @@ std::string version_text() {
   return text;
 }
 
+/// The word that names what a command is about; empty when it takes none.
+std::string subject_of(const Command& command) {
+  if (command.takes & a_name) return "NAME";
+  return command.takes & a_process ? "PROCESS" : "";
+}
+
 std::string usage_of(const Command& command) {
   std::string usage = std::string(command.noun);
   if (!command.verb.empty()) usage += ' ' + std::string(command.verb);
-  if (command.takes & a_name) usage += " NAME";
+  if (const std::string subject = subject_of(command); !subject.empty()) usage += ' ' + subject;
   return usage;
 }
 
 /// Help of everything, or of one noun.
 std::string help_text(std::span<const Command> commands, std::string_view noun) {
   std::string text =
-      "Looks at agnocast: topics, processes, shared heaps. Looking never disturbs.\n\n"
+      "Looks at agnocast: topics, processes, shared heaps. Looking never disturbs; only revoke "
+      "changes\nanything.\n\n"
       "Usage: agnocast-ctl NOUN [VERB] [NAME] [OPTION...]\n\n";
   std::string examples;
   std::size_t width = 0;
@@ -199,6 +206,9 @@ class Parser {
     app_.set_help_flag("-h,--help", "print this and end");
     if (command.takes & a_name)
       app_.add_option("NAME", arguments_.name, "a topic; without a slash it is meant to have one");
+    if (command.takes & a_process)
+      app_.add_option("PROCESS", arguments_.name,
+                      "a pid, or INDEX.GENERATION as process list has it (CLIENT)");
     flag("-t,--show-types", types, arguments_.types, "with the type of each");
     flag("-c,--count-topics", count, arguments_.count, "only how many there are");
     flag("-v,--verbose", verbose, arguments_.verbose, "more of each");
@@ -240,8 +250,9 @@ class Parser {
       return wrong_usage("command line", escaped(error.what()), help);
     }
     if (auto known = refuse_extras(help); !known) return tl::unexpected(known.error());
-    if ((command_.takes & a_name) && arguments_.name.empty())
-      return wrong_usage("NAME", "is missing",
+    if (const std::string subject = subject_of(command_);
+        !subject.empty() && arguments_.name.empty())
+      return wrong_usage(subject, "is missing",
                          std::string(command_.examples.substr(0, command_.examples.find('\n'))));
     if (auto form = read_json(around, help); !form) return tl::unexpected(form.error());
     if (command_.takes & domain) {

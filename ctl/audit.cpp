@@ -34,20 +34,6 @@ constexpr std::chrono::microseconds pause_between_copies{200};
 // How often a link is looked at again that seems broken.
 constexpr int tries_max = 16;
 
-// A process that a debugger or SIGSTOP holds may stand in the middle of anything for any time.
-bool is_stopped(std::uint32_t pid) {
-  const std::string path = "/proc/" + std::to_string(pid) + "/stat";
-  const std::unique_ptr<std::FILE, int (*)(std::FILE*)> file(std::fopen(path.c_str(), "re"),
-                                                             &std::fclose);
-  char line[512];
-  if (pid == 0 || file == nullptr || std::fgets(line, sizeof line, file.get()) == nullptr)
-    return false;
-  const std::string text = line;  // "pid (name) state …"; the name may hold anything
-  const std::size_t end = text.rfind(')');
-  return end != std::string::npos && end + 2 < text.size() &&
-         (text[end + 2] == 'T' || text[end + 2] == 't');
-}
-
 /// A queue, copied word by word.
 class QueueCopy {
  public:
@@ -340,7 +326,7 @@ class Auditor {
                         subscription.state() == abi::MemberState::leaving;
     std::byte* const region = system_.region_of(subscription);
     if (!counts || region == nullptr) return;
-    if (is_stopped(system_.process_of(subscription)->facts.pid)) return;
+    if (is_stopped(system_.process_of(subscription)->facts)) return;
     for (std::uint64_t index = 0; index < M::publisher_count(); ++index) {
       const Line line{region, subscription.facts.extent, index};
       const std::uint64_t generation = line.publisher_generation().load(acquire);

@@ -24,6 +24,7 @@ enum Takes : std::uint32_t {
   verbose = 1 << 4,
   hidden = 1 << 5,
   records = 1 << 7,  // which records of the journal
+  a_process = 1 << 8,
 };
 
 struct Command {
@@ -39,6 +40,7 @@ Outcome<void> show_status(const Arguments& arguments, Console& console);
 Outcome<void> list_topics(const Arguments& arguments, Console& console);
 Outcome<void> show_topic(const Arguments& arguments, Console& console);
 Outcome<void> list_processes(const Arguments& arguments, Console& console);
+Outcome<void> revoke_process(const Arguments& arguments, Console& console);
 Outcome<void> list_heaps(const Arguments& arguments, Console& console);
 Outcome<void> show_journal(const Arguments& arguments, Console& console);
 Outcome<void> verify_system(const Arguments& arguments, Console& console);

@@ -2,8 +2,8 @@
 //
 // agnocast-ctl: the table of commands, and the one place where answers and complaints leave.
 //
-// It observes (docs/control-plane.md) and reads shared regions; it never maps anything writable,
-// never subscribes and never changes anything.
+// It observes (docs/control-plane.md) and reads shared regions; it never maps anything writable and
+// never subscribes. Nothing changes by it but by `process revoke`, which asks the daemon.
 
 #include <ctl/commands.hpp>
 
@@ -28,6 +28,8 @@ constexpr Command commands[] = {
      "agnocast-ctl topic info -v /points\nagnocast-ctl topic info /points --json=short"},
     {"process", "list", "the processes that publish or subscribe", domains, list_processes,
      "agnocast-ctl process list\nagnocast-ctl processes --all-domains"},
+    {"process", "revoke", "end the membership of a process that lives", a_process, revoke_process,
+     "agnocast-ctl process revoke 4711\nagnocast-ctl process revoke 3.17 --json"},
     {"heap", "list", "the shared heap windows and how far they are in use", domains, list_heaps,
      "agnocast-ctl heap list\nagnocast-ctl heaps --json"},
     {"journal", "", "the last operations and recoveries of the daemon", records, show_journal,

@@ -107,6 +107,61 @@ std::optional<SubscriptionNumbers> numbers_of_subscription(const System& system,
   return numbers;
 }
 
+namespace {
+
+/// The slots of one publisher that these subscriptions hold or have not read.
+void add_slots(const System& system, const Endpoint& publisher,
+               const std::vector<const Endpoint*>& subscriptions, KeptNumbers& kept) {
+  std::byte* const queue = system.region_of(publisher);
+  if (queue == nullptr) return;
+  const Words words{queue, publisher.facts.extent};
+  const std::uint64_t end = abi::sequence_of(words.head().load(acquire)) + 1;
+  struct Linked {
+    Line line;
+    std::uint64_t from;  // unread from here
+  };
+  std::vector<Linked> linked;
+  for (const Endpoint* const subscription : subscriptions) {
+    const Line line{system.region_of(*subscription), subscription->facts.extent,
+                    publisher.facts.index};
+    if (line.publisher_generation().load(acquire) != publisher.facts.generation) continue;
+    const std::uint64_t window = abi::window_of(abi::unpack_qos(subscription->facts.qos));
+    linked.push_back(
+        {line, std::max(line.cursor().load(acquire), dataplane::minus_at_least(end, window, 0))});
+  }
+  for (std::uint64_t slot = 0; !linked.empty() && slot < publisher.facts.slot_count; ++slot) {
+    const std::uint64_t id = words.slot_id(slot).load(acquire);
+    const bool is_kept = id != 0 && std::any_of(linked.begin(), linked.end(), [&](const Linked& l) {
+                           return (id & ~abi::retired_mark) >= l.from ||
+                                  (l.line.hold(slot / 64).load(relaxed) >> slot % 64 & 1) != 0;
+                         });
+    if (!is_kept) continue;
+    ++kept.slots;
+    kept.object_bytes += words.slot_size(slot).load(relaxed);
+  }
+}
+
+}  // namespace
+
+KeptNumbers numbers_of_kept(const System& system, const Process& process) {
+  KeptNumbers kept;
+  for (const auto& [index, topic] : system.topics) {
+    std::vector<const Endpoint*> own;
+    for (const Endpoint& subscription : topic.subscriptions) {
+      if (system.process_of(subscription) != &process || !takes_messages(subscription)) continue;
+      const auto numbers = numbers_of_subscription(system, topic, subscription);
+      if (!numbers) continue;
+      kept.unread += numbers->unread;
+      kept.held += numbers->held;
+      kept.lost += numbers->lost;
+      own.push_back(&subscription);
+    }
+    if (own.empty()) continue;
+    for (const Endpoint& publisher : topic.publishers) add_slots(system, publisher, own, kept);
+  }
+  return kept;
+}
+
 std::vector<WindowNumbers> numbers_of_windows(const System& system, const Process& process) {
   if (!process.region) return {};
   std::vector<WindowNumbers> windows(process.facts.window_count);

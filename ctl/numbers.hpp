@@ -38,6 +38,17 @@ std::optional<PublisherNumbers> numbers_of_publisher(const System& system, const
 std::optional<SubscriptionNumbers> numbers_of_subscription(const System& system, const Topic& topic,
                                                            const Endpoint& subscription);
 
+/// What the subscriptions of one process have, together, and what of others' memory stays in use for
+/// them.
+struct KeptNumbers {
+  std::uint64_t unread = 0;
+  std::uint64_t held = 0;
+  std::uint64_t lost = 0;
+  std::uint64_t slots = 0;         // of publishers; one that two subscriptions hold counts once
+  std::uint64_t object_bytes = 0;  // of the message objects in them, without what they point to
+};
+KeptNumbers numbers_of_kept(const System& system, const Process& process);
+
 /// Of one window of a process.
 struct WindowNumbers {
   std::uint64_t used_bytes = 0;  // the frontier

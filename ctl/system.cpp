@@ -12,7 +12,9 @@
 #include <algorithm>
 #include <array>
 #include <cerrno>
+#include <cstdio>
 #include <cstring>
+#include <memory>
 #include <system_error>
 
 namespace agnocast::ctl {
@@ -26,6 +28,7 @@ constexpr int patience_ms = 5'000;
 Status status_of(Errc code) noexcept {
   if (code == Errc::permission_denied) return Status::permission_denied;
   if (code == Errc::daemon_not_running) return Status::not_reachable;
+  if (code == Errc::endpoint_gone) return Status::no_such_thing;
   return Status::failed;
 }
 
@@ -45,6 +48,19 @@ std::uint64_t extent_bytes(const wire::DumpEndpoint& endpoint) noexcept {
 }
 
 }  // namespace
+
+bool is_stopped(const wire::DumpProcess& process) {
+  const std::string path = "/proc/" + std::to_string(process.pid) + "/stat";
+  const std::unique_ptr<std::FILE, int (*)(std::FILE*)> file(std::fopen(path.c_str(), "re"),
+                                                             &std::fclose);
+  char line[512];
+  if (process.pid == 0 || file == nullptr || std::fgets(line, sizeof line, file.get()) == nullptr)
+    return false;
+  const std::string text = line;  // "pid (name) state …"; the name may hold anything
+  const std::size_t end = text.rfind(')');
+  return end != std::string::npos && end + 2 < text.size() &&
+         (text[end + 2] == 'T' || text[end + 2] == 't');
+}
 
 const Process* System::process_of(const Endpoint& endpoint) const {
   const auto found = processes.find(endpoint.facts.client);
@@ -161,6 +177,17 @@ Outcome<Observer::Received> Observer::receive() {
     return problem(status_of(code), path_, escaped(text_of(refused.text)), remedy_of(code));
   }
   return received;
+}
+
+Outcome<void> Observer::revoke(const wire::DumpProcess& process) {
+  wire::Revoke request{};
+  request.client = process.client;
+  request.generation = process.generation;
+  if (auto sent = send(Opcode::revoke, request); !sent) return sent;
+  const auto answer = receive();
+  if (!answer) return tl::unexpected(answer.error());
+  if (answer->header().opcode != Opcode::done) return nonsense();
+  return {};
 }
 
 Outcome<System> Observer::look() {

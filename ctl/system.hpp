@@ -70,12 +70,18 @@ struct System {
   bool is_still_there(const Topic& topic, const Endpoint& endpoint) const;
 };
 
+/// Is it held by SIGSTOP or a debugger? Such a process may stand in the middle of anything for any
+/// time. False as well when it cannot be known.
+bool is_stopped(const wire::DumpProcess& process);
+
 /// A connection that looks. Problems: not_reachable, permission_denied, failed.
 class Observer {
  public:
   static Outcome<Observer> connect(const std::string& socket);
   /// One moment.
   Outcome<System> look();
+  /// Ends the membership of a process. Problems also: no_such_thing.
+  Outcome<void> revoke(const wire::DumpProcess& process);
   /// The newest records of the daemon's log, at most `count`, up to `last` (0: the newest).
   Outcome<Journal> read_journal(std::uint64_t last, std::uint64_t count);
   /// How long every client region is.

@@ -33,7 +33,9 @@ constexpr unsigned packets_per_turn = 32;
 // Likewise connections: whoever connects again and again, refused or not, is never done.
 constexpr unsigned connections_per_turn = 8;
 // How often a process without a connection is looked at.
-constexpr int detached_interval_ms = 250;
+constexpr int short_interval_ms = 250;
+// How often holds are looked at, and observers.
+constexpr int watch_interval_ms = 1'000;
 
 // What an observer has not read by then is thrown away, and the observer with it.
 constexpr std::uint64_t observer_patience_ms = 5'000;
@@ -84,6 +86,7 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
       obstacles_(options.arena),
       doorbells_(listener.bells_directory(), store),
       membership_(registry_, regions_, doorbells_, *this),
+      hold_watch_(registry_, regions_),
       by_client_(abi::client_count_max, nullptr),
       spare_(::open("/dev/null", O_RDONLY | O_CLOEXEC)) {
   membership_.on_ended = [this](ClientIndex client) { on_ended(client); };
@@ -203,6 +206,10 @@ void Broker::on_readable(PeerId id) {
     const auto found = peers_.find(id);
     if (found == peers_.end() || found->second->session.closed()) return;
     Peer& peer = *found->second;
+    if (peer.revoked) {
+      say_farewell(peer);
+      return;
+    }
     const bool observes = peer.session.role() == Role::observer;
     if (observes && turn > 0) return;  // a dump is work
     // A blocked writer is woken here as well: the handler does not tell the events apart.
@@ -302,8 +309,23 @@ void Broker::reap_peer(Peer& peer, DeathReason reason, std::string_view how) {
     return;
   }
   const ClientIndex client = *peer.session.client();
+  const bool revoked = peer.revoked;
   by_client_[number(client)] = nullptr;
   drop(id);
+  if (revoked) {
+    // The rest was done when it was revoked; now its place may be used again.
+    registry_.client_died(client, reason);
+    store_.remove(DescriptorStore::process(client));
+    const ClientRecord& record = registry_.client(client);
+    note(LogLevel::info, record.uid, "client gone",
+         {{"client", number(client)},
+          {"pid", record.pid},
+          {"uid", record.uid},
+          {"how", how},
+          {"was", "revoked"}});
+    membership_.settle_client(client);
+    return;
+  }
   repair(client, reason, how);
 }
 
@@ -312,7 +334,7 @@ void Broker::repair(ClientIndex client, DeathReason reason, std::string_view how
   const std::uint32_t pid = registry_.client(client).pid;
   obstacles_.forget(client);
   const Reaped reaped = reap(client, reason, registry_, regions_, doorbells_, membership_);
-  store_.remove(DescriptorStore::process(client));
+  if (!registry_.is_revoked(client)) store_.remove(DescriptorStore::process(client));
   note(reaped.corrupt == 0 ? LogLevel::info : LogLevel::warning, uid, "client gone",
        {{"client", number(client)},
         {"pid", pid},
@@ -323,6 +345,63 @@ void Broker::repair(ClientIndex client, DeathReason reason, std::string_view how
         {"rolled_back", reaped.rolled_back},
         {"rolled_forward", reaped.rolled_forward},
         {"corrupt_intents", reaped.corrupt}});
+}
+
+// Until the process ends the peer stays, and with it the connection's place in its user's quota and
+// the pidfd: so long the process has its memory, and may not come back.
+void Broker::revoke(Peer& peer, const std::string& why) {
+  const ClientIndex client = *peer.session.client();
+  by_client_[number(client)] = nullptr;
+  peer.revoked = true;
+  if (!std::exchange(peer.detached, true)) {
+    ++detached_count_;
+    ++connections_[peer.session.identity().uid].detached;
+  }
+  obstacles_.forget(client);
+  const Reaped reaped =
+      reap(client, DeathReason::revoked, registry_, regions_, doorbells_, membership_);
+  log_.write(LogLevel::warning, "client revoked",
+             {{"client", number(client)},
+              {"pid", peer.session.identity().pid},
+              {"uid", peer.session.identity().uid},
+              {"why", why},
+              {"publishers", reaped.publishers},
+              {"subscriptions", reaped.subscriptions}});
+  if (peer.session.closed()) return;
+  // What waits for it is about a membership that it does not have any more.
+  peer.session.drop_output();
+  auto packet = make_body<wire::Refused>(wire::Opcode::revoked);
+  packet.code = static_cast<std::uint32_t>(Errc::revoked);
+  packet.text = name_of(why);
+  peer.session.push(packet_of(packet), {});
+  say_farewell(peer);
+}
+
+void Broker::say_farewell(Peer& peer) {
+  if (peer.session.flush() == Session::Flushed::blocked) {
+    dispatcher_.change(peer.connection, EPOLLOUT);  // nothing that it says is read any more
+    return;
+  }
+  dispatcher_.remove(peer.connection);
+  peer.connection = 0;
+  // Not closed: what of its requests was never read would cost it the packet that waits for it.
+  ::shutdown(peer.session.socket().fd(), SHUT_RDWR);
+}
+
+bool Broker::was_revoked(const Peer& peer) const {
+  const PeerIdentity& who = peer.session.identity();
+  for (const auto& [id, other] : peers_) {
+    if (!other->revoked) continue;
+    const PeerIdentity& one = other->session.identity();
+    const auto inode = who.process.inode(), its_inode = one.process.inode();
+    // A process that has not ended keeps its pid.
+    const bool same = inode && its_inode
+                          ? *inode == *its_inode
+                          : who.pid > 0 && who.pid == one.pid && !one.process.ended();
+    // After exec it is another program.
+    if (same && maps_file(one.pid, regions_.region_file(*other->session.client()))) return true;
+  }
+  return false;
 }
 
 void Broker::drop(PeerId id) {
@@ -347,12 +426,12 @@ void Broker::drop(PeerId id) {
 
 void Broker::tick() {
   const std::uint64_t now = now_ms();
-  if (now - looked_ms_ < detached_interval_ms) return;  // however many events there are
+  if (now - looked_ms_ < short_interval_ms) return;  // however many events there are
   looked_ms_ = now;
   if (flush_later_) {
     flush_later_ = false;
     for (auto& [id, peer] : peers_) {
-      if (!peer->session.closed() && peer->session.has_output()) flush(*peer);
+      if (!peer->session.closed() && !peer->revoked && peer->session.has_output()) flush(*peer);
     }
   }
   if (detached_count_ > 0) {
@@ -366,12 +445,13 @@ void Broker::tick() {
       reap_peer(*peers_.at(id), DeathReason::let_go, "process let go of its region");
   }
   drop_slow_observers(now);
+  watch_holds(now);
   log_.flush();
 }
 
 int Broker::due_ms() const noexcept {
-  if (detached_count_ > 0 || flush_later_) return detached_interval_ms;
-  return observer_count_ > 0 ? 1'000 : 10'000;
+  if (detached_count_ > 0 || flush_later_) return short_interval_ms;
+  return peers_.empty() ? 10'000 : watch_interval_ms;
 }
 
 void Broker::drop_slow_observers(std::uint64_t now) {
@@ -383,6 +463,19 @@ void Broker::drop_slow_observers(std::uint64_t now) {
       slow.push_back(id);
   }
   for (const PeerId id : slow) disconnect(*peers_.at(id), "an observer does not read");
+}
+
+void Broker::watch_holds(std::uint64_t now) {
+  if (now - watched_ms_ < watch_interval_ms) return;
+  watched_ms_ = now;
+  const auto liar = hold_watch_.look();
+  if (!liar) return;
+  Peer* const peer = by_client_[number(registry_.owner_of(liar->subscription))];
+  if (peer == nullptr) return;
+  revoke(*peer, "its subscription to " +
+                    std::string(registry_.topic(liar->subscription.topic).name) + " holds " +
+                    std::to_string(liar->held) + " messages of one publisher, its quota is " +
+                    std::to_string(liar->quota));
 }
 
 // --- Post
@@ -495,6 +588,9 @@ void Broker::serve(Peer& peer, const Request& request) {
     } else if constexpr (std::is_same_v<Body, wire::Dump>) {
       id = body.header.request;
       served = dump(peer, body);
+    } else if constexpr (std::is_same_v<Body, wire::Revoke>) {
+      id = body.header.request;
+      served = revoke(peer, body);
     } else if constexpr (std::is_same_v<Body, wire::ReadJournal>) {
       id = body.header.request;
       served = read_journal(peer, body);
@@ -543,13 +639,16 @@ Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
   if (auto known = check_caller(peer, hello.fingerprint); !known) return known;
   end_unwelcomed(peer);
   // Room for one more connection there may be for processes that come back.
-  const auto is_same_user = [&](const Peer* other) {
-    return other != nullptr && other->session.identity().uid == session.identity().uid;
+  const auto is_client_of_user = [&](const auto& entry) {
+    const Session& other = entry.second->session;
+    return other.greeted() && other.identity().uid == session.identity().uid;
   };
-  const auto clients = std::count_if(by_client_.begin(), by_client_.end(), is_same_user);
+  const auto clients = std::count_if(peers_.begin(), peers_.end(), is_client_of_user);
   if (peer.counts_as_observer ||
       static_cast<std::uint64_t>(clients) >= options_.config.quota.clients)
     return refusal(Errc::quota_exceeded, clients_text());
+  if (was_revoked(peer))
+    return refusal(Errc::revoked, "the membership of this process was revoked");
   std::string_view name;
   AGNOCAST_CHECK(text_of(hello.process_name, name));
   const auto plan = registry_.plan_client();
@@ -819,6 +918,25 @@ void Broker::answer_at_length(Peer& peer, std::vector<Outgoing> packets) {
   flush(peer);
 }
 
+Result<void> Broker::revoke(Peer& peer, const wire::Revoke& request) {
+  const ClientIndex client{static_cast<std::uint32_t>(request.client)};
+  if (number(client) >= registry_.client_high() || !registry_.is_alive(client) ||
+      registry_.client(client).generation != request.generation)
+    return refusal(Errc::endpoint_gone, "there is no such process, or it is no member any more");
+  const PeerIdentity& who = peer.session.identity();
+  const ClientRecord& record = registry_.client(client);
+  if (who.uid != 0 && who.uid != ::geteuid() && who.uid != record.uid)
+    return refusal(Errc::permission_denied, "user " + std::to_string(who.uid) +
+                                                " may not revoke a process of user " +
+                                                std::to_string(record.uid));
+  Peer* const revoked = by_client_[number(client)];
+  AGNOCAST_CHECK(revoked != nullptr);
+  revoke(*revoked,
+         "revoked by user " + std::to_string(who.uid) + " (pid " + std::to_string(who.pid) + ")");
+  reply(peer, packet_of(make_body<wire::Done>(wire::Opcode::done, request.header.request)));
+  return {};
+}
+
 DumpFacts Broker::facts() const {
   const std::uint64_t now = monotonic_ns();
   DumpFacts facts;
@@ -857,6 +975,7 @@ DumpFacts Broker::facts() const {
     const Peer* const peer = by_client_[number(client)];
     if (peer != nullptr)
       process.state = peer->detached ? wire::ProcessState::orphaned : wire::ProcessState::connected;
+    if (registry_.is_revoked(client)) process.state = wire::ProcessState::revoked;
     process.age_ns = now - registry_.client(client).since_ns;
     process.region = regions_.region_reader(client);
     for (const Obstacles::Claim& claim : obstacles_.of(client)) {

@@ -7,6 +7,7 @@
 //   connection ended      keep (the process lives), or reap (it has no trace of its region)
 //   rejoin                the new connection takes the place of the one that the process lost
 //   pidfd readable        reap
+//   observer says revoke  reap although it lives; it is told, and its pidfd stays watched
 //   started again         broker_resume.cpp
 //
 // One thread; another one frees memory (closer.hpp). The order of things inside one event is the
@@ -20,6 +21,7 @@
 #include <daemon/dispatcher.hpp>
 #include <daemon/doorbells.hpp>
 #include <daemon/dump.hpp>
+#include <daemon/hold_watch.hpp>
 #include <daemon/listener.hpp>
 #include <daemon/log.hpp>
 #include <daemon/membership.hpp>
@@ -73,7 +75,8 @@ class Broker final : private Post {
     Dispatcher::Token connection = 0;
     Dispatcher::Token process = 0;
     bool wants_writable = false;
-    bool detached = false;  // without a connection, but alive and mapping its region
+    bool detached = false;  // without a connection, or revoked, but alive and mapping its region
+    bool revoked = false;   // its client is dead in the tables; nothing it says counts
     bool counts_as_observer = false;
     std::uint64_t asked_ms = 0;  // of an observer: when its last answer was made
   };
@@ -102,8 +105,15 @@ class Broker final : private Post {
   void drop(PeerId id);
   void reap_peer(Peer& peer, journal::DeathReason reason, std::string_view how);
   void repair(ClientIndex client, journal::DeathReason reason, std::string_view how);
+  /// Ends the membership of a process that lives. `why` is for it and for the log.
+  void revoke(Peer& peer, const std::string& why);
+  /// Sends what a revoked process is to hear last, then shuts its connection.
+  void say_farewell(Peer& peer);
+  /// Is the process at the other end one that was revoked?
+  bool was_revoked(const Peer& peer) const;
   // --- resume
   [[nodiscard]] Result<void> adopt_client(ClientIndex client, std::uint64_t& lost);
+  [[nodiscard]] Result<void> adopt_revoked(ClientIndex client, bool whole);
   void back_endpoints(ClientIndex client);
   [[nodiscard]] Result<void> watch(ClientIndex client, UniqueFd process);
   std::uint64_t reap_while_away(const std::vector<ClientIndex>& ended);
@@ -121,6 +131,7 @@ class Broker final : private Post {
   [[nodiscard]] Result<void> create(Peer& peer, const CreateRequest& request);
   [[nodiscard]] Result<void> observe(Peer& peer, const wire::Observe& request);
   [[nodiscard]] Result<void> dump(Peer& peer, const wire::Dump& request);
+  [[nodiscard]] Result<void> revoke(Peer& peer, const wire::Revoke& request);
   [[nodiscard]] Result<void> read_journal(Peer& peer, const wire::ReadJournal& request);
   void answer_at_length(Peer& peer, std::vector<Outgoing> packets);
 
@@ -143,6 +154,7 @@ class Broker final : private Post {
 
   DumpFacts facts() const;
   void drop_slow_observers(std::uint64_t now);
+  void watch_holds(std::uint64_t now);
   void refuse(Peer& peer, std::uint64_t request, Errc code, int os_errno, std::string_view text);
   void reply(Peer& peer, std::span<const std::byte> packet, std::vector<SharedFd> fds = {});
   void on_ended(ClientIndex client);
@@ -166,6 +178,7 @@ class Broker final : private Post {
   Obstacles obstacles_;
   Doorbells doorbells_;
   Membership membership_;
+  HoldWatch hold_watch_;
   std::unordered_map<PeerId, std::unique_ptr<Peer>> peers_;
   std::vector<Peer*> by_client_;
   std::unordered_map<std::uint32_t, Connections> connections_;  // by uid
@@ -174,8 +187,9 @@ class Broker final : private Post {
   std::uint64_t detached_count_ = 0;  // processes without a connection
   bool flush_later_ = false;
   bool said_unlocked_ = false;
-  std::uint64_t looked_ms_ = 0;  // when tick() last had a look
-  UniqueFd spare_;               // given up for a moment when no descriptor is left
+  std::uint64_t looked_ms_ = 0;   // when tick() last had a look
+  std::uint64_t watched_ms_ = 0;  // the same, at what is held
+  UniqueFd spare_;                // given up for a moment when no descriptor is left
   Dispatcher::Token listening_ = 0;
 };
 

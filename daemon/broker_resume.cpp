@@ -19,6 +19,7 @@
 #include <sys/epoll.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <utility>
 
 namespace agnocast::daemon {
@@ -83,8 +84,11 @@ Result<void> Broker::adopt_client(ClientIndex client, std::uint64_t& lost) {
       return watch(client, std::move(process));
     }
     whole = false;
-  } else if (record.state == ClientState::forgotten) {
-    regions_.bury_client(client);
+  } else {
+    if (registry_.is_revoked(client)) {
+      if (auto backed = adopt_revoked(client, whole); !backed) return backed;
+    }
+    if (record.state == ClientState::forgotten) regions_.bury_client(client);
   }
   if (!whole) {
     ++lost;
@@ -93,6 +97,21 @@ Result<void> Broker::adopt_client(ClientIndex client, std::uint64_t& lost) {
                 {"pid", record.pid},
                 {"why", adopted ? "its pidfd was not kept" : adopted.error().what}});
   }
+  return {};
+}
+
+// Whom nobody can watch any more has ended, as far as this daemon can know: its place need not be kept.
+Result<void> Broker::adopt_revoked(ClientIndex client, bool whole) {
+  UniqueFd process = store_.take(DescriptorStore::process(client));
+  if (process && whole) {
+    if (auto watched = watch(client, std::move(process)); !watched) return watched;
+  }
+  const auto is_watched = [&](const auto& entry) {
+    return entry.second->revoked && entry.second->session.client() == client;
+  };
+  if (std::any_of(peers_.begin(), peers_.end(), is_watched)) return {};
+  registry_.client_died(client, DeathReason::died);
+  store_.remove(DescriptorStore::process(client));
   return {};
 }
 
@@ -138,7 +157,8 @@ Result<void> Broker::watch(ClientIndex client, UniqueFd process) {
       record.pid > 0 ? agnocast::user_namespace_of(peer->session.identity().pid).value_or(0) : 0;
   peer->detached = true;
   ++detached_count_;
-  by_client_[number(client)] = peer.get();
+  peer->revoked = registry_.is_revoked(client);
+  if (!peer->revoked) by_client_[number(client)] = peer.get();
   ++connections_[record.uid].clients;
   ++connections_[record.uid].detached;
   peers_.emplace(id, std::move(peer));
@@ -154,8 +174,8 @@ std::uint64_t Broker::reap_while_away(const std::vector<ClientIndex>& ended) {
       repair(client, DeathReason::died, "ended while the daemon was away");
       ++dead;
     } else if (state == ClientState::dead) {
-      // Its reason is in the record of its death.
-      repair(client, DeathReason::died, "its end was not finished by the former daemon");
+      repair(client, registry_.client(client).reason,
+             "its end was not finished by the former daemon");
     }
   }
   return dead;

@@ -7,6 +7,7 @@
 #include <journal/cases.hpp>
 
 #include <algorithm>
+#include <iterator>
 
 namespace agnocast::daemon {
 namespace {
@@ -79,7 +80,7 @@ Result<void> Membership::create(ClientIndex client, const CreateRequest& request
 Result<void> Membership::create_publisher(ClientIndex client, TopicIndex topic,
                                           const CreateRequest& request) {
   const auto plan = registry_.plan_publisher(client, topic, request.qos);
-  if (!plan) return tl::unexpected(plan.error());
+  if (!plan) return explain_full(topic, plan.error());
   const auto ready = regions_.renew(client, plan->extent, abi::publisher_extent_bytes,
                                     abi::slot_offset(abi::ring_count, plan->slot_count));
   if (!ready) return ready;
@@ -624,6 +625,7 @@ void Membership::orphan(const EndpointRef& ref, std::uint64_t final_head,
     doorbells_.ring(record.client, record.executor);
   });
   for_each_told(registry_.told_of(ref), [&](ClientIndex to) { say_orphaned(ref, to); });
+  limit_orphans(ref.topic);
 }
 
 void Membership::say_orphaned(const EndpointRef& ref, ClientIndex to) {
@@ -631,8 +633,47 @@ void Membership::say_orphaned(const EndpointRef& ref, ClientIndex to) {
   packet.topic = number(ref.topic);
   packet.index = ref.index;
   packet.generation = registry_.generation_of(ref);
-  packet.final_head = registry_.final_head_of(ref.topic, ref.index);
+  packet.final_head =
+      given_up_.contains(packet.generation) ? 0 : registry_.final_head_of(ref.topic, ref.index);
   post_.send(to, packet_of(packet), {});
+}
+
+// Only asked for: an index is free when everybody has said `unlinked`, as ever.
+void Membership::limit_orphans(TopicIndex topic) {
+  std::vector<std::pair<std::uint64_t, std::uint32_t>> orphans;  // generation, index: oldest first
+  registry_.for_each_publisher(topic, [&](std::uint32_t i, const PublisherRecord& record) {
+    if (record.state == EndpointState::orphan) orphans.emplace_back(record.generation, i);
+  });
+  const std::size_t limit = std::clamp<std::size_t>(registry_.capacity().publishers_per_topic / 2,
+                                                    1, abi::orphan_count_max);
+  if (orphans.size() <= limit) return;
+  std::sort(orphans.begin(), orphans.end());
+  orphans.resize(orphans.size() - limit);
+  for (const auto& [generation, index] : orphans) {
+    if (!given_up_.insert(generation).second) continue;
+    const EndpointRef ref{Kind::publisher, topic, index};
+    for_each_told(registry_.told_of(ref), [&](ClientIndex to) { say_orphaned(ref, to); });
+  }
+}
+
+// Whoever keeps publishers that are gone is named: it is stopped, or broken, and can be revoked.
+tl::unexpected<Failure> Membership::explain_full(TopicIndex topic, const Failure& why) const {
+  std::uint64_t orphans = 0;
+  std::vector<std::uint64_t> kept(registry_.client_high(), 0);
+  registry_.for_each_publisher(topic, [&](std::uint32_t, const PublisherRecord& record) {
+    if (record.state != EndpointState::orphan) return;
+    ++orphans;
+    for_each_told(record.told, [&](ClientIndex by) { ++kept[number(by)]; });
+  });
+  const auto most = std::max_element(kept.begin(), kept.end());
+  if (why.code != Errc::limit_reached || most == kept.end() || *most == 0)
+    return tl::unexpected(why);
+  const ClientRecord& process =
+      registry_.client(static_cast<ClientIndex>(std::distance(kept.begin(), most)));
+  return fail_with(Errc::limit_reached,
+                   std::string(detail_of(why)) + "; " + std::to_string(orphans) +
+                       " of them are gone, and process " + std::to_string(process.pid) + " (" +
+                       printable(process.name) + ") has not let go of " + std::to_string(*most));
 }
 
 void Membership::bury_subscription(const EndpointRef& ref) {
@@ -677,6 +718,7 @@ void Membership::settle(const EndpointRef& ref) {
   if (ref.kind == Kind::publisher) {
     const EndpointState state = registry_.publisher(ref.topic, ref.index).state;
     if (state != EndpointState::orphan && state != EndpointState::over) return;
+    given_up_.erase(registry_.generation_of(ref));
     if (owner_dead) {
       registry_.end_publisher(ref.topic, ref.index, EndpointState::free);
     } else if (state == EndpointState::orphan) {
@@ -751,6 +793,10 @@ void Membership::finish() {
     }
   }
   settle_all();
+  // Who comes back is told at once whom to let go of.
+  for (std::uint32_t t = 0; t < registry_.topic_high(); ++t) {
+    if (registry_.topic(TopicIndex{t}).state == TopicState::used) limit_orphans(TopicIndex{t});
+  }
 }
 
 void Membership::settle_all() {

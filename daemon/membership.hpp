@@ -80,13 +80,15 @@ class Membership {
               abi::QosPolicy policy = abi::QosPolicy::none);
 
   // --- for the reaper
-  /// A subscription whose process is dead.
+  /// A subscription whose process is no member any more.
   void bury_subscription(const EndpointRef& ref);
   /// Nobody publishes there any more: board, then everybody is rung and told.
   void orphan(const EndpointRef& ref, std::uint64_t final_head, journal::LeaveCause cause);
   /// Frees what nobody has any more, everywhere: after a process was forgotten.
   void settle_all();
   void forget_client(ClientIndex client);
+  /// Frees the place of a process if nobody has anything of it any more.
+  void settle_client(ClientIndex client);
 
   // --- for a daemon that goes on
   /// Carries out what follows from the records of the former life and has no record yet: who has
@@ -119,10 +121,11 @@ class Membership {
   void kick(TopicIndex topic, std::uint32_t publisher);
   void kick_publishers_of(const EndpointRef& subscription);
   void forget_subscription(const EndpointRef& ref);
+  void limit_orphans(TopicIndex topic);
+  [[nodiscard]] tl::unexpected<Failure> explain_full(TopicIndex topic, const Failure& why) const;
   void let_go(const EndpointRef& ref, ClientIndex by);
   void settle(const EndpointRef& ref);
   void settle_topic(TopicIndex topic);
-  void settle_client(ClientIndex client);
   Result<void> say_done(ClientIndex client, const wire::Reference& reference);
   bool is_own(ClientIndex client, const wire::Reference& reference) const;
   bool is_active(ClientIndex client, const wire::Reference& reference) const;
@@ -137,6 +140,7 @@ class Membership {
   Post& post_;
   // Whose wrong types the members of a topic have been told about; once is enough.
   std::set<std::pair<std::uint32_t, std::uint32_t>> type_notices_;
+  std::set<std::uint64_t> given_up_;  // generations of orphans that subscriptions shall let go of
 };
 
 }  // namespace agnocast::daemon

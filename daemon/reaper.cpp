@@ -59,8 +59,12 @@ Reaped reap(ClientIndex client, journal::DeathReason reason, Registry& registry,
     }
     const dataplane::PublisherWords<SharedMemory> words{regions.region(client), record.extent};
     AGNOCAST_CRASH_POINT(B_recover);
-    const journal::LeaveCause cause =
-        count(journal::recover_queue(words, record.slot_count, final_head), reaped);
+    journal::LeaveCause cause = journal::LeaveCause::left;
+    if (reason == journal::DeathReason::revoked) {
+      final_head = words.head().load(std::memory_order_acquire);
+    } else {
+      cause = count(journal::recover_queue(words, record.slot_count, final_head), reaped);
+    }
     membership.orphan(ref, final_head, cause);
     ++reaped.publishers;
   }

@@ -12,6 +12,10 @@
 // Every step may be repeated. The reaper never trusts a value that the dead process wrote, and
 // never takes the end of a connection for a death: only the pidfd says it, or a process that has no
 // trace of its region any more (after exec).
+//
+// Revoking is the same work on a process that lives, and may go on storing: its heads are copied
+// once and nothing is repaired in its region, because an interrupted publish may yet be completed.
+// What lies behind the copied head is read by nobody who has heard of the end.
 #pragma once
 
 #include <daemon/membership.hpp>
@@ -32,7 +36,7 @@ struct Reaped {
 };
 
 /// `client` is alive in the tables, or was being reaped when the daemon died, and its process stores
-/// no more (or is not believed any more). A process whose region was lost has no queues to repair:
+/// no more, unless the reason is `revoked`. A process whose region was lost has no queues to repair:
 /// its publishers end as they are.
 Reaped reap(ClientIndex client, journal::DeathReason reason, Registry& registry, Regions& regions,
             Doorbells& doorbells, Membership& membership);

@@ -236,7 +236,9 @@ void Registry::apply_to_client(const Record& record) {
       store(client.executors, client.executors | std::uint64_t{1} << record.argument[1]);
       break;
     case Type::client_dead:
-      store(client.state, ClientState::dead);
+      store(client.reason, static_cast<DeathReason>(record.argument[2]));
+      // What was revoked is forgotten already when it ends.
+      store(client.state, std::max(client.state, ClientState::dead));
       store(death_counter(tables_.header.counters, static_cast<DeathReason>(record.argument[2])),
             record.argument[3]);
       break;
@@ -461,10 +463,12 @@ void Registry::open_executor(ClientIndex index, std::uint32_t executor) {
 }
 
 void Registry::client_died(ClientIndex index, DeathReason reason) {
-  AGNOCAST_CHECK(client(index).state != ClientState::free);
+  AGNOCAST_CHECK(is_alive(index) || is_revoked(index));
+  // It was counted when it was revoked.
+  const std::uint64_t more = is_revoked(index) ? 0 : 1;
   change(Type::client_dead,
          {number(index), client(index).generation, static_cast<std::uint64_t>(reason),
-          death_counter(counters(), reason) + 1});
+          death_counter(counters(), reason) + more});
 }
 
 void Registry::client_forgotten(ClientIndex index) {
@@ -473,8 +477,8 @@ void Registry::client_forgotten(ClientIndex index) {
 }
 
 bool Registry::can_end(ClientIndex index) const {
-  return client(index).state == ClientState::forgotten && endpoints_of(index).empty() &&
-         client(index).told.reusable();
+  return client(index).state == ClientState::forgotten && !is_revoked(index) &&
+         endpoints_of(index).empty() && client(index).told.reusable();
 }
 
 void Registry::end_client(ClientIndex index) {

@@ -131,6 +131,7 @@ class Registry {
   static constexpr std::uint64_t client_region_bytes = std::uint64_t{1} << 30;
 
   explicit Registry(const Memory& memory, const Capacity& capacity = {}) noexcept;
+  const Capacity& capacity() const noexcept { return capacity_; }
 
   /// Fresh memory, all zero. Says on the board what it is.
   void create(std::uint64_t incarnation, const Founding& founding = {});
@@ -165,12 +166,18 @@ class Registry {
   Usage usage_of(std::uint32_t uid) const;
   void open_window(ClientIndex index, const WindowRecord& window);
   void open_executor(ClientIndex index, std::uint32_t executor);
-  /// Its process is gone, or has to go. Its endpoints stay what they are until they are changed one
-  /// by one.
+  /// It is no member any more. Its endpoints stay what they are until they are changed one by one.
+  /// Said again of one that was revoked when its process is gone.
   void client_died(ClientIndex index, journal::DeathReason reason);
+  /// No member any more, and its process has not ended.
+  bool is_revoked(ClientIndex index) const noexcept {
+    return client(index).state >= ClientState::dead &&
+           client(index).reason == journal::DeathReason::revoked;
+  }
   /// It has let go of everything that it was ever told about.
   void client_forgotten(ClientIndex index);
-  /// Forgotten, without endpoints, known to nobody: its place may be used again after end_client().
+  /// Gone, forgotten, without endpoints, known to nobody: its place may be used again after
+  /// end_client().
   bool can_end(ClientIndex index) const;
   void end_client(ClientIndex index);
 

@@ -20,13 +20,15 @@
 namespace agnocast::daemon {
 namespace {
 
+using journal::DeathReason;
+
 constexpr std::uint64_t magic_value = 0x6c6261742e6f6761;  // "ago.tabl" in memory order
 
 constexpr std::uint64_t layout_of_tables() noexcept {
   abi::Fingerprint sum;
   sum.add(sizeof(TableHeader), offsetof(TableHeader, arena_base), offsetof(TableHeader, counters),
           offsetof(TableHeader, bells));
-  sum.add(sizeof(ClientRecord), offsetof(ClientRecord, executors),
+  sum.add(sizeof(ClientRecord), offsetof(ClientRecord, reason), offsetof(ClientRecord, executors),
           offsetof(ClientRecord, window_count), offsetof(ClientRecord, window),
           offsetof(ClientRecord, told), offsetof(ClientRecord, name));
   sum.add(sizeof(TopicRecord), offsetof(TopicRecord, domain), offsetof(TopicRecord, layout_hash),
@@ -154,6 +156,8 @@ const char* Registry::flaw_of_client(std::uint32_t index) const noexcept {
   const ClientRecord& record = tables_.client[index];
   if (record.state == ClientState::free) return nullptr;
   if (record.state > ClientState::forgotten) return "the state of a process";
+  if (record.state != ClientState::alive && record.reason > DeathReason::revoked)
+    return "the end of a process";
   if (record.generation == 0 || record.generation > tables_.header.last_generation)
     return "the generation of a process";
   if (record.window_count > abi::window_count_max) return "the windows of a process";

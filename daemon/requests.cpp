@@ -164,6 +164,14 @@ Request decode_dump(Packet packet) { return body_of<wire::Dump>(packet); }
 // Any numbers: what is not there is not sent.
 Request decode_read_journal(Packet packet) { return body_of<wire::ReadJournal>(packet); }
 
+Request decode_revoke(Packet packet) {
+  const auto body = body_of<wire::Revoke>(packet);
+  const char* const wrong =
+      check_reference(wire::Kind::region, 0, body.client, body.generation, true);
+  if (wrong != nullptr) return refuse(body.header, Errc::protocol_violation, wrong);
+  return body;
+}
+
 struct Row {
   wire::Opcode opcode;
   std::size_t bytes;
@@ -185,13 +193,14 @@ constexpr Row rows[] = {
     {wire::Opcode::blocked, sizeof(wire::Blocked), Role::client, decode_blocked},
     {wire::Opcode::observe, sizeof(wire::Observe), Role::unknown, decode_observe},
     {wire::Opcode::dump, sizeof(wire::Dump), Role::observer, decode_dump},
+    {wire::Opcode::revoke, sizeof(wire::Revoke), Role::observer, decode_revoke},
     {wire::Opcode::read_journal, sizeof(wire::ReadJournal), Role::observer, decode_read_journal},
 };
 
 // Why a connection in this role does not say that.
 const char* out_of_place(Role role, wire::Opcode opcode) noexcept {
   if (role == Role::unknown) return "the first request must be hello";
-  if (role == Role::observer) return "an observer only looks";
+  if (role == Role::observer) return "an observer looks, or revokes";
   if (opcode == wire::Opcode::hello) return "hello is said once";
   return opcode == wire::Opcode::rejoin ? "this connection has a client already"
                                         : "a client does not observe; observers connect for that";

@@ -38,7 +38,7 @@ using AnnounceSet = journal::AnnounceSet<SharedMemory>;
 enum class ClientState : std::uint32_t {
   free = 0,
   alive = 1,
-  dead = 2,       // its process is gone; what it had and knew is being undone
+  dead = 2,       // no member any more; what it had and knew is being undone
   forgotten = 3,  // that is done; others may still have its region
 };
 enum class TopicState : std::uint32_t { free = 0, used = 1 };
@@ -57,6 +57,9 @@ struct ClientRecord {
   std::uint32_t uid;
   std::uint32_t gid;
   std::uint32_t pid;  // as the daemon sees it; 0 when it does not
+  // When dead or forgotten. What was revoked keeps its place until it ends as well: so long it maps
+  // its memory, and so long it is known that it may not come back.
+  journal::DeathReason reason;
   std::uint64_t domain;
   std::uint64_t executors;  // one bit each
   std::uint64_t since_ns;   // CLOCK_MONOTONIC of its hello

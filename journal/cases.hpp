@@ -175,7 +175,7 @@ enum class RejoinDecision : std::uint8_t {
 
 namespace rejoin {
 // fingerprint · who says it is who connected · incarnation · its place has its generation ·
-// state of the place · the process behind the stored pidfd
+// state of the place (dead: no member any more) · the process behind the stored pidfd
 inline constexpr std::uint8_t same = 1, other = 2;
 inline constexpr std::uint8_t alive = 1, dead = 2, free = 4;
 using D = RejoinDecision;
@@ -224,14 +224,14 @@ namespace stored {
 inline constexpr std::uint8_t tables = 1, listening = 2, memory = 4, process = 8, bell = 16,
                               stranger = 32;  // tables: board or journal; memory: region or window
 inline constexpr std::uint8_t present = 1, absent = 2;
-inline constexpr std::uint8_t alive = 1, dead = 2, none = 4;
+inline constexpr std::uint8_t alive = 1, dead = 2, none = 4, revoked = 8;  // revoked: and not ended
 using D = StoredDecision;
 inline constexpr CaseRow<D, 3> rows[] = {
     {"@D1", {tables, present, any}, D::take},
     {"@D2", {tables, absent, any}, D::start_anew},
     {"@D3", {listening, present, any}, D::take},
     {"@D4", {listening, absent, any}, D::make_anew},
-    {"@D5", {memory, present, alive | dead}, D::take},
+    {"@D5", {memory, present, alive | dead | revoked}, D::take},
     {"@D6", {memory, absent, alive}, D::owner_is_lost},
     {"@D7", {memory, absent, dead}, D::do_without},
     {"@D8", {process, present, alive}, D::take},
@@ -244,6 +244,10 @@ inline constexpr CaseRow<D, 3> rows[] = {
     {"@D15", {process | bell, absent, dead}, D::do_without},
     {"@D16", {memory | process | bell, absent, none}, D::do_without},
     {"@D17", {stranger, absent, any}, D::do_without},
+    {"@D18", {process, present, revoked}, D::take},
+    {"@D19", {memory | process, absent, revoked}, D::owner_is_lost},
+    {"@D20", {bell, present, revoked}, D::remove},
+    {"@D21", {bell, absent, revoked}, D::do_without},
 };
 }  // namespace stored
 

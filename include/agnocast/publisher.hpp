@@ -35,7 +35,7 @@ class PublisherOptions : public detail::EventOptions<PublisherOptions> {};
 /// Otherwise the caller still has it.
 struct PublishResult {
   /// ok, no_slot, would_block, heap_exhausted, window_exhausted, loan_invalid, user_code_threw,
-  /// shut_down (in a forked child), switched_off
+  /// shut_down (in a forked child), switched_off, revoked
   Errc code = Errc::ok;
   std::uint64_t adopted_bytes =
       0;  ///< bytes outside the shared heap that had to be copied in; 0 = true zero-copy
@@ -97,7 +97,7 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   UntypedPublisher(const UntypedPublisher&) = delete;
   UntypedPublisher& operator=(const UntypedPublisher&) = delete;
 
-  /// ok; shut_down in a forked child, switched_off: nothing can be published.
+  /// ok; shut_down in a forked child, switched_off, revoked: nothing can be published.
   Errc state() const noexcept;
   Errc publish(void* message, std::size_t bytes) noexcept;
   /// What make_resident did, unless nothing was foreign; for agnocast-ctl.
@@ -111,7 +111,7 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   IncompatibleQosInfo incompatible_qos_status() noexcept;
   IncompatibleTypeInfo incompatible_type_status() noexcept;
   HeapCollisionInfo heap_collision_status() noexcept;
-  bool is_active() const noexcept { return endpoint_ != nullptr; }
+  bool is_active() const noexcept;
 
  private:
   UntypedPublisher(MessageType type, std::string topic) noexcept
@@ -221,8 +221,9 @@ class Publisher {
     return publish(std::move(message));
   }
 
-  /// False when AGNOCAST=off was in the environment as this was created: it can be used as always, and
-  /// publish says switched_off.
+  /// False when AGNOCAST=off was in the environment as this was created (it can be used as always, and
+  /// publish says switched_off), and when the membership of the process was revoked (publish says
+  /// revoked).
   bool is_active() const noexcept { return untyped_->is_active(); }
   const char* get_topic_name() const noexcept { return untyped_->topic().c_str(); }
   /// Matched subscriptions: each gets what is published from now on.

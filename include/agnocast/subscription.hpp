@@ -67,7 +67,7 @@ class AGNOCAST_PUBLIC UntypedSubscription {
   IncompatibleTypeInfo incompatible_type_status() noexcept;
   HeapCollisionInfo heap_collision_status() noexcept;
   const std::string& topic() const noexcept { return topic_; }
-  bool is_active() const noexcept { return endpoint_ != nullptr; }
+  bool is_active() const noexcept;
 
  private:
   UntypedSubscription() noexcept = default;
@@ -146,7 +146,8 @@ class Subscription {
   HeapCollisionInfo get_heap_collision_status() noexcept {
     return untyped_->heap_collision_status();
   }
-  /// False when AGNOCAST=off was in the environment as this was created: nothing ever arrives.
+  /// False when AGNOCAST=off was in the environment as this was created, and when the membership of the
+  /// process was revoked: nothing ever arrives.
   bool is_active() const noexcept { return untyped_->is_active(); }
   const char* get_topic_name() const noexcept { return untyped_->topic().c_str(); }
 

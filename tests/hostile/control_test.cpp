@@ -235,7 +235,11 @@ TEST(HostileControl, NothingIsSaidBeforeHelloNorHelloTwice) {
     client.unlinked(Kind::region, 0, 0, 1);
     EXPECT_EQ(client.next().refused_code(), Errc::protocol_violation);
     EXPECT_EQ(client.ask(Opcode::dump, wire::Dump{}).refused_code(), Errc::protocol_violation);
+    wire::Revoke revoke{};
+    revoke.generation = 1;
+    EXPECT_EQ(client.ask(Opcode::revoke, revoke).refused_code(), Errc::protocol_violation);
     EXPECT_EQ(client.hello().opcode(), Opcode::welcome);
+    EXPECT_EQ(client.ask(Opcode::revoke, revoke).refused_code(), Errc::protocol_violation);
     EXPECT_EQ(client.hello().refused_code(), Errc::protocol_violation);
     wire::Observe observe{};
     observe.fingerprint = abi::fingerprint();
@@ -295,6 +299,13 @@ TEST(HostileControl, ClaimsAboutOthersEndpointsChangeNothing) {
         rejoin.client_generation = process.generation;
         EXPECT_EQ(impostor.ask(Opcode::rejoin, rejoin).opcode(), Opcode::refused)
             << "somebody else's place";
+        wire::Revoke revoke{};
+        revoke.client = process.client;
+        revoke.generation = process.generation;
+        EXPECT_EQ(observer.ask(Opcode::revoke, revoke).refused_code(), Errc::permission_denied)
+            << "of another user";
+        revoke.generation += 1;
+        EXPECT_EQ(observer.ask(Opcode::revoke, revoke).refused_code(), Errc::endpoint_gone);
       }
       node.wire().drain();
     }

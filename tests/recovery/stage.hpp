@@ -320,6 +320,7 @@ class Child {
   Child(const Child&) = delete;
   Child& operator=(const Child&) = delete;
 
+  pid_t pid() const { return pid_; }
   /// Kills it now.
   void end() {
     if (pid_ > 0) {

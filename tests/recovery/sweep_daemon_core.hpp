@@ -24,7 +24,7 @@ namespace agnocast::sweep {
 
 using namespace agnocast::daemon;
 
-inline constexpr std::uint32_t core_client_count = 4;
+inline constexpr std::uint32_t core_client_count = 5;
 inline constexpr std::uint64_t core_window_bytes = std::uint64_t{64} << 20;
 
 /// What the processes know of their endpoints, by the number of the request that created each. It
@@ -141,9 +141,18 @@ class Core final : private Post {
   }
   void reap(std::uint32_t client) {
     sessions_[client].reset();
-    if (!registry_.is_alive(ClientIndex{client}) && !is_dying(client)) return;
-    daemon::reap(ClientIndex{client}, journal::DeathReason::died, registry_, regions_, doorbells_,
-                 membership_);
+    end_membership(client, journal::DeathReason::died);
+  }
+  /// The process lives, and keeps its place.
+  void revoke(std::uint32_t client) {
+    sessions_[client].reset();
+    end_membership(client, journal::DeathReason::revoked);
+  }
+  /// One that was revoked ends.
+  void end(std::uint32_t client) {
+    const ClientIndex index{client};
+    if (registry_.is_revoked(index)) registry_.client_died(index, journal::DeathReason::died);
+    membership_.settle_client(index);
   }
 
   /// As a daemon begins that finds all this: the change under way, the deaths under way and those that
@@ -152,6 +161,7 @@ class Core final : private Post {
     require(registry_.open().has_value(), "these are not our tables");
     registry_.repair_board();
     for (std::uint32_t i = 0; i < registry_.client_high(); ++i) {
+      if (ended.count(i) != 0 && registry_.is_revoked(ClientIndex{i})) end(i);
       if (is_dying(i) || ended.count(i) != 0) reap(i);
     }
     membership_.finish();
@@ -171,6 +181,12 @@ class Core final : private Post {
  private:
   static void require(bool holds, const char* what) {
     if (!holds) throw std::runtime_error(what);
+  }
+  void end_membership(std::uint32_t client, journal::DeathReason reason) {
+    const ClientIndex index{client};
+    if (!registry_.is_alive(index) && !is_dying(client)) return;
+    daemon::reap(index, is_dying(client) ? registry_.client(index).reason : reason, registry_,
+                 regions_, doorbells_, membership_);
   }
   bool is_dying(std::uint32_t client) const {
     return registry_.client(ClientIndex{client}).state == ClientState::dead;
@@ -239,7 +255,9 @@ inline std::string Core::state(Generations generations) const {
     if (client.state != ClientState::free) {
       text << " generation " << shown(client.generation) << " uid " << client.uid << " gid "
            << client.gid << " pid " << client.pid << " executors " << client.executors << " name "
-           << client.name << " windows";
+           << client.name;
+      if (client.state != ClientState::alive) text << " reason " << static_cast<int>(client.reason);
+      text << " windows";
       for (std::uint64_t w = 0; w < client.window_count; ++w)
         text << ' ' << client.window[w].base << '+' << client.window[w].bytes;
       text << " known to ";

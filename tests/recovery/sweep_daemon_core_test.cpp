@@ -76,6 +76,12 @@ Operation unlinked_region(std::uint32_t by, std::uint32_t c) {
 Operation reap(std::uint32_t c) {
   return {"reap", [=](Core& core, bool) { core.reap(c); }, {c}};
 }
+Operation revoke(std::uint32_t c) {
+  return {"revoke", [=](Core& core, bool) { core.revoke(c); }, {}};
+}
+Operation end_of_revoked(std::uint32_t c) {
+  return {"the end of a revoked process", [=](Core& core, bool) { core.end(c); }, {c}};
+}
 Operation reap_both(std::uint32_t first, std::uint32_t second) {
   return {"two deaths",
           [=](Core& core, bool) {
@@ -85,8 +91,9 @@ Operation reap_both(std::uint32_t first, std::uint32_t second) {
           {first, second}};
 }
 
-// Processes 0 … 3. A publisher's depth, slots that must grow, indexes given out again, both orders of
-// leaving, deaths of processes with both kinds of endpoints, and in the end nobody.
+// Processes 0 … 4. A publisher's depth, slots that must grow, indexes given out again, both orders of
+// leaving, deaths of processes with both kinds of endpoints, one that is revoked and ends later, and
+// in the end nobody.
 const std::vector<Operation> script = {
     hello(0), window(0, 0), publisher(0, "/a", 1), hello(1), executor(1), subscription(1, "/a", 2),
     hello(2), executor(2), window(2, 0), subscription(2, "/a", 3, 500), publisher(2, "/b", 4),
@@ -97,10 +104,13 @@ const std::vector<Operation> script = {
     leave(0, 1), unlinked(1, 1), unlinked(2, 1), drained(0, 1), unlinked_region(2, 0),
     publisher(0, "/a", 9),
     // processes die
-    hello(3), publisher(3, "/a", 10), executor(3), subscription(3, "/c", 11), reap(3),
-    unlinked(1, 10), unlinked(2, 10), unlinked_region(1, 3), unlinked_region(2, 3), reap(2),
-    unlinked(1, 4), unlinked(1, 3), unlinked(0, 3), unlinked_region(1, 2), unlinked_region(0, 2),
-    leave(1, 5), drained(1, 5), leave(1, 7), unlinked(1, 7), drained(1, 7), reap_both(1, 0)};
+    hello(3), publisher(3, "/a", 10), executor(3), subscription(3, "/c", 11), hello(4),
+    window(4, 0), publisher(4, "/a", 12), executor(4), subscription(4, "/b", 13), revoke(4),
+    unlinked(1, 12), unlinked(2, 12), unlinked(2, 13), unlinked_region(1, 4), unlinked_region(2, 4),
+    end_of_revoked(4), reap(3), unlinked(1, 10), unlinked(2, 10), unlinked_region(1, 3),
+    unlinked_region(2, 3), reap(2), unlinked(1, 4), unlinked(1, 3), unlinked(0, 3),
+    unlinked_region(1, 2), unlinked_region(0, 2), leave(1, 5), drained(1, 5), leave(1, 7),
+    unlinked(1, 7), drained(1, 7), reap_both(1, 0)};
 
 class CoreSweep : public testing::Test {
  protected:

@@ -115,6 +115,7 @@ class WireNode {
     Environment environment{*this};
     core_->pass(environment);
   }
+  dataplane::PublisherWords<M> queue() const { return {region_.base(), publisher_.extent}; }
   std::uint64_t allocated_count() const { return core_->allocated_count(); }
   std::size_t attached_count() const { return attached_.size(); }
 
@@ -141,6 +142,13 @@ class WireNode {
       }
     }
     return std::nullopt;
+  }
+  /// Says of slots [0, count) of a publisher that it holds them, whether that is so or not.
+  bool claim_holds(std::uint64_t publisher, std::uint64_t count) {
+    if (links_.count(publisher) == 0) return false;
+    const dataplane::LinkWords<M> line{region_.base(), subscription_.extent, publisher};
+    line.hold(0).store((std::uint64_t{1} << count) - 1, std::memory_order_seq_cst);
+    return true;
   }
   /// The oldest held message, checked once more.
   bool release() {

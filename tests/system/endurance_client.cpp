@@ -14,6 +14,7 @@
 //     links                            → matched endpoints
 //     also pub|sub TOPIC               → ok      one more, keep-last 5; it is not looked at until
 //     drain                            → ok
+//     one                              → ok      the next message of that one, whole
 
 #include <tests/system/sheaf.hpp>
 
@@ -73,6 +74,7 @@ class Client {
       }
       return "ok";
     }
+    if (what == "one") return one();
     if (what == "cycle") {
       std::string kind;
       line >> kind >> topic >> count;
@@ -107,6 +109,15 @@ class Client {
       ++i;
     }
     return subscription_->get_lost_count() == 0 ? "ok" : "lost some";
+  }
+
+  std::string one() {
+    for (int tries = 0; tries < 100'000; ++tries) {
+      if (const auto message = also_subscription_->take())
+        return is_intact(*message, 1) ? "ok" : "differs";
+      ::usleep(100);
+    }
+    return "nothing came";
   }
 
   std::string cycle(bool publishers, const std::string& topic, std::uint64_t count) {

@@ -47,9 +47,9 @@ class Fingerprint {
 constexpr std::uint64_t fingerprint() noexcept {
   Fingerprint sum;
   sum.add(layout_version, cache_line_bytes, page_bytes, depth_max, ring_count, slot_count_max,
-          near_slot_count, publisher_count_max, subscription_count_max, topic_count_max,
-          client_count_max, window_count_max, executor_count_max, observer_count_max, heap_move_max,
-          blocked_count_max);
+          near_slot_count, publisher_count_max, subscription_count_max, orphan_count_max,
+          topic_count_max, client_count_max, window_count_max, executor_count_max,
+          observer_count_max, heap_move_max, blocked_count_max);
   // How words are packed, by what comes out for probes.
   sum.add(pack_entry(0x123456789abc, 0xdef0), sequence_of(0xfedcba9876543210),
           slot_of(0xfedcba9876543210), retired_mark, first_sequence_of(0x12345),
@@ -259,8 +259,8 @@ constexpr std::uint64_t fingerprint() noexcept {
   sum.add(Opcode::observe, Opcode::dump, Opcode::observed, Opcode::dump_daemon,
           Opcode::dump_process, Opcode::dump_topic, Opcode::dump_endpoint, Opcode::dump_user,
           Opcode::dump_end, wire::ProcessState::connected, wire::ProcessState::orphaned,
-          wire::ProcessState::dead, wire::JournalState::applied, wire::JournalState::pending,
-          wire::JournalState::damaged);
+          wire::ProcessState::dead, wire::ProcessState::revoked, wire::JournalState::applied,
+          wire::JournalState::pending, wire::JournalState::damaged);
   sum.add(wire::Kind::publisher, wire::Kind::subscription, wire::Kind::region);
   return sum.value();
 }

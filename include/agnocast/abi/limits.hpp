@@ -33,6 +33,10 @@ inline constexpr std::uint32_t near_slot_count = 384;
 // each kind are asked for) with room.
 inline constexpr std::uint32_t publisher_count_max = 254;
 inline constexpr std::uint32_t subscription_count_max = 768;
+// Publishers of one topic that are gone and not read to their end: what the 128 that are asked for
+// leave of the indexes. Of more, the oldest are given up, so that nobody keeps others from joining by
+// not reading. Where [limits] allows fewer publishers, half of those.
+inline constexpr std::uint32_t orphan_count_max = publisher_count_max - 128;
 // 4096 topics × 64 KiB = 256 MiB of addresses, touched only where topics exist.
 inline constexpr std::uint32_t topic_count_max = 4096;
 

@@ -143,6 +143,7 @@ enum class ProcessState : std::uint32_t {
   connected = 1,
   orphaned = 2,  // lives and maps its region, but its connection has ended
   dead = 3,      // has ended; others still have its memory
+  revoked = 4,   // lives, but is no member any more; its place is kept until it ends
 };
 struct DumpProcess {
   Header header;

@@ -268,7 +268,7 @@ struct Orphaned {
   std::uint32_t reserved;
   std::uint64_t index;
   std::uint64_t generation;
-  std::uint64_t final_head;
+  std::uint64_t final_head;  // 0: there are too many; what is unread of it is lost, let go of it
 };
 struct Refused {
   Header header;
