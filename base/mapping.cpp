@@ -10,6 +10,7 @@
 #include <sys/resource.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <cstdint>
 #include <cstdio>
@@ -107,6 +108,12 @@ Result<Mapping> Mapping::reserve(std::uint64_t address, std::uint64_t bytes) noe
 }
 
 void Mapping::cover(std::byte* at, std::uint64_t bytes) noexcept {
+  // Taking pages away at once stops every thread of the process that meets a page fault, for some
+  // 80 ms with 1 GiB. Slice by slice, and the mapping that is replaced is empty. A refusal (pages
+  // that are locked) costs only that.
+  constexpr std::uint64_t slice_bytes = 16 << 20;
+  for (std::uint64_t done = 0; bytes > slice_bytes && done < bytes; done += slice_bytes)
+    ::madvise(at + done, std::min(slice_bytes, bytes - done), MADV_DONTNEED);
   if (::mmap(at, bytes, PROT_NONE, reserved | MAP_FIXED, -1, 0) != MAP_FAILED) return;
   // EAGAIN: the kernel counts the new mapping before it takes the old one away.
   ::munmap(at, bytes);

@@ -15,6 +15,8 @@
 //   told     the peer's event callback runs: nobody is matched any more
 //   back     the publisher's message that the dead subscriber held is destroyed, its memory free again
 //   free     the daemon has given back everything: place, addresses, descriptors; the peer has unmapped
+//   creation meanwhile   with a large heap: the longest of the creations that this process asks for all
+//            the time until then
 // told and back are taken where they happen; ended and free (a line of the daemon's log) are looked for every 100 µs.
 //
 //   answered   a creation that was asked for just after the daemon's death is answered
@@ -163,14 +165,15 @@ class Bench {
     const std::string who = "publisher dies, " + how + ": ";
     std::fprintf(stderr, "… %s%zu times\n", who.c_str(), rounds);
     Series ended{who + "ended", {}}, told{who + "its subscription is told", {}},
-        free{who + "everything free", {}};
+        free{who + "everything free", {}}, meanwhile{who + "longest creation meanwhile", {}};
     for (const std::int64_t end = budget(seconds); rounds > 0 && now_ns() < end; --rounds) {
       const std::uint64_t heard = heard_;
       const auto victim = start("publisher", std::to_string(bytes));
       wait_until([&] { return heard_ != heard; }, "a new publisher's message");
-      kill(*victim, at_subscription_, ended, told, free, nullptr);
+      kill(*victim, at_subscription_,
+           {ended, told, free, bytes > small_bytes ? &meanwhile : nullptr}, nullptr);
     }
-    for (Series* series : {&ended, &told, &free}) figures_.add(std::move(*series));
+    for (Series* series : {&ended, &told, &free, &meanwhile}) add(std::move(*series));
   }
 
   void subscriber_deaths(std::size_t rounds, std::size_t bytes, const std::string& how,
@@ -178,7 +181,8 @@ class Bench {
     const std::string who = "subscriber dies, " + how + ": ";
     std::fprintf(stderr, "… %s%zu times\n", who.c_str(), rounds);
     Series ended{who + "ended", {}}, told{who + "its publisher is told", {}},
-        back{who + "the message it held is free", {}}, free{who + "everything free", {}};
+        back{who + "the message it held is free", {}}, free{who + "everything free", {}},
+        meanwhile{who + "longest creation meanwhile", {}};
     for (const std::int64_t end = budget(seconds); rounds > 0 && now_ns() < end; --rounds) {
       const auto victim = process("subscriber", "");
       wait_until([&] { return at_publisher_.count == 1; }, "the match of a new subscriber");
@@ -188,9 +192,10 @@ class Bench {
       if (!publisher_->publish(std::move(message))) give_up("a message was not published");
       await(*victim, "subscriber");
       if (Sample::destroyed_ns != 0) give_up("a message was destroyed while it was held");
-      kill(*victim, at_publisher_, ended, told, free, &back);
+      kill(*victim, at_publisher_, {ended, told, free, bytes > small_bytes ? &meanwhile : nullptr},
+           &back);
     }
-    for (Series* series : {&ended, &told, &back, &free}) figures_.add(std::move(*series));
+    for (Series* series : {&ended, &told, &back, &free, &meanwhile}) add(std::move(*series));
   }
 
   void daemon_deaths(std::size_t rounds, const std::string& how, double seconds) {
@@ -218,7 +223,7 @@ class Bench {
     std::this_thread::sleep_for(std::chrono::milliseconds(20));
     subscription.reset();
     source.reset();
-    for (Series* series : {&without, &answered, &all_back}) figures_.add(std::move(*series));
+    for (Series* series : {&without, &answered, &all_back}) add(std::move(*series));
     Series gaps[2]{
         {"1 kHz stream, " + how + ", no death: gap", stream.gaps(Stream::quiet)},
         {"1 kHz stream, " + how + ", a death each 200 ms: gap", stream.gaps(Stream::deadly)}};
@@ -239,6 +244,9 @@ class Bench {
   const Figures& figures() const { return figures_; }
 
  private:
+  void add(Series series) {
+    if (!series.ns.empty()) figures_.add(std::move(series));
+  }
   std::int64_t budget(double seconds) const {
     return now_ns() + static_cast<std::int64_t>(seconds * factor_ * 1e9);
   }
@@ -259,14 +267,23 @@ class Bench {
     return started;
   }
 
-  void kill(test::SteeredProcess& victim, Matched& peer, Series& ended, Series& told, Series& free,
+  struct DeathFigures {
+    Series &ended, &told, &free;
+    Series* meanwhile;  // null: nothing is created meanwhile
+  };
+  void kill(test::SteeredProcess& victim, Matched& peer, const DeathFigures& figures,
             Series* back) {
     const auto pidfd = Pidfd::open(victim.pid());
     if (!pidfd) give_up("a living process has no pidfd");
     std::this_thread::sleep_for(std::chrono::milliseconds(3));  // what its start caused is over
     log_.begin();
     peer.gone_ns = 0;
-    std::int64_t ended_ns = 0, free_ns = 0;
+    std::int64_t ended_ns = 0, free_ns = 0, longest_ns = 0;
+    std::atomic<bool> over{false};
+    std::thread creator([&] {
+      while (!over && figures.meanwhile != nullptr)
+        longest_ns = std::max(longest_ns, time_of_creation());
+    });
     const std::int64_t killed = now_ns();
     ::kill(victim.pid(), SIGKILL);
     const auto is_over = [&] {
@@ -285,9 +302,12 @@ class Bench {
                                      : "the message that it held is not free"));
       std::this_thread::sleep_for(look_every);
     }
-    ended.ns.push_back(ended_ns - killed);
-    told.ns.push_back(peer.gone_ns - killed);
-    free.ns.push_back(free_ns - killed);
+    over = true;
+    creator.join();
+    figures.ended.ns.push_back(ended_ns - killed);
+    figures.told.ns.push_back(peer.gone_ns - killed);
+    figures.free.ns.push_back(free_ns - killed);
+    if (figures.meanwhile != nullptr) figures.meanwhile->ns.push_back(longest_ns);
     if (back != nullptr) back->ns.push_back(Sample::destroyed_ns - killed);
   }
 

@@ -36,6 +36,12 @@ Failure refusal_of(const Incoming& packet) noexcept {
 
 namespace {
 
+int milliseconds_until(std::chrono::steady_clock::time_point deadline) noexcept {
+  using std::chrono::milliseconds;
+  const auto left = std::chrono::ceil<milliseconds>(deadline - std::chrono::steady_clock::now());
+  return static_cast<int>(std::max(left, milliseconds{0}).count());
+}
+
 tl::unexpected<Failure> gone() noexcept {
   return fail(Errc::daemon_not_running, "the connection to agnocastd has ended");
 }
@@ -252,10 +258,13 @@ Result<bool> Connection::receive(Incoming& packet, bool& unasked) {
   }
 }
 
-Result<void> Connection::receive_first(Incoming& packet) {
+Result<void> Connection::receive_first(Incoming& packet,
+                                       std::chrono::steady_clock::time_point deadline) {
   pollfd readable{socket_.fd(), POLLIN, 0};
-  if (::poll(&readable, 1, static_cast<int>(answer_timeout.count())) <= 0) {
-    return fail(Errc::daemon_not_running, "no answer of agnocastd within 5 s");
+  for (int found = -1; found < 0;) {
+    found = ::poll(&readable, 1, milliseconds_until(deadline));
+    if (found == 0 || (found < 0 && errno != EINTR))
+      return fail(Errc::daemon_not_running, "no answer of agnocastd within 5 s");
   }
   Result<Packet> received = socket_.receive(packet.bytes);
   if (!received) return tl::unexpected<Failure>(received.error());
@@ -266,6 +275,12 @@ Result<void> Connection::receive_first(Incoming& packet) {
   if (packet.size < sizeof(Header) || packet.packet.truncated)
     return fail(Errc::protocol_violation, "a packet of agnocastd");
   if (packet.header().opcode == Opcode::refused) return tl::unexpected<Failure>(refusal_of(packet));
+  return {};
+}
+
+Result<void> Connection::check_alive() const noexcept {
+  pollfd hung_up{socket_.fd(), 0, 0};
+  if (::poll(&hung_up, 1, 0) > 0) return gone();
   return {};
 }
 

@@ -152,8 +152,12 @@ class Connection {
   /// The next packet for nobody in particular, if there is one; answers are handled inside. False
   /// when the connection has ended.
   [[nodiscard]] Result<bool> receive(Incoming& packet, bool& unasked);
-  /// Waits for the very first answer, before there is a control thread.
-  [[nodiscard]] Result<void> receive_first(Incoming& packet);
+  /// Waits for the very first answer, before there is a control thread. Errors: what the daemon
+  /// refused, daemon_not_running (it has ended, or no answer in time).
+  [[nodiscard]] Result<void> receive_first(Incoming& packet,
+                                           std::chrono::steady_clock::time_point deadline);
+  /// daemon_not_running if the other end is gone, though what it sent may still wait here.
+  [[nodiscard]] Result<void> check_alive() const noexcept;
   /// Sends what the socket did not take; true while something is left.
   bool flush() noexcept;
 

@@ -21,6 +21,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <thread>
 #include <utility>
 
 namespace agnocast {
@@ -113,24 +114,39 @@ Result<void> Context::connect() {
   if (Result<void> known = recognise_forked_children(); !known) return known;
   if (Result<void> ends = end_user_code_at_exit(); !ends) return ends;
   socket_path_ = socket_path();
-  Result<void> done = say_hello();
-  AGNOCAST_CRASH_POINT(C_thread);
-  if (done) done = start_control_thread();
-  if (!done) {
-    connection_.reset();
-    region_ = {};
-    arena_ = {};
-    board_ = {};
-    return done;
-  }
+  if (Result<void> known = become_known(); !known) return known;
   is_connected_.store(true, std::memory_order_release);
   return {};
 }
 
-Result<void> Context::say_hello() {
+// A daemon that was there and has died meanwhile comes back: hello has the time of every request.
+Result<void> Context::become_known() {
+  const auto deadline = Reconnection::Clock::now() + Connection::answer_timeout;
+  auto pause = Reconnection::pause_first;
+  for (bool was_there = false;; pause = std::min(pause * 2, Reconnection::pause_last)) {
+    Result<void> done = say_hello(deadline);
+    AGNOCAST_CRASH_POINT(C_thread);
+    if (done) done = start_control_thread();
+    if (done) return done;
+    was_there = was_there || connection_ != nullptr;
+    connection_.reset();
+    region_ = {};
+    arena_ = {};
+    board_ = {};
+    if (done.error().code != Errc::daemon_not_running || !was_there ||
+        Reconnection::Clock::now() + pause >= deadline)
+      return done;
+    std::this_thread::sleep_for(pause);
+  }
+}
+
+Result<void> Context::say_hello(Reconnection::Clock::time_point deadline) {
   const Result<std::uint64_t> domain = domain_id();
   if (!domain) return tl::unexpected<Failure>(domain.error());
-  Result<PacketSocket> socket = PacketSocket::connect(socket_path_);
+  const auto left =
+      std::chrono::ceil<std::chrono::milliseconds>(deadline - Reconnection::Clock::now());
+  Result<PacketSocket> socket =
+      PacketSocket::connect(socket_path_, std::max(left, std::chrono::milliseconds{0}));
   if (!socket) {
     const Failure& why = socket.error();
     return fail_with(why.code, "connecting to " + socket_path_, why.os_errno);
@@ -147,7 +163,7 @@ Result<void> Context::say_hello() {
   AGNOCAST_CRASH_POINT(C_hello);
   if (Result<void> said = connection_->introduce(Opcode::hello, hello); !said) return said;
   Incoming packet;
-  if (Result<void> first = connection_->receive_first(packet); !first) {
+  if (Result<void> first = connection_->receive_first(packet, deadline); !first) {
     if (first.error().code != Errc::daemon_not_running) return first;
     return fail_with(Errc::daemon_not_running, socket_path_ + ": " + first.error().what);
   }
@@ -161,7 +177,10 @@ Result<void> Context::say_hello() {
   incarnation_ = welcome.incarnation;
   client_ = welcome.client;
   client_generation_ = welcome.client_generation;
-  return map_regions(welcome, packet.packet.fds());
+  if (Result<void> mapped = map_regions(welcome, packet.packet.fds()); !mapped) return mapped;
+  // A connection that ends keeps the place of those who map their region. If it has ended before
+  // now, the daemon may have looked before; if not, it will find the region mapped.
+  return connection_->check_alive();
 }
 
 Result<void> Context::map_regions(const wire::Welcome& welcome, std::span<UniqueFd> fds) {

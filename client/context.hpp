@@ -120,7 +120,8 @@ class Context {
 
   Context() = default;
   Result<void> connect();
-  Result<void> say_hello();
+  Result<void> become_known();
+  Result<void> say_hello(Reconnection::Clock::time_point deadline);
   Result<void> map_regions(const abi::wire::Welcome& welcome, std::span<UniqueFd> fds);
   Result<void> start_control_thread();
   Result<void> start_thread();

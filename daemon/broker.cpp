@@ -620,9 +620,24 @@ Result<void> Broker::check_caller(const Peer& peer, std::uint64_t fingerprint) {
   return {};
 }
 
+// A daemon that died while it welcomed a process has left a place that nobody uses.
+void Broker::end_unwelcomed(const Peer& again) {
+  if (detached_count_ == 0) return;
+  std::vector<PeerId> unused;
+  for (const Peer* const peer : by_client_) {
+    if (peer != nullptr && peer->detached &&
+        same_process(peer->session.identity().process, again.session.identity().process) &&
+        !maps_file(peer->session.identity().pid, regions_.region_file(*peer->session.client())))
+      unused.push_back(peer->id);
+  }
+  for (const PeerId id : unused)
+    reap_peer(*peers_.at(id), DeathReason::let_go, "process says hello again");
+}
+
 Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
   Session& session = peer.session;
   if (auto known = check_caller(peer, hello.fingerprint); !known) return known;
+  end_unwelcomed(peer);
   // Room for one more connection there may be for processes that come back.
   const auto is_client_of_user = [&](const auto& entry) {
     const Session& other = entry.second->session;

@@ -10,8 +10,8 @@
 //   observer says revoke  reap although it lives; it is told, and its pidfd stays watched
 //   started again         broker_resume.cpp
 //
-// One thread. The order of things inside one event is the protocol's; between events everything is
-// consistent, so the daemon may be killed at any time.
+// One thread; another one frees memory (closer.hpp). The order of things inside one event is the
+// protocol's; between events everything is consistent, so the daemon may be killed at any time.
 #pragma once
 
 #include <daemon/access.hpp>
@@ -120,6 +120,7 @@ class Broker final : private Post {
 
   void serve(Peer& peer, const Request& request);
   [[nodiscard]] Result<void> check_caller(const Peer& peer, std::uint64_t fingerprint);
+  void end_unwelcomed(const Peer& again);
   [[nodiscard]] Result<void> hello(Peer& peer, const wire::Hello& hello);
   [[nodiscard]] Result<void> rejoin(Peer& peer, const wire::Rejoin& request);
   [[nodiscard]] Result<Peer*> lost_peer(const Peer& peer, const wire::Rejoin& request);

@@ -13,7 +13,7 @@
 namespace agnocast::daemon {
 namespace {
 
-// How long the manager may take to remove what nobody needs; it goes on without an answer.
+// How long the manager may take.
 constexpr std::uint64_t barrier_patience_us = 5'000'000;
 
 std::size_t limit_of_manager() noexcept {
@@ -67,7 +67,7 @@ std::size_t DescriptorStore::remove_left_over() {
   if (count == 0) return 0;
   for (const std::string& name : left_over()) remove(name);
   former_.clear();
-  static_cast<void>(::sd_notify_barrier(0, barrier_patience_us));
+  wait_for_manager();
   return count;
 }
 
@@ -101,5 +101,7 @@ std::string DescriptorStore::eventfd(ClientIndex client, std::uint64_t executor)
 }
 
 void notify(const std::string& state) noexcept { static_cast<void>(::sd_notify(0, state.c_str())); }
+
+void wait_for_manager() noexcept { static_cast<void>(::sd_notify_barrier(0, barrier_patience_us)); }
 
 }  // namespace agnocast::daemon

@@ -71,5 +71,7 @@ class DescriptorStore {
 
 /// sd_notify: READY=1, STATUS=…, STOPPING=1. Without NOTIFY_SOCKET nobody asks.
 void notify(const std::string& state) noexcept;
+/// Returns when the manager has done what it was told before, or after five seconds without a word.
+void wait_for_manager() noexcept;
 
 }  // namespace agnocast::daemon

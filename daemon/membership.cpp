@@ -99,14 +99,9 @@ Result<void> Membership::create_publisher(ClientIndex client, TopicIndex topic,
   }
   registry_.add_publisher(client, topic, request.qos, *plan, request.node, request.request);
 
-  // Before it can publish: whoever is to get its messages is told, whatever becomes of both.
-  const PublisherRecord& publisher = registry_.publisher(topic, plan->index);
-  registry_.for_each_subscription(topic, [&](std::uint32_t, const SubscriptionRecord& record) {
-    if (record.state == EndpointState::active && matches(publisher, record))
-      tell({Kind::publisher, topic, plan->index}, record.client);
-  });
   answer_creation({Kind::publisher, topic, plan->index}, request.request);
 
+  const PublisherRecord& publisher = registry_.publisher(topic, plan->index);
   registry_.for_each_subscription(topic, [&](std::uint32_t i, const SubscriptionRecord& record) {
     if (record.state == EndpointState::active && matches(publisher, record))
       announce_publisher(topic, plan->index, i);
@@ -131,13 +126,9 @@ Result<void> Membership::create_subscription(ClientIndex client, TopicIndex topi
   registry_.add_subscription(client, topic, request.qos, request.quota, request.executor, *plan,
                              request.node, request.request);
 
-  const SubscriptionRecord& subscription = registry_.subscription(topic, plan->index);
-  registry_.for_each_publisher(topic, [&](std::uint32_t i, const PublisherRecord& record) {
-    if (record.state == EndpointState::active && matches(record, subscription))
-      tell({Kind::publisher, topic, i}, client);
-  });
   answer_creation({Kind::subscription, topic, plan->index}, request.request);
 
+  const SubscriptionRecord& subscription = registry_.subscription(topic, plan->index);
   registry_.for_each_publisher(topic, [&](std::uint32_t i, const PublisherRecord& record) {
     if (record.state == EndpointState::active && matches(record, subscription))
       announce_publisher(topic, i, plan->index);
@@ -150,7 +141,29 @@ Result<void> Membership::create_subscription(ClientIndex client, TopicIndex topi
   return {};
 }
 
+// Whoever is to get a publisher's messages is told before anybody may rely on it, whatever becomes
+// of both afterwards.
+void Membership::tell_members(const EndpointRef& ref) {
+  if (ref.kind == Kind::publisher) {
+    const PublisherRecord& own = registry_.publisher(ref.topic, ref.index);
+    if (own.state != EndpointState::active) return;
+    registry_.for_each_subscription(ref.topic, [&](std::uint32_t, const SubscriptionRecord& other) {
+      if (other.state == EndpointState::active && matches(own, other)) tell(ref, other.client);
+    });
+  } else {
+    const SubscriptionRecord& own = registry_.subscription(ref.topic, ref.index);
+    if (own.state != EndpointState::active) return;
+    registry_.for_each_publisher(ref.topic, [&](std::uint32_t p, const PublisherRecord& other) {
+      if (other.state == EndpointState::active && matches(other, own))
+        tell({Kind::publisher, ref.topic, p}, own.client);
+    });
+  }
+}
+
+// A daemon that died between the record of the creation and those of the announcements leaves the
+// rest to the next one, which is asked again: so every answer tells first.
 void Membership::answer_creation(const EndpointRef& ref, std::uint64_t request) {
+  tell_members(ref);
   auto answer = make_body<wire::EndpointCreated>(wire::Opcode::endpoint_created, request);
   answer.topic = number(ref.topic);
   answer.index = ref.index;

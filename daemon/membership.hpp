@@ -104,6 +104,7 @@ class Membership {
                                         ClientIndex client, std::uint64_t extent);
   void announce_publisher(TopicIndex topic, std::uint32_t index, std::uint32_t subscription);
   void announce_subscription(TopicIndex topic, std::uint32_t index, std::uint32_t publisher);
+  void tell_members(const EndpointRef& ref);
   void answer_creation(const EndpointRef& ref, std::uint64_t request);
   Session* tell(const EndpointRef& ref, ClientIndex to);
   void announce(const EndpointRef& ref, ClientIndex to, const wire::Announcement& packet,

@@ -17,12 +17,14 @@
 
 #include <agnocast/result.hpp>
 #include <base/mapping.hpp>
+#include <daemon/closer.hpp>
 #include <daemon/descriptor_store.hpp>
 #include <daemon/registry.hpp>
 #include <daemon/shared_fd.hpp>
 
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <vector>
 
 namespace agnocast::daemon {
@@ -83,7 +85,8 @@ class Regions {
   /// as its place is taken: who was without a connection when it died is still to be announced its
   /// last messages, and observers look at it.
   void bury_client(ClientIndex client) noexcept;
-  /// The process is over, or never came to life: nothing is kept.
+  /// The process is over, or never came to life: nothing is kept. Much memory is freed a little
+  /// later.
   void close_client(ClientIndex client) noexcept;
 
   /// mlock calls that the limit of locked memory refused.
@@ -106,6 +109,7 @@ class Regions {
   void lock(std::byte* at, std::uint64_t bytes) noexcept;
 
   DescriptorStore* store_;
+  std::unique_ptr<Closer> closer_ = std::make_unique<Closer>();
   UniqueFd board_fd_, journal_fd_;
   SharedFd board_reader_;
   Mapping board_, journal_;

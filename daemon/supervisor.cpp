@@ -75,6 +75,17 @@ std::optional<HiddenSocket> hidden_socket() {
   return std::nullopt;
 }
 
+// However often a ready daemon has died before, its clients wait for the next one: only a row of
+// starts that fail makes the pause long.
+std::uint64_t pause_after(unsigned deaths_before, unsigned failed_starts,
+                          std::uint64_t lived_ms) noexcept {
+  if (deaths_before == 0) return 0;
+  const auto doubled = [](unsigned times) { return pause_first_ms << std::min(times, 16U); };
+  return failed_starts == 0 ? std::min(doubled(deaths_before - 1),
+                                       life_of_ready_ms - std::min(lived_ms, life_of_ready_ms))
+                            : std::min(doubled(failed_starts - 1), pause_most_ms);
+}
+
 std::string value_of(const char* name) {
   const char* const value = std::getenv(name);
   return value == nullptr ? "" : value;
@@ -146,7 +157,8 @@ class Supervisor {
   pid_t worker_ = -1;
   std::uint64_t started_ms_ = 0;
   std::optional<std::uint64_t> due_ms_;  // when the next worker begins
-  unsigned failures_ = 0;                // in a row
+  unsigned failures_ = 0;                // deaths in a row
+  unsigned failed_starts_ = 0;           // those of them since a worker was ready last
   bool was_ready_ = false;               // any worker
   bool is_ready_ = false;                // this one
   bool restarts_ = false;  // the end of the worker was asked for, and another is wanted
@@ -286,16 +298,14 @@ void Supervisor::on_worker_end(int status) {
     return;
   }
   if (restarts_) {
-    failures_ = 0;
+    failures_ = failed_starts_ = 0;
     due_ms_ = 0;
     return;
   }
   const std::uint64_t lived_ms = now_ms() - started_ms_;
-  if (lived_ms >= settled_ms) failures_ = 0;
-  const std::uint64_t most =
-      is_ready_ ? life_of_ready_ms - std::min(lived_ms, life_of_ready_ms) : pause_most_ms;
-  const std::uint64_t pause =
-      failures_ == 0 ? 0 : std::min(pause_first_ms << std::min(failures_ - 1, 16U), most);
+  if (lived_ms >= settled_ms) failures_ = failed_starts_ = 0;
+  failed_starts_ = is_ready_ ? 0 : failed_starts_ + 1;
+  const std::uint64_t pause = pause_after(failures_, failed_starts_, lived_ms);
   ++failures_;
   due_ms_ = now_ms() + pause;
   log_.write(LogLevel::error, "worker died",
@@ -361,11 +371,15 @@ void Supervisor::keep(const Notification& notification, std::vector<UniqueFd> fd
   if (notification.remove) kept_.erase(notification.name);
   if (notification.store) {
     for (UniqueFd& fd : fds) {
-      if (kept_.size() < kept_count_max) kept_.insert_or_assign(notification.name, std::move(fd));
+      if (kept_.size() < kept_count_max) {
+        kept_.insert_or_assign(notification.name, std::move(fd));
+      } else {
+        lost = true;
+      }
     }
     if (lost || fds.empty())
       log_.write(LogLevel::error, "a descriptor was lost",
-                 {{"name", notification.name}, {"why", "no descriptor left; raise LimitNOFILE"}});
+                 {{"name", notification.name}, {"why", "as many are kept as may be, or LimitNOFILE is too low"}});
   }
   if (notification.ready) {
     was_ready_ = is_ready_ = true;

@@ -174,6 +174,20 @@ TEST(DaemonRejoin, TheNewConnectionTakesThePlaceOfTheOldOne) {
   EXPECT_EQ(third.hello().refused_code(), Errc::quota_exceeded);
 }
 
+TEST(DaemonRejoin, AProcessThatSaysHelloAgainHasOnePlace) {
+  DaemonProcess daemon({.config = "[quota]\nclients = 1\n[heap]\nwindow_bytes = \"64MiB\"\n",
+                        .arguments = {"--log-level", "debug"}});
+  Node first(daemon);
+  first.lose_connection();
+  ASSERT_TRUE(daemon.wait_for_log("connection ended"));
+  EXPECT_EQ(WireClient(daemon.socket_path()).hello().refused_code(), Errc::quota_exceeded)
+      << "the first one has its region still";
+  first.region = Mapping();
+  const Node again(daemon);
+  EXPECT_EQ(again.welcome.client, first.welcome.client);
+  EXPECT_NE(again.welcome.client_generation, first.welcome.client_generation);
+}
+
 TEST(DaemonRejoin, NobodyElseComesBackInItsPlace) {
   DaemonProcess daemon;
   Node node(daemon);

@@ -424,6 +424,22 @@ TEST(DaemonRestart, IsTriedAgainWhenItFailsAndGoesOnOnceItCan) {
   EXPECT_EQ(wire_dump(daemon.socket_path()).incarnation, node.welcome().incarnation);
 }
 
+TEST(DaemonRestart, DeathsOfReadyDaemonsDoNotMakeThePauseLong) {
+  Program program;
+  DaemonProcess daemon({.program = program.path()});
+  for (int death = 1; death <= 10; ++death) {
+    const pid_t old = daemon.kill_worker();
+    ASSERT_TRUE(daemon.wait_for_next(old)) << death;
+  }
+  const pid_t old = daemon.pid();
+  program.put("/bin/false");
+  daemon.kill_worker();
+  ASSERT_TRUE(daemon.wait_for_log("failures=13"));
+  EXPECT_EQ(daemon.log().find("again_in_ms=5000"), std::string::npos) << daemon.log();
+  program.put(AGNOCAST_TEST_DAEMON);
+  EXPECT_TRUE(daemon.wait_for_next(old));
+}
+
 #ifdef AGNOCAST_TEST_OTHER_DAEMON
 
 TEST(DaemonRestart, RefusesTheTablesOfAnotherBuildAndHarmsNothing) {
@@ -448,8 +464,8 @@ TEST(DaemonRestart, RefusesTheTablesOfAnotherBuildAndHarmsNothing) {
     EXPECT_EQ(client.ask(wire::Opcode::rejoin, rejoin).refused_code(), Errc::layout_mismatch);
     wire::Observe observe{};
     EXPECT_EQ(client.ask(wire::Opcode::observe, observe).refused_code(), Errc::layout_mismatch);
-    daemon.kill_worker();  // it may die as often as it likes
-    ASSERT_TRUE(eventually([&] { return daemon.pid() > 0; }));
+    const pid_t old = daemon.kill_worker();  // it may die as often as it likes
+    ASSERT_TRUE(eventually([&] { return daemon.pid() > 0 && daemon.pid() != old; }));
   }
   pair.exchange();
   // The supervisor has more open while it starts a worker.

@@ -1,0 +1,44 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Closer: lets go of memory that takes long to free.
+//
+// Whoever closes the last descriptor of a memfd frees its pages, a tenth of a second and more for
+// each GiB, and the daemon must not keep everybody waiting for so long. So a thread of its own closes
+// what is large. It waits until the manager has removed its copies from the store: otherwise the
+// manager might be the last, which under systemd is PID 1.
+//
+// The thread touches nothing but the descriptors that it was given. It begins with the first of them.
+// A death of the daemon needs no care: a process that ends closes everything.
+#pragma once
+
+#include <daemon/shared_fd.hpp>
+
+#include <condition_variable>
+#include <mutex>
+#include <thread>
+#include <vector>
+
+namespace agnocast::daemon {
+
+class Closer {
+ public:
+  Closer() = default;
+  /// Closes what is left, and waits for that.
+  ~Closer();
+  Closer(const Closer&) = delete;
+  Closer& operator=(const Closer&) = delete;
+
+  /// Takes over these uses of descriptors that were removed from the store; closes them soon.
+  void close(std::vector<SharedFd> fds);
+
+ private:
+  void run();
+
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  std::vector<SharedFd> waiting_;
+  bool stops_ = false;
+  std::thread thread_;
+};
+
+}  // namespace agnocast::daemon

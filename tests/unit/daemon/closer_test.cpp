@@ -1,0 +1,110 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: what a closer was given is closed, and not before the manager has let go of its own copies.
+// Method: a manager of our own that takes its time; the write end of a pipe, whose reader sees when it
+// is closed.
+
+#include <daemon/closer.hpp>
+
+#include <fcntl.h>
+#include <gtest/gtest.h>
+#include <poll.h>
+#include <sys/socket.h>
+#include <sys/un.h>
+#include <unistd.h>
+
+#include <array>
+#include <cstdlib>
+#include <cstring>
+#include <string>
+#include <utility>
+
+namespace agnocast::daemon {
+namespace {
+
+constexpr int patience_ms = 10'000;
+
+struct Pipe {
+  UniqueFd reader;
+  SharedFd writer;
+  Pipe() {
+    int ends[2] = {-1, -1};
+    EXPECT_EQ(::pipe2(ends, O_CLOEXEC), 0);
+    reader.reset(ends[0]);
+    writer = share(UniqueFd(ends[1]));
+  }
+  bool is_closed(int within_ms) const {
+    pollfd entry{reader.get(), 0, 0};
+    return ::poll(&entry, 1, within_ms) == 1 && (entry.revents & POLLHUP) != 0;
+  }
+};
+
+/// The socket of a manager, and the descriptor of the barrier that it has been sent.
+class Manager {
+ public:
+  Manager() : socket_(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0)) {
+    sockaddr_un address{};
+    address.sun_family = AF_UNIX;
+    socklen_t bytes = sizeof(sa_family_t);  // the kernel finds an abstract name
+    EXPECT_EQ(::bind(socket_.get(), reinterpret_cast<sockaddr*>(&address), bytes), 0);
+    bytes = sizeof address;
+    ::getsockname(socket_.get(), reinterpret_cast<sockaddr*>(&address), &bytes);
+    address.sun_path[0] = '@';
+    const std::string name(address.sun_path, bytes - offsetof(sockaddr_un, sun_path));
+    ::setenv("NOTIFY_SOCKET", name.c_str(), 1);
+  }
+  ~Manager() { ::unsetenv("NOTIFY_SOCKET"); }
+  UniqueFd receive_barrier() const {
+    pollfd entry{socket_.get(), POLLIN, 0};
+    if (::poll(&entry, 1, patience_ms) != 1) return UniqueFd();
+    std::array<char, 64> text{};
+    iovec data{text.data(), text.size()};
+    alignas(cmsghdr) std::array<char, 256> control{};
+    msghdr message{};
+    message.msg_iov = &data;
+    message.msg_iovlen = 1;
+    message.msg_control = control.data();
+    message.msg_controllen = control.size();
+    EXPECT_GT(::recvmsg(socket_.get(), &message, MSG_CMSG_CLOEXEC), 0);
+    EXPECT_STREQ(text.data(), "BARRIER=1");
+    for (cmsghdr* part = CMSG_FIRSTHDR(&message); part != nullptr;
+         part = CMSG_NXTHDR(&message, part)) {
+      if (part->cmsg_type != SCM_RIGHTS) continue;
+      int fd = -1;
+      std::memcpy(&fd, CMSG_DATA(part), sizeof fd);
+      return UniqueFd(fd);
+    }
+    return UniqueFd();
+  }
+
+ private:
+  UniqueFd socket_;
+};
+
+TEST(Closer, ClosesAfterTheManagerHasLetGo) {
+  const Manager manager;
+  Closer closer;
+  for (int i = 0; i < 2; ++i) {  // the thread begins with the first and waits for the next
+    Pipe pipe;
+    closer.close({std::exchange(pipe.writer, nullptr)});
+    UniqueFd barrier = manager.receive_barrier();
+    ASSERT_TRUE(barrier);
+    EXPECT_FALSE(pipe.is_closed(20));
+    barrier.reset();
+    EXPECT_TRUE(pipe.is_closed(patience_ms));
+  }
+}
+
+TEST(Closer, ClosesWhatIsLeftBeforeItEnds) {
+  Pipe pipe, other;
+  {
+    Closer closer;
+    closer.close({std::exchange(pipe.writer, nullptr)});
+    closer.close({std::exchange(other.writer, nullptr)});
+  }
+  EXPECT_TRUE(pipe.is_closed(0));
+  EXPECT_TRUE(other.is_closed(0));
+}
+
+}  // namespace
+}  // namespace agnocast::daemon
