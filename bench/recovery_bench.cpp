@@ -372,8 +372,8 @@ int run(int argc, char** argv) {
   bench.publisher_deaths(rounds, small_bytes, "small heap", 12);
   bench.subscriber_deaths(rounds, small_bytes, "small heap", 12);
   const std::string large = std::to_string(large_mib) + " MiB";
-  bench.publisher_deaths(part(10), large_mib << 20, large, 15);
-  bench.subscriber_deaths(part(10), large_mib << 20, large, 15);
+  bench.publisher_deaths(part(10), large_mib << 20, large, 22);
+  bench.subscriber_deaths(part(10), large_mib << 20, large, 22);
   bench.daemon_deaths(part(4), "few clients", 25);
   bench.start_idle(idle);
   const std::string crowd = std::to_string(idle) + " idle clients";
