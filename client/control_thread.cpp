@@ -435,11 +435,12 @@ void Context::collect_subscriptions() {
         say_unlinked(Kind::publisher, it->first.first, link->publisher(), link->generation());
     }
     if (subscription->is_empty()) {
-      connection_->post(Opcode::drained,
-                        reference(Kind::subscription, it->first.first, it->first.second,
-                                  subscription->identity().generation));
-      AGNOCAST_CRASH_POINT(C_erased);
+      const wire::Reference self = reference(Kind::subscription, it->first.first, it->first.second,
+                                             subscription->identity().generation);
+      // First its sleeper comes back: whoever sees the place free may count on it.
       it = subscriptions_.erase(it);
+      AGNOCAST_CRASH_POINT(C_erased);
+      connection_->post(Opcode::drained, self);
     } else {
       ++it;
     }

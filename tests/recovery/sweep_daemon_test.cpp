@@ -110,7 +110,7 @@ Totals sweep_scripts(
 TEST(DaemonSweep, NobodyNoticesADaemonKilledAtAnyPointOnceOrTwice) {
   if (!can_restart()) GTEST_SKIP() << "this daemon does not outlive itself";
   const bool all = runs_everything();
-  const std::uint64_t stride = all ? 1 : number_of("AGNOCAST_SWEEP_STRIDE", 9);
+  const std::uint64_t stride = all ? 1 : number_of("AGNOCAST_SWEEP_STRIDE", 23);
   const std::uint64_t seed = number_of("AGNOCAST_SEED", 0);
   const Totals sum =
       sweep_scripts("points", [&](const Script& script, SweepStage& stage, std::uint64_t worker) {
@@ -137,7 +137,7 @@ TEST(DaemonSweep, NobodyNoticesADaemonKilledAtAnyPointOnceOrTwice) {
 TEST(DaemonSweep, AProcessAndTheDaemonThatRecoversItDieTogether) {
   if (!can_restart()) GTEST_SKIP() << "this daemon does not outlive itself";
   const bool all = runs_everything();
-  const std::uint64_t stride = all ? 1 : number_of("AGNOCAST_SWEEP_PAIR_STRIDE", 499);
+  const std::uint64_t stride = all ? 1 : number_of("AGNOCAST_SWEEP_PAIR_STRIDE", 2999);
   const std::uint64_t seed = number_of("AGNOCAST_SEED", 0);
   const Totals sum =
       sweep_scripts("pairs", [&](const Script& script, SweepStage& stage, std::uint64_t worker) {
