@@ -405,6 +405,11 @@ void Membership::welcome_back(ClientIndex client) {
     packet.kind = Kind::region;
     packet.index = i;
     packet.generation = record.generation;
+    // What the client says of the region before it has read all of this is said too early.
+    Session* const session = post_.session_of(client);
+    AGNOCAST_CHECK(session != nullptr);
+    session->announcements().announced(region_of(static_cast<ClientIndex>(i)),
+                                       session->packet_count() + 1);
     post_.send(client, packet_of(packet), {});
   }
 }
