@@ -8,6 +8,7 @@
 #include <fcntl.h>
 #include <grp.h>
 #include <gtest/gtest.h>
+#include <linux/close_range.h>
 #include <linux/filter.h>
 #include <linux/seccomp.h>
 #include <poll.h>
@@ -101,6 +102,8 @@ pid_t start(const Start& what) {
   if (out < 0 || err < 0) ::_exit(126);
   ::dup2(out, STDOUT_FILENO);
   ::dup2(err, STDERR_FILENO);
+  // Nothing of ours: the first daemon would have it and the next would not.
+  ::close_range(3, ~0U, CLOSE_RANGE_CLOEXEC);
   // Another user may not be able to walk to the program.
   const int program = ::open(argv[0], O_PATH | O_CLOEXEC);
   if (what.uid) {

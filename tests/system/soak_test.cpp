@@ -9,11 +9,13 @@
 // (soak_client.cpp). In the end everybody leaves, and what is left is counted.
 //
 //   system_soak [--minutes=N] [--seed=N] [--processes=N] [--daemons=N]
-//                          one minute, a seed of its own, 12, no death of the daemon (a minute)
+//                          one minute, a seed of its own, 12, 10 deaths of the daemon a minute at
+//                          random moments, and about as many at crash points
 //   AGNOCAST_SOAK_MINUTES, AGNOCAST_SEED                    the same, for ctest
 //
 // A seed repeats what the processes intend, not the machine's interleaving.
 
+#include <base/unique_fd.hpp>
 #include <tests/support/ctl.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/system/random.hpp>
@@ -22,6 +24,7 @@
 #include <gtest/gtest.h>
 
 #include <fcntl.h>
+#include <sys/mman.h>
 #include <sys/prctl.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -35,6 +38,7 @@
 #include <fstream>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 namespace agnocast::test {
@@ -59,7 +63,7 @@ double option(std::string_view name, const char* variable, double otherwise) {
 
 struct Deaths {
   std::uint64_t all = 0, publishers = 0, subscribers = 0, unjoined = 0, at_points = 0;
-  std::uint64_t stops = 0, left = 0, daemon = 0;
+  std::uint64_t stops = 0, left = 0;
   std::bitset<static_cast<std::size_t>(Step::count)> steps;
 };
 
@@ -114,7 +118,6 @@ class Herd {
     for (std::size_t i = 0; i < resident_count; ++i) reap(i, 0);
   }
   const Deaths& deaths() const noexcept { return deaths_; }
-  Deaths& deaths() noexcept { return deaths_; }
 
  private:
   struct Fly {
@@ -195,6 +198,74 @@ class Herd {
   Deaths deaths_;
 };
 
+/// The daemon's crash points: each daemon in turn looks at the same control.
+class DaemonControl {
+ public:
+  DaemonControl() : file_(::memfd_create("soak", MFD_CLOEXEC)) {
+    if (!file_ || ::ftruncate(file_.get(), sizeof(crash_points::Control)) != 0) std::abort();
+    void* const at = ::mmap(nullptr, sizeof(crash_points::Control), PROT_READ | PROT_WRITE,
+                            MAP_SHARED, file_.get(), 0);
+    if (at == MAP_FAILED) std::abort();
+    control_ = static_cast<crash_points::Control*>(at);
+  }
+  ~DaemonControl() { ::munmap(control_, sizeof *control_); }
+  DaemonControl(const DaemonControl&) = delete;
+  DaemonControl& operator=(const DaemonControl&) = delete;
+
+  crash_points::Control& operator*() const noexcept { return *control_; }
+  crash_points::Control* operator->() const noexcept { return control_; }
+  std::string variable() const {
+    return "AGNOCAST_CRASH_CONTROL=/proc/" + std::to_string(::getpid()) + "/fd/" +
+           std::to_string(file_.get());
+  }
+
+ private:
+  UniqueFd file_;
+  crash_points::Control* control_ = nullptr;
+};
+
+/// Kills the daemon, at random moments and at its crash points. Another one goes on.
+class DaemonKiller {
+ public:
+  DaemonKiller(DaemonProcess& daemon, crash_points::Control& control, double a_minute,
+               std::uint64_t seed)
+      : daemon_(daemon), control_(control), random_(seed), is_idle_(a_minute <= 0) {
+    control_.sleeps = 200;
+    control_.seed = random_.next() | 1;
+    if (is_idle_) return;
+    life_ns_ = static_cast<std::uint64_t>(60e9 / a_minute);
+    control_.deaths = static_cast<std::uint64_t>(a_minute / points_a_minute * 1e6);
+    due_ns_ = now_ns() + random_.below(2 * life_ns_);
+  }
+  void tend() {
+    if (is_idle_ || now_ns() < due_ns_) return;
+    if (const pid_t worker = daemon_.pid(); worker > 0) last_ = daemon_.kill_worker();
+    due_ns_ = now_ns() + random_.below(2 * life_ns_);
+  }
+  /// No more deaths; false when no daemon serves.
+  [[nodiscard]] bool rest() {
+    control_.seed = 0;
+    return daemon_.wait_for_next(last_);
+  }
+  std::uint64_t deaths() const {
+    const std::string log = daemon_.log();
+    std::uint64_t count = 0;
+    for (std::size_t at = 0; (at = log.find(" worker died ", at)) != std::string::npos; ++at)
+      ++count;
+    return count;
+  }
+
+ private:
+  static constexpr double points_a_minute = 4e6;  // what a busy daemon reaches
+
+  DaemonProcess& daemon_;
+  crash_points::Control& control_;
+  Random random_;
+  const bool is_idle_;
+  std::uint64_t life_ns_ = 0, due_ns_ = 0;
+  pid_t last_ = -1;
+};
+
 class Soak : public testing::Test {
  protected:
   Soak() {
@@ -222,9 +293,19 @@ class Soak : public testing::Test {
     ADD_FAILURE() << "agnocast-ctl verify: status " << last.status << "\n" << last.out << last.err;
     return false;
   }
+  /// When nobody is connected. The daemon and ctl close theirs a moment after they have answered.
+  std::size_t settled_descriptors() const {
+    std::size_t count = 0;
+    EXPECT_TRUE(eventually([&] {
+      const std::size_t before = std::exchange(count, daemon_.descriptor_count());
+      ::usleep(50'000);
+      return count == before;
+    }));
+    return count;
+  }
   nlohmann::json status() { return run_ctl(daemon_.socket_path(), {"status", "--json"}).json(); }
 
-  void print(const Deaths& deaths, double minutes) const {
+  void print(const Deaths& deaths, std::uint64_t of_daemon, double minutes) const {
     const auto number = [](std::uint64_t value) { return static_cast<unsigned long long>(value); };
     std::printf(
         "soak: %llu deaths in %.1f minutes, %.0f a minute\n"
@@ -235,7 +316,7 @@ class Soak : public testing::Test {
         "  %llu bytes verified, %llu messages wrong\n",
         number(deaths.all), minutes, static_cast<double>(deaths.all) / minutes,
         number(deaths.publishers), number(deaths.subscribers), number(deaths.unjoined),
-        number(deaths.daemon), number(deaths.at_points), deaths.steps.count(), number(deaths.left),
+        number(of_daemon), number(deaths.at_points), deaths.steps.count(), number(deaths.left),
         number(deaths.stops), number(board_.published), number(board_.taken),
         number(board_.released), number(board_.lost), number(board_.verified_bytes),
         number(board_.wrong));
@@ -255,9 +336,11 @@ class Soak : public testing::Test {
   }
 
   SoakBoard& board_ = SoakBoard::make();
+  DaemonControl control_;
   DaemonProcess daemon_{{.config = "[daemon]\nlog_level = \"notice\"\n"
                                    "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"256GiB\"\n",
-                         .program = AGNOCAST_CRASH_DAEMON}};
+                         .program = AGNOCAST_CRASH_DAEMON,
+                         .environment = {control_.variable()}}};
 };
 
 TEST_F(Soak, NobodysDeathIsEverNoticedByWhoLives) {
@@ -267,8 +350,8 @@ TEST_F(Soak, NobodysDeathIsEverNoticedByWhoLives) {
   std::printf("soak: --seed=%llu --minutes=%g\n", static_cast<unsigned long long>(seed), minutes);
   std::fflush(stdout);
 
-  const std::size_t descriptors = daemon_.descriptor_count();
   ASSERT_TRUE(verify_alive());
+  const std::size_t descriptors = settled_descriptors();
 
   Herd herd(board_, seed, static_cast<std::size_t>(option("processes", nullptr, 12)));
   herd.start_residents();
@@ -279,25 +362,14 @@ TEST_F(Soak, NobodysDeathIsEverNoticedByWhoLives) {
 
   const std::uint64_t begin = now_ns();
   const auto end = begin + static_cast<std::uint64_t>(minutes * 60 * static_cast<double>(second));
-  const double daemon_deaths = option("daemons", "AGNOCAST_SOAK_DAEMONS", 0);
-  const std::uint64_t daemon_life_ns =
-      daemon_deaths > 0 ? static_cast<std::uint64_t>(60e9 / daemon_deaths) : ~std::uint64_t{0} / 4;
-  Random random(~seed);
-  std::uint64_t daemon_end = begin + random.below(2 * daemon_life_ns);
-  pid_t daemon = -1;
+  DaemonKiller killer(daemon_, *control_, option("daemons", "AGNOCAST_SOAK_DAEMONS", 10), ~seed);
   std::uint64_t look = begin + 10 * second, watch = begin + watchdog_ns, taken = 0, deaths = 0;
   std::array<std::uint64_t, resident_count> looks{};
   while (well && now_ns() < end) {
     herd.tend();
     ::usleep(300);
     well = is_well();
-    if (now_ns() >= daemon_end) {
-      if (daemon_.pid() > 0) {
-        daemon = daemon_.kill_worker();
-        ++herd.deaths().daemon;
-      }
-      daemon_end = now_ns() + random.below(2 * daemon_life_ns);
-    }
+    killer.tend();
     if (now_ns() >= look) {
       well = well && verify_alive();
       look = now_ns() + 10 * second;
@@ -308,13 +380,14 @@ TEST_F(Soak, NobodysDeathIsEverNoticedByWhoLives) {
       for (std::size_t i = 0; i < resident_count; ++i)
         expect_progress("looks of a resident", board_.place[i].looks, looks[i]);
       watch = now_ns() + watchdog_ns;
-      if (minutes > 1) print(herd.deaths(), static_cast<double>(now_ns() - begin) / 6e10);
+      if (minutes > 1)
+        print(herd.deaths(), killer.deaths(), static_cast<double>(now_ns() - begin) / 6e10);
     }
   }
   const double took_minutes = static_cast<double>(now_ns() - begin) / 6e10;
 
   if (well) {
-    EXPECT_TRUE(daemon_.wait_for_next(daemon));
+    EXPECT_TRUE(killer.rest());
     well = herd.lead_to(SoakBoard::silence);
     herd.kill_mayflies();
     for (const auto phase : {SoakBoard::drain, SoakBoard::unsubscribe, SoakBoard::unpublish})
@@ -322,7 +395,7 @@ TEST_F(Soak, NobodysDeathIsEverNoticedByWhoLives) {
     well = well && verify_alive() && herd.lead_to(SoakBoard::end);
     if (well) herd.wait_for_residents();
   }
-  print(herd.deaths(), took_minutes);
+  print(herd.deaths(), killer.deaths(), took_minutes);
   report_complaints(seed);
   ASSERT_TRUE(well) << "--seed=" << seed;
 
@@ -333,10 +406,13 @@ TEST_F(Soak, NobodysDeathIsEverNoticedByWhoLives) {
   EXPECT_TRUE(verify_alive());
   EXPECT_TRUE(eventually([&] { return daemon_.descriptor_count() == descriptors; }))
       << daemon_.descriptor_count() << " descriptors instead of " << descriptors;
+  for (const char* what : {"client lost", "damaged"})
+    EXPECT_EQ(daemon_.log().find(what), std::string::npos) << daemon_.log();
   const auto counters = status()["counters"];
   EXPECT_EQ(counters["intents_corrupt"], 0);
   EXPECT_EQ(counters["requests_refused"], 0) << daemon_.log();
-  std::printf("  the daemon: %s\n", counters.dump().c_str());
+  std::printf("  the daemon: %s, %llu crash points\n", counters.dump().c_str(),
+              static_cast<unsigned long long>(control_->reached.load()));
 }
 
 }  // namespace
