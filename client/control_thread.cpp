@@ -296,8 +296,9 @@ void Context::on_window(Incoming& packet) {
   wire::WindowAnnounced announced{};
   if (!packet.read(announced) || packet.packet.descriptor_count != 1) return;
   const auto found = peers_.find({announced.client, announced.client_generation});
+  // Unmapped meanwhile: what was said of that is void, because this came after it.
   if (found == peers_.end())
-    return;  // unmapped meanwhile: the next announcement brings all windows
+    return say_unlinked(Kind::region, 0, announced.client, announced.client_generation);
   (void)add_window_of(found->second,
                       {announced.window, announced.base, announced.bytes, announced.first},
                       std::move(packet.packet.fds()[0]));
