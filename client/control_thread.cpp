@@ -198,11 +198,12 @@ std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
   const std::uint64_t bytes = announcement.kind == Kind::publisher ? abi::publisher_extent_bytes
                                                                    : abi::subscription_extent_bytes;
   AGNOCAST_CRASH_POINT(C_peer_extent);
-  // On a new connection an endpoint of our own may be announced before its creation is answered.
-  if (is_self(announcement.client, announcement.client_generation) &&
-      !region_.open(announcement.extent, bytes))
-    return nullptr;
-  if (!known.peer->open(announcement.extent, bytes)) return nullptr;
+  // An endpoint of this process may be announced before the answer to its creation, when that is
+  // asked again.
+  const Result<void> opened = is_self(announcement.client, announcement.client_generation)
+                                  ? region_.open(announcement.extent, bytes)
+                                  : known.peer->open(announcement.extent, bytes);
+  if (!opened) return nullptr;
   return use(known);
 }
 

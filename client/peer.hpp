@@ -30,9 +30,9 @@ class Peer {
   std::uint64_t client() const noexcept { return client_; }
   std::uint64_t generation() const noexcept { return generation_; }
   std::byte* region() const noexcept { return base_; }
-  /// Makes an endpoint of it accessible. This process's own endpoints are.
+  /// Makes an endpoint of it accessible. Not of this very process.
   [[nodiscard]] Result<void> open(std::uint64_t extent, std::uint64_t bytes) noexcept {
-    return region_.base() != nullptr ? region_.open(extent, bytes) : Result<void>();
+    return region_.open(extent, bytes);
   }
   PeerHeap& heap() noexcept { return heap_; }
 

@@ -323,6 +323,30 @@ TEST(DaemonRejoin, WhatIsOverIsForgottenAndWhatLeavesIsAnnounced) {
   EXPECT_EQ(of_kind<wire::Own>(last, Opcode::own).at(0).generation, publisher.generation);
 }
 
+TEST(DaemonRejoin, WhatIsSaidOfARegionBeforeEverythingWasReadIsVoid) {
+  DaemonProcess daemon;
+  Node node(daemon);
+  node.publisher("/t");
+  auto other = std::make_unique<Node>(daemon);
+  const auto subscription = other->subscription("/t");
+  node.wire.drain();
+  node.lose_connection();
+  other->lose_connection();
+  other->region = Mapping();  // the daemon takes it for a process that is over
+  ASSERT_TRUE(daemon.wait_for_log("client gone client=1"));
+  node.come_back();
+  const auto let_go_of_region = [&] {
+    node.wire.unlinked(Kind::region, 0, other->welcome.client, other->welcome.client_generation);
+  };
+  let_go_of_region();  // nothing but rejoined was read
+  EXPECT_EQ(order_of(node.wire.drain()), "own forget region ") << "nothing was refused";
+  node.wire.unlinked(Kind::subscription, subscription.topic, subscription.index,
+                     subscription.generation);
+  let_go_of_region();
+  EXPECT_EQ(order_of(node.wire.drain()), "") << "nothing was refused";
+  EXPECT_EQ(Node(daemon).welcome.client, other->welcome.client) << "its place is free";
+}
+
 TEST(DaemonRejoin, APublisherThatWasNotDrainedKeepsNoRegionTaken) {
   DaemonProcess daemon;
   Node node(daemon);

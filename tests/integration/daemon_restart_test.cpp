@@ -9,6 +9,7 @@
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/pidfd.hpp>
 #include <tests/recovery/stage.hpp>
+#include <tests/support/crash_control.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/wire_dump.hpp>
 #include <tests/support/wire_node.hpp>
@@ -589,31 +590,6 @@ TEST(DaemonRestart, IsOneProcessThatKeepsNothingIfThatIsWanted) {
 
 #ifdef AGNOCAST_TEST_CRASHING_DAEMON
 
-// What agnocastd_crash looks at; see journal/crash_point.hpp, which this program is built without.
-class Control {
- public:
-  explicit Control(const std::string& path) {
-    const UniqueFd file(::open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600));
-    EXPECT_EQ(::ftruncate(file.get(), abi::page_bytes), 0);
-    mapping_ = Mapping::map(file.get(), abi::page_bytes, Mapping::Access::read_write).value();
-    ::setenv("AGNOCAST_CRASH_CONTROL", path.c_str(), 1);
-  }
-  ~Control() { ::unsetenv("AGNOCAST_CRASH_CONTROL"); }
-  Control(const Control&) = delete;
-  Control& operator=(const Control&) = delete;
-  /// Whoever comes next dies at its n-th point, and nobody after it.
-  void arm(std::uint64_t n) {
-    word(0).store(0);
-    word(1).store(n);
-  }
-
- private:
-  std::atomic<std::uint64_t>& word(std::size_t i) {
-    return reinterpret_cast<std::atomic<std::uint64_t>*>(mapping_.base())[i];
-  }
-  Mapping mapping_;
-};
-
 // The daemon dies at the n-th step of going on, for n = 1, 2, 3 … until it survives; what it has to
 // do then: two processes have ended, each with an endpoint that the other knows, and a living pair
 // must not notice.
@@ -623,7 +599,7 @@ TEST(DaemonRestart, MayDieAtAnyStepOfGoingOn) {
   for (std::uint64_t n = 1; !survived && !HasFailure(); ++n) {
     SCOPED_TRACE("step " + std::to_string(n));
     const std::string directory = make_directory();
-    Control control(directory + "/control");
+    CrashControl control(directory + "/control");
     DaemonProcess daemon({.program = AGNOCAST_TEST_CRASHING_DAEMON});
     Pair pair(daemon, "/living");
     Child dead_publisher = publisher_child(daemon.socket_path());

@@ -7,6 +7,7 @@
 
 #include <agnocast/error.hpp>
 #include <tests/support/client_tool.hpp>
+#include <tests/support/crash_control.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/foreign_socket.hpp>
 #include <tests/support/wire_dump.hpp>
@@ -333,6 +334,32 @@ TEST(Rejoin, ADaemonThatDiesAgainAndAgainIsNotMissed) {
   EXPECT_EQ(subscriber.ask("lost"), "0");
   EXPECT_EQ(publisher.ask("matched"), "1");
   EXPECT_TRUE(publisher.eventually("allocated", "0"));
+}
+
+// The daemon dies at the n-th step of serving a request, for n = 1, 2, 3 … until it survives: of a
+// process that comes, and of one that asks for a publisher of what it has subscribed to.
+TEST(Rejoin, WhoeverAsksWhileTheDaemonDiesIsAnsweredByTheNext) {
+  const std::string directory = test::make_directory();
+  test::CrashControl control(directory + "/control");
+  DaemonProcess daemon({.program = AGNOCAST_TEST_CRASHING_DAEMON});
+  for (const bool comes : {true, false}) {
+    unsigned deaths = 0;
+    for (std::uint64_t n = 1; !HasFailure(); ++n, ++deaths) {
+      SCOPED_TRACE((comes ? "coming, step " : "publisher, step ") + std::to_string(n));
+      const pid_t serves = daemon.pid();
+      ClientTool client(daemon.socket_path());
+      ASSERT_EQ(client.ask(comes ? "state" : "sub /t 5"), comes ? "unconnected" : "ok");
+      control.arm(n);
+      ASSERT_EQ(client.ask(comes ? "sub /t 5" : "pub /t 1"), "ok");
+      ASSERT_TRUE(client.eventually("state", "connected"));
+      control.arm(0);
+      ASSERT_TRUE(comes || client.eventually("matched", "1"));
+      if (daemon.pid() == serves) break;
+      ASSERT_TRUE(daemon.wait_for_next(serves));
+    }
+    EXPECT_GT(deaths, 10u);
+  }
+  test::remove_directory(directory);
 }
 
 TEST(Rejoin, ADaemonThatKnowsNobodyLeavesAnIsland) {

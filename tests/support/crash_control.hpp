@@ -1,0 +1,46 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// CrashControl: what an agnocastd_crash that is started meanwhile looks at, each of its daemons in
+// turn; see journal/crash_point.hpp, which the test itself is built without.
+#pragma once
+
+#include <agnocast/abi/limits.hpp>
+#include <base/mapping.hpp>
+#include <base/unique_fd.hpp>
+
+#include <fcntl.h>
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <cstdint>
+#include <cstdlib>
+#include <string>
+
+namespace agnocast::test {
+
+class CrashControl {
+ public:
+  explicit CrashControl(const std::string& path) {
+    const UniqueFd file(::open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600));
+    EXPECT_EQ(::ftruncate(file.get(), abi::page_bytes), 0);
+    mapping_ = Mapping::map(file.get(), abi::page_bytes, Mapping::Access::read_write).value();
+    ::setenv("AGNOCAST_CRASH_CONTROL", path.c_str(), 1);
+  }
+  ~CrashControl() { ::unsetenv("AGNOCAST_CRASH_CONTROL"); }
+  CrashControl(const CrashControl&) = delete;
+  CrashControl& operator=(const CrashControl&) = delete;
+  /// Whoever comes next dies at its n-th point, and nobody after it; 0: nobody.
+  void arm(std::uint64_t n) {
+    word(0).store(0);
+    word(1).store(n);
+  }
+
+ private:
+  std::atomic<std::uint64_t>& word(std::size_t i) {
+    return reinterpret_cast<std::atomic<std::uint64_t>*>(mapping_.base())[i];
+  }
+  Mapping mapping_;
+};
+
+}  // namespace agnocast::test
