@@ -601,6 +601,8 @@ void Broker::serve(Peer& peer, const Request& request) {
   };
   std::visit(handle, request);
   if (served) return;
+  // It ended while nobody served; another may have its place by now.
+  if (!peer.session.greeted() && peer.session.identity().process.ended()) return;
   const std::string_view detail = detail_of(served.error());
   refuse(peer, id, served.error().code, served.error().os_errno,
          detail.empty() ? served.error().what : detail);
