@@ -84,7 +84,7 @@ enum class EndpointState : std::uint32_t {
 enum class DeathReason : std::uint64_t {
   died = 0,     // its pidfd says so
   let_go = 1,   // it lives, but has no trace of its region any more: exec, or a shut library
-  revoked = 2,  // an administrator ended its membership; it lives
+  revoked = 2,  // its membership was ended from outside; it lives
 };
 
 /// Why nobody publishes there any more: `cause` of leave_publisher. The last four are what was

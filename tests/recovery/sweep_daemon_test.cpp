@@ -35,10 +35,6 @@ constexpr unsigned worker_count = 2;
 constexpr std::uint64_t recovery_points_max =
     200;  // of one death; more are counted when they exist
 
-bool can_restart() {
-  return test::run_daemon({"--help"}).out.find("--fd-store") != std::string::npos;
-}
-
 bool runs_everything() {
   const char* const extent = std::getenv("AGNOCAST_SWEEP");
   return extent != nullptr && std::string(extent) == "all";
@@ -108,7 +104,6 @@ Totals sweep_scripts(
 }
 
 TEST(DaemonSweep, NobodyNoticesADaemonKilledAtAnyPointOnceOrTwice) {
-  if (!can_restart()) GTEST_SKIP() << "this daemon does not outlive itself";
   const bool all = runs_everything();
   const std::uint64_t stride = all ? 1 : number_of("AGNOCAST_SWEEP_STRIDE", 23);
   const std::uint64_t seed = number_of("AGNOCAST_SEED", 0);
@@ -135,7 +130,6 @@ TEST(DaemonSweep, NobodyNoticesADaemonKilledAtAnyPointOnceOrTwice) {
 }
 
 TEST(DaemonSweep, AProcessAndTheDaemonThatRecoversItDieTogether) {
-  if (!can_restart()) GTEST_SKIP() << "this daemon does not outlive itself";
   const bool all = runs_everything();
   const std::uint64_t stride = all ? 1 : number_of("AGNOCAST_SWEEP_PAIR_STRIDE", 2999);
   const std::uint64_t seed = number_of("AGNOCAST_SEED", 0);
@@ -163,7 +157,6 @@ TEST(DaemonSweep, AProcessAndTheDaemonThatRecoversItDieTogether) {
 // The daemon dies anywhere in the creation of a publisher, who is answered by the next one, publishes
 // and exits, while its subscriber is still away.
 TEST(DaemonSweep, APublisherThatWasAnsweredIsHeardByWhoeverWasAway) {
-  if (!can_restart()) GTEST_SKIP() << "this daemon does not outlive itself";
   SweepStage stage;
   const ControlPage page(stage.directory() + "/A"), victims(stage.directory() + "/V");
   const auto subscriber = stage.make(page);

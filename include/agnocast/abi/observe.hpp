@@ -86,7 +86,7 @@ struct DaemonCounters {
   std::uint64_t clients_registered;
   std::uint64_t clients_died;
   std::uint64_t clients_let_go;   // live, without a trace of their regions
-  std::uint64_t clients_revoked;  // live, but an administrator ended their membership
+  std::uint64_t clients_revoked;  // live, but their membership was ended from outside
   std::uint64_t clients_rejoined;
   std::uint64_t intents_rolled_back;
   std::uint64_t intents_rolled_forward;
