@@ -179,6 +179,7 @@ class Context {
                                 std::span<UniqueFd> fds, std::size_t& used);
   void say_unlinked(abi::wire::Kind kind, std::uint32_t topic, std::uint64_t index,
                     std::uint64_t generation);
+  bool is_here(abi::wire::Kind kind, const EndpointKey& key) const;
   bool is_linked(std::uint32_t topic, std::uint64_t publisher, std::uint64_t generation) const;
   bool is_attached(std::uint32_t topic, std::uint64_t subscription, std::uint64_t generation) const;
 

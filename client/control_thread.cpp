@@ -198,11 +198,14 @@ std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
   const std::uint64_t bytes = announcement.kind == Kind::publisher ? abi::publisher_extent_bytes
                                                                    : abi::subscription_extent_bytes;
   AGNOCAST_CRASH_POINT(C_peer_extent);
-  // An endpoint of this process may be announced before the answer to its creation, when that is
-  // asked again.
-  const Result<void> opened = is_self(announcement.client, announcement.client_generation)
-                                  ? region_.open(announcement.extent, bytes)
-                                  : known.peer->open(announcement.extent, bytes);
+  const bool own = is_self(announcement.client, announcement.client_generation);
+  Result<void> opened;
+  if (!own) {
+    opened = known.peer->open(announcement.extent, bytes);
+  } else if (!is_here(announcement.kind, {announcement.topic, announcement.index})) {
+    // Announced before the answer to its creation, which was asked again.
+    opened = region_.open(announcement.extent, bytes);
+  }
   if (!opened) return nullptr;
   return use(known);
 }
@@ -275,6 +278,11 @@ void Context::on_announce(Incoming& packet) {
   if (!linked)
     say_unlinked(announcement.kind, announcement.topic, announcement.index,
                  announcement.generation);
+}
+
+bool Context::is_here(Kind kind, const EndpointKey& key) const {
+  const std::lock_guard lock(endpoints_);
+  return kind == Kind::publisher ? publishers_.count(key) != 0 : subscriptions_.count(key) != 0;
 }
 
 bool Context::is_linked(std::uint32_t topic, std::uint64_t publisher,

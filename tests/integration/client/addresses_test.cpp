@@ -42,6 +42,14 @@ std::string occupy(std::uint64_t number, std::uint64_t bytes = 4096) {
   return "occupy " + std::to_string(arena + number * window + window / 2) + " " +
          std::to_string(bytes);
 }
+/// A message may ring before its window is announced here; then it stays unread until that rings.
+std::string take(ClientTool& tool) {
+  for (;;) {
+    if (const std::string rung = tool.ask("wait 5000"); rung != "news") return rung;
+    if (std::string number = tool.ask("take"); number != "none") return number;
+  }
+}
+
 /// The window in which the oldest held message of a tool lies.
 std::uint64_t window_of(ClientTool& tool) {
   return (std::stoull(tool.ask("address")) - arena) / window;
@@ -57,16 +65,14 @@ TEST(Addresses, WhatIsOccupiedBeforeAHeapExistsIsAvoidedByIt) {
   ASSERT_EQ(publisher.ask("pub /points 1"), "ok");
   ASSERT_EQ(publisher.ask("publish 2 100000"), "ok");
   for (const char* number : {"1", "2"}) {
-    ASSERT_EQ(subscriber.ask("wait 5000"), "news");
-    ASSERT_EQ(subscriber.ask("take"), number);
+    ASSERT_EQ(take(subscriber), number);
   }
   EXPECT_EQ(window_of(subscriber), 1u);
   EXPECT_EQ(subscriber.ask("lost"), "0");
   ClientTool next(daemon.socket_path());
   ASSERT_EQ(next.ask("pub /points 1"), "ok");
   ASSERT_EQ(next.ask("publish 1 10"), "ok");
-  ASSERT_EQ(subscriber.ask("wait 5000"), "news");
-  ASSERT_EQ(subscriber.ask("take"), "1") << "of the second publisher, in window 3";
+  ASSERT_EQ(take(subscriber), "1") << "of the second publisher, in window 3";
 }
 
 TEST(Addresses, APublisherDoesWithoutWhatItHasOccupiedItself) {
@@ -76,8 +82,7 @@ TEST(Addresses, APublisherDoesWithoutWhatItHasOccupiedItself) {
   ASSERT_EQ(subscriber.ask("sub /points 5"), "ok");
   ASSERT_EQ(publisher.ask("pub /points 1"), "ok");
   ASSERT_EQ(publisher.ask("publish 1 100000"), "ok");
-  ASSERT_EQ(subscriber.ask("wait 5000"), "news");
-  ASSERT_EQ(subscriber.ask("take"), "1");
+  ASSERT_EQ(take(subscriber), "1");
   EXPECT_EQ(window_of(subscriber), 4u);
 }
 
@@ -99,9 +104,8 @@ TEST(Addresses, AJoinerWithAnOccupiedRangeGetsMessagesFromThenOn) {
   ASSERT_TRUE(publisher.eventually("first_window", "1"));
   ASSERT_EQ(publisher.ask("publish 3 100000"), "ok");
 
-  ASSERT_EQ(joiner.ask("wait 5000"), "news");
   for (const char* number : {"4", "5", "6"}) {
-    ASSERT_EQ(joiner.ask("take"), number);
+    ASSERT_EQ(take(joiner), number);
     EXPECT_EQ(window_of(joiner), 1u);
     ASSERT_EQ(joiner.ask("release"), "ok");
   }
@@ -109,7 +113,7 @@ TEST(Addresses, AJoinerWithAnOccupiedRangeGetsMessagesFromThenOn) {
   EXPECT_EQ(joiner.ask("lost"), "3") << "its history lies where it has something else";
   EXPECT_EQ(joiner.ask("unreachable"), "3");
   EXPECT_EQ(joiner.ask("malformed"), "0");
-  for (const char* number : {"2", "3", "4", "5", "6"}) ASSERT_EQ(other.ask("take"), number);
+  for (const char* number : {"2", "3", "4", "5", "6"}) ASSERT_EQ(take(other), number);
   EXPECT_EQ(other.ask("lost"), "0");
   for (int i = 0; i < 6; ++i) EXPECT_EQ(other.ask("release"), "ok");
 }
@@ -127,8 +131,7 @@ TEST(Addresses, EveryJoinerIsServedUntilTheHeapHasMovedOftenEnough) {
     ASSERT_TRUE(publisher.eventually("matched", std::to_string(move + 1).c_str()));
     ASSERT_EQ(publisher.ask("publish 1 1000"), "ok");
     for (ClientTool& one : joiners) {
-      ASSERT_EQ(one.ask("wait 5000"), "news");
-      ASSERT_EQ(one.ask("take"), std::to_string(move + 1));
+      ASSERT_EQ(take(one), std::to_string(move + 1));
     }
   }
   ClientTool& late = joiners.emplace_back(daemon.socket_path());
@@ -170,8 +173,7 @@ TEST(Addresses, AWindowIsFoundWhereAsFewAsPossibleHaveSomething) {
   ASSERT_EQ(second.ask("sub /points 5"), "ok");
   ASSERT_EQ(publisher.ask("pub /points 1"), "ok");
   ASSERT_EQ(publisher.ask("publish 1 10"), "ok");
-  ASSERT_EQ(second.ask("wait 5000"), "news");
-  ASSERT_EQ(second.ask("take"), "1");
+  ASSERT_EQ(take(second), "1");
   EXPECT_EQ(window_of(second), 8u)
       << "nine windows of one user are too many to be avoided by others";
   ASSERT_TRUE(daemon.wait_for_log("it stays: too much is blocked by the reader's user"));
