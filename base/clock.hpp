@@ -15,5 +15,7 @@ inline std::uint64_t monotonic_ns() noexcept {
   return static_cast<std::uint64_t>(now.tv_sec) * 1'000'000'000 +
          static_cast<std::uint64_t>(now.tv_nsec);
 }
+/// The same in milliseconds.
+inline std::uint64_t monotonic_ms() noexcept { return monotonic_ns() / 1'000'000; }
 
 }  // namespace agnocast

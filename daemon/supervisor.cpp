@@ -2,6 +2,7 @@
 
 #include <daemon/supervisor.hpp>
 
+#include <base/clock.hpp>
 #include <base/unix_address.hpp>
 
 #include <fcntl.h>
@@ -20,7 +21,6 @@
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
-#include <ctime>
 #include <map>
 #include <utility>
 #include <vector>
@@ -37,13 +37,6 @@ constexpr std::uint64_t life_of_ready_ms = 100;
 constexpr std::uint64_t pause_most_ms = 5'000;
 // Who has lived so long did not die of what it found at its start.
 constexpr std::uint64_t settled_ms = 10'000;
-
-std::uint64_t now_ms() noexcept {
-  timespec now{};
-  ::clock_gettime(CLOCK_MONOTONIC, &now);
-  return static_cast<std::uint64_t>(now.tv_sec) * 1'000 +
-         static_cast<std::uint64_t>(now.tv_nsec) / 1'000'000;
-}
 
 /// A socket that can be reached through a descriptor of it and in no other way: it was bound in a
 /// directory of ours, and its name is gone.
@@ -180,7 +173,7 @@ int Supervisor::run() {
   while (!result_) {
     int timeout_ms = -1;
     if (due_ms_) {
-      const std::uint64_t now = now_ms();
+      const std::uint64_t now = monotonic_ms();
       if (now >= *due_ms_) {
         start();
         continue;
@@ -202,13 +195,13 @@ void Supervisor::start() {
   due_ms_.reset();
   restarts_ = false;
   is_ready_ = false;
-  started_ms_ = now_ms();
+  started_ms_ = monotonic_ms();
   const pid_t parent = ::getpid();
   const pid_t pid = ::fork();
   if (pid == 0) become_worker(parent);
   if (pid < 0) {
     log_.write(LogLevel::error, "worker not started", {{"errno", errno}});
-    due_ms_ = now_ms() + pause_most_ms;
+    due_ms_ = monotonic_ms() + pause_most_ms;
     return;
   }
   worker_ = pid;
@@ -302,12 +295,12 @@ void Supervisor::on_worker_end(int status) {
     due_ms_ = 0;
     return;
   }
-  const std::uint64_t lived_ms = now_ms() - started_ms_;
+  const std::uint64_t lived_ms = monotonic_ms() - started_ms_;
   if (lived_ms >= settled_ms) failures_ = failed_starts_ = 0;
   failed_starts_ = is_ready_ ? 0 : failed_starts_ + 1;
   const std::uint64_t pause = pause_after(failures_, failed_starts_, lived_ms);
   ++failures_;
-  due_ms_ = now_ms() + pause;
+  due_ms_ = monotonic_ms() + pause;
   log_.write(LogLevel::error, "worker died",
              {{"pid", pid},
               {WIFEXITED(status) ? "status" : "signal",
@@ -379,7 +372,8 @@ void Supervisor::keep(const Notification& notification, std::vector<UniqueFd> fd
     }
     if (lost || fds.empty())
       log_.write(LogLevel::error, "a descriptor was lost",
-                 {{"name", notification.name}, {"why", "as many are kept as may be, or LimitNOFILE is too low"}});
+                 {{"name", notification.name},
+                  {"why", "as many are kept as may be, or LimitNOFILE is too low"}});
   }
   if (notification.ready) {
     was_ready_ = is_ready_ = true;

@@ -1,0 +1,127 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Broker: observers: processes that only look (agnocast-ctl). They have no place in the tables; an
+// answer is made at once and read at their pace, within their patience.
+
+#include <daemon/broker.hpp>
+
+#include <agnocast/abi/fingerprint.hpp>
+#include <agnocast/version.hpp>
+#include <base/clock.hpp>
+#include <daemon/flight_recorder.hpp>
+
+#include <unistd.h>
+
+#include <utility>
+
+namespace agnocast::daemon {
+
+namespace {
+
+// What an observer has not read by then is thrown away, and the observer with it.
+constexpr std::uint64_t observer_patience_ms = 5'000;
+
+}  // namespace
+
+Result<void> Broker::observe(Peer& peer, const wire::Observe& request) {
+  if (auto known = check_caller(peer, request.fingerprint); !known) return known;
+  Connections& used = connections_[peer.session.identity().uid];
+  if (!peer.counts_as_observer) {
+    if (used.observers >= abi::observer_count_max)
+      return refusal(
+          Errc::quota_exceeded,
+          "this user may have " + std::to_string(abi::observer_count_max) + " observers");
+    --used.clients;
+    ++used.observers;
+    peer.counts_as_observer = true;
+  }
+  peer.session.observe();
+  ++observer_count_;
+  auto packet = make_body<wire::Observed>(wire::Opcode::observed, request.header.request);
+  packet.fingerprint = abi::fingerprint();
+  packet.incarnation = registry_.incarnation();
+  packet.client_region_bytes = Registry::client_region_bytes;
+  reply(peer, packet_of(packet), {regions_.board_reader()});
+  log_.write(LogLevel::debug, "observer",
+             {{"pid", peer.session.identity().pid}, {"uid", peer.session.identity().uid}});
+  return {};
+}
+
+Result<void> Broker::dump(Peer& peer, const wire::Dump& request) {
+  answer_at_length(peer, make_dump(registry_, facts(), request.header.request));
+  return {};
+}
+
+Result<void> Broker::read_journal(Peer& peer, const wire::ReadJournal& request) {
+  answer_at_length(peer, make_journal(registry_, request, monotonic_ns()));
+  return {};
+}
+
+void Broker::answer_at_length(Peer& peer, std::vector<Outgoing> packets) {
+  peer.asked_ms = monotonic_ms();
+  for (Outgoing& packet : packets) peer.session.push(std::move(packet));
+  flush(peer);
+}
+
+void Broker::drop_slow_observers(std::uint64_t now) {
+  if (observer_count_ == 0) return;
+  std::vector<PeerId> slow;
+  for (const auto& [id, peer] : peers_) {
+    if (peer->session.role() == Role::observer && peer->session.has_output() &&
+        now - peer->asked_ms > observer_patience_ms)
+      slow.push_back(id);
+  }
+  for (const PeerId id : slow) disconnect(*peers_.at(id), "an observer does not read");
+}
+
+DumpFacts Broker::facts() const {
+  const std::uint64_t now = monotonic_ns();
+  DumpFacts facts;
+  wire::DumpDaemon& daemon = facts.daemon;
+  daemon.version_major = AGNOCAST_VERSION_MAJOR;
+  daemon.version_minor = AGNOCAST_VERSION_MINOR;
+  daemon.version_patch = AGNOCAST_VERSION_PATCH;
+  daemon.pid = static_cast<std::uint32_t>(::getpid());
+  daemon.uid = ::geteuid();
+  daemon.incarnation = registry_.incarnation();
+  daemon.uptime_ns = now - registry_.header().began_ns;
+  daemon.arena_base = options_.arena.base;
+  daemon.arena_bytes = options_.arena.bytes;
+  daemon.window_bytes = options_.arena.window_bytes;
+  daemon.windows_used = plan_.used_count();
+  daemon.unlocked_count = regions_.unlocked_count();
+  daemon.counters = registry_.counters();
+  const Config::Limits& limits = options_.config.limits;
+  daemon.limits = {limits.clients,
+                   limits.topics,
+                   limits.publishers_per_topic,
+                   limits.subscriptions_per_topic,
+                   limits.slots_per_publisher,
+                   limits.depth_max,
+                   options_.config.heap.windows_per_process};
+  const Config::Quota& quota = options_.config.quota;
+  daemon.quota = {quota.clients,   quota.publishers, quota.subscriptions,
+                  quota.executors, quota.heap_bytes, quota.held_messages};
+  for (const auto& [uid, used] : connections_) {
+    facts.users[uid] = {used.clients, used.observers};
+    daemon.connections += used.clients;
+    daemon.observers += used.observers;
+  }
+  facts.process_of = [this, now](ClientIndex client) {
+    DumpFacts::Process process;
+    const Peer* const peer = by_client_[number(client)];
+    if (peer != nullptr)
+      process.state = peer->detached ? wire::ProcessState::orphaned : wire::ProcessState::connected;
+    if (registry_.is_revoked(client)) process.state = wire::ProcessState::revoked;
+    process.age_ns = now - registry_.client(client).since_ns;
+    process.region = regions_.region_reader(client);
+    for (const Obstacles::Claim& claim : obstacles_.of(client)) {
+      process.blocked_bytes += claim.bytes;
+      if (process.blocked_by.empty()) process.blocked_by = claim.what;
+    }
+    return process;
+  };
+  return facts;
+}
+
+}  // namespace agnocast::daemon
