@@ -15,6 +15,8 @@ namespace {
 
 // Who connects and says nothing must not take the descriptors of those who ask.
 constexpr std::size_t caller_count_max = 64;
+// Whoever connects again and again is never done; signals must not wait for that.
+constexpr unsigned connections_per_turn = 8;
 
 }  // namespace
 
@@ -32,7 +34,7 @@ Result<void> Refuser::start() {
 }
 
 void Refuser::accept_all() {
-  for (;;) {
+  for (unsigned turn = 0; turn < connections_per_turn; ++turn) {
     auto socket = listener_.accept();
     if (!socket || !*socket) return;
     const std::uint64_t id = ++last_caller_;
@@ -59,7 +61,11 @@ void Refuser::answer(std::uint64_t id) {
       std::memcpy(static_cast<void*>(&header), buffer.data(), sizeof header);
     auto refused =
         make_body<wire::Refused>(wire::Opcode::refused, header.request & ~wire::asked_again);
-    refused.code = static_cast<std::uint32_t>(Errc::layout_mismatch);
+    // Who comes back is a member of the life that is kept. It has to try again: with layout_mismatch
+    // it would give up, and be no member any more when the former build serves again.
+    const Errc code =
+        header.opcode == wire::Opcode::rejoin ? Errc::daemon_not_running : Errc::layout_mismatch;
+    refused.code = static_cast<std::uint32_t>(code);
     refused.text = name_of(why_);
     const auto sent = found->second.socket.send(packet_of(refused));
     log_.write_limited("refused", LogLevel::warning, "request refused",

@@ -4,7 +4,8 @@
 //
 // Another build has left its tables, or they are damaged. Nothing of it is touched, every descriptor
 // stays where it is kept, and whoever connects is told what is wrong: `refused` with layout_mismatch,
-// to whatever he says. The build that made them can be started again and goes on.
+// to whatever he says; to `rejoin` with daemon_not_running, which means later. The build that made
+// the tables can be started again and goes on, with everybody.
 #pragma once
 
 #include <base/packet_socket.hpp>
