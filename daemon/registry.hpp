@@ -287,6 +287,7 @@ class Registry {
   void apply_to_endpoint(const Record& record);
   void apply_to_counters(const Record& record);
   void rebuild();
+  const char* flaw_of_change(const Record& record) const noexcept;
   const char* flaw_of_client(std::uint32_t index) const noexcept;
   const char* flaw_of_topic(std::uint32_t index) const noexcept;
   const char* flaw() const noexcept;

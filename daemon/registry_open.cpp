@@ -143,6 +143,8 @@ Result<void> Registry::check() const {
 Result<void> Registry::open() {
   if (auto checked = check(); !checked) return checked;
   if (const auto record = log_.pending()) {
+    // The tables are judged afterwards: a change that is half made is no flaw.
+    if (const char* const what = flaw_of_change(*record)) return damaged(what);
     apply(*record);
     log_.applied();
     redone_lsn_ = record->lsn;
@@ -150,6 +152,49 @@ Result<void> Registry::open() {
   if (const char* const what = flaw()) return damaged(what);
   rebuild();
   return {};
+}
+
+/// What apply() would use as an index for this change, or read up to its end.
+const char* Registry::flaw_of_change(const Record& record) const noexcept {
+  const auto argument = [&](std::string_view name) {
+    return record.argument[journal::argument_index(record.type, name)];
+  };
+  const auto has = [&](std::string_view name) {
+    return journal::argument_index(record.type, name) != journal::argument_count;
+  };
+  const char* const flawed = "the change under way is out of range";
+  if (journal::name_of(record.type).empty()) return "the change under way is of an unknown kind";
+  const bool of_region =
+      record.type == Type::unlinked && argument("kind") == static_cast<std::uint64_t>(Kind::region);
+  for (const char* const process : {"client", "to", "by"}) {
+    if (has(process) && argument(process) >= abi::client_count_max) return flawed;
+  }
+  if (has("window") && argument("window") >= abi::window_count_max) return flawed;
+  if (record.type == Type::open_executor && argument("executor") >= abi::executor_count_max)
+    return flawed;
+  if (record.type == Type::client_forgotten) {
+    for (std::uint32_t t = 0; t < tables_.header.topic_high; ++t) {
+      const TopicRecord& topic = tables_.topic[t];
+      if (topic.publisher_high > abi::publisher_count_max ||
+          topic.subscription_high > abi::subscription_count_max)
+        return "the members of a topic";
+    }
+  }
+  if (of_region) return record.argument[0] < abi::client_count_max ? nullptr : flawed;
+  if (!has("topic")) return nullptr;
+  if (argument("topic") >= abi::topic_count_max) return flawed;
+  const auto topic = static_cast<std::uint32_t>(argument("topic"));
+  if (!has("index")) return ends(tables_.topic[topic].name) ? nullptr : "the name of a topic";
+  const bool publisher =
+      has("kind") ? argument("kind") == static_cast<std::uint64_t>(Kind::publisher)
+                  : record.type == Type::add_publisher || record.type == Type::raise_slots ||
+                        record.type == Type::leave_publisher || record.type == Type::free_publisher;
+  if (argument("index") >= (publisher ? abi::publisher_count_max : abi::subscription_count_max))
+    return flawed;
+  if (record.type == Type::add_publisher || record.type == Type::add_subscription) return nullptr;
+  const EndpointRef ref{publisher ? Kind::publisher : Kind::subscription, TopicIndex{topic},
+                        static_cast<std::uint32_t>(argument("index"))};
+  return number(owner_of(ref)) < abi::client_count_max ? nullptr : "the owner of an endpoint";
 }
 
 const char* Registry::flaw_of_client(std::uint32_t index) const noexcept {

@@ -210,5 +210,44 @@ TEST_F(Redo, MakesEveryChangeWholeWhateverPartOfItWasMade) {
               static_cast<unsigned long long>(redone));
 }
 
+// A checksum says that a record is whole, not that this build can carry it out.
+TEST_F(Redo, RefusesAChangeThatItCannotCarryOutAndTouchesNothing) {
+  const std::uint64_t far = std::uint64_t{1} << 31;
+  const struct {
+    RecordType type;
+    std::vector<std::uint64_t> arguments;
+  } changes[] = {
+      {static_cast<RecordType>(99), {}},  // a later build's
+      {RecordType::register_client, {abi::client_count_max, 1}},
+      {RecordType::client_end, {far, 1}},
+      {RecordType::open_window, {0, abi::window_count_max}},
+      {RecordType::open_executor, {0, abi::executor_count_max}},
+      {RecordType::add_topic, {far, 1}},
+      {RecordType::free_topic, {abi::topic_count_max, 1}},
+      {RecordType::add_publisher, {0, abi::publisher_count_max, 1, 0}},
+      {RecordType::add_publisher, {0, 0, 1, abi::client_count_max}},
+      {RecordType::add_subscription, {0, abi::subscription_count_max, 1, 0}},
+      {RecordType::free_subscription, {far, 0, 1, 0}},
+      {RecordType::announced, {0, 0, abi::client_count_max, 0, 1, 0}},
+      {RecordType::announced, {0, far, 0, 1, 1, 0}},
+      {RecordType::unlinked, {far, 0, 0, static_cast<std::uint64_t>(Kind::region), 1, 0}},
+  };
+  for (const auto& [type, arguments] : changes) {
+    SCOPED_TRACE(static_cast<unsigned>(type));
+    const test::RegistryMemory fresh;
+    Registry(fresh.parts()).create(1);
+    const Words all(fresh.parts());
+    const auto before = all.state();
+    journal::RedoLog log(fresh.parts().log);
+    log.commit(type, arguments.data(), arguments.size());
+    Registry next(fresh.parts());
+    const auto opened = next.open();
+    ASSERT_FALSE(opened);
+    EXPECT_EQ(opened.error().code, Errc::internal);
+    EXPECT_EQ(all.state(), before);
+    EXPECT_TRUE(log.pending()) << "the build that wrote it can carry it out";
+  }
+}
+
 }  // namespace
 }  // namespace agnocast::daemon
