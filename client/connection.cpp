@@ -226,12 +226,17 @@ void Connection::answer(std::uint64_t id, Incoming& packet) {
   if (refused) {
     result = tl::unexpected<Failure>(refusal_of(packet));
   } else {
-    try {
-      const OnAnswer& on_answer = request->given_up ? request->on_late : request->on_answer;
-      result = on_answer(packet);
-    } catch (const std::bad_alloc&) {  // somebody waits for this answer
-      result = fail(Errc::os_failure, "an answer of agnocastd", ENOMEM);
-    }
+    const auto hand = [&](const OnAnswer& to) -> Result<void> {
+      try {
+        return to(packet);
+      } catch (const std::bad_alloc&) {  // somebody waits for this answer
+        return fail(Errc::os_failure, "an answer of agnocastd", ENOMEM);
+      }
+    };
+    result = hand(request->given_up ? request->on_late : request->on_answer);
+    // Whoever asked cannot use what was made: as if nobody waited for it any more.
+    if (!result && !request->given_up && request->on_late != nullptr)
+      static_cast<void>(hand(request->on_late));
   }
   finish(*request, std::move(result));
 }

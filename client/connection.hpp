@@ -82,8 +82,8 @@ class Connection {
 
   /// Sends `body` (a struct of abi/wire.hpp; its header is filled in here) and waits for the
   /// answer, across connections. `on_answer` runs in the control thread and may fail the request.
-  /// `on_late` instead of it, when the answer comes after this function has given up; not for
-  /// refusals. `again`: the daemon may have done it for an earlier request. Errors: what the daemon
+  /// `on_late` instead of it, when the answer comes after this function has given up, and after it,
+  /// when it has failed; not for refusals. `again`: the daemon may have done it for an earlier request. Errors: what the daemon
   /// refused, daemon_not_running (gone, or no answer in time), what refuse() said.
   template <class T>
   [[nodiscard]] Result<void> request(abi::wire::Opcode opcode, T body, OnAnswer on_answer,

@@ -90,6 +90,24 @@ TEST(Connection, AnAnswerThatMemoryIsMissingForFailsItsRequest) {
   EXPECT_EQ(asks.result.error().os_errno, ENOMEM);
 }
 
+TEST(Connection, AnAnswerThatNobodyCanUseIsTreatedLikeOneThatComesLate) {
+  Connection connection(nobody, "/socket");
+  Daemon daemon(connection);
+  daemon.connect();
+  int late = 0;
+  Asker asks(
+      connection, wire::Opcode::create_subscription,
+      [](Incoming&) -> Result<void> { return fail(Errc::os_failure, "mapping", ENOMEM); },
+      [&](Incoming&) -> Result<void> { return ++late, Result<void>(); });
+  const auto asked = daemon.hear();
+  ASSERT_TRUE(asked);
+  daemon.answer(asked->request);
+  asks.thread.join();
+  EXPECT_EQ(late, 1) << "the daemon has made something that has to leave again";
+  ASSERT_FALSE(asks.result);
+  EXPECT_EQ(asks.result.error().os_errno, ENOMEM);
+}
+
 TEST(Connection, WhatWasNotAnsweredIsAskedAgainInItsOrder) {
   Connection connection(nobody, "/socket");
   Daemon daemon(connection);
