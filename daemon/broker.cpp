@@ -31,6 +31,9 @@ constexpr unsigned packets_per_turn = 32;
 constexpr unsigned connections_per_turn = 8;
 // How often a process without a connection is looked at.
 constexpr int short_interval_ms = 250;
+// How long looking at them may take at a time, and how many times as long the daemon does other things
+// after a look that took longer.
+constexpr std::uint64_t look_budget_ns = 20'000'000, look_rest = 20;
 // How often holds are looked at, and observers.
 constexpr int watch_interval_ms = 1'000;
 
@@ -266,7 +269,7 @@ void Broker::disconnect(Peer& peer, std::string_view why) {
   log_.write(LogLevel::debug, "connection ended",
              {{"client", number(client)}, {"pid", peer.session.identity().pid}, {"why", why}});
   // After exec, or when the library was shut down, nothing of the region is left in the process.
-  if (!maps_file(peer.session.identity().pid, regions_.region_file(client))) {
+  if (has_let_go(peer)) {
     reap_peer(peer, DeathReason::let_go, "process let go of its region");
     return;
   }
@@ -362,7 +365,20 @@ void Broker::say_farewell(Peer& peer) {
   ::shutdown(peer.session.socket().fd(), SHUT_RDWR);
 }
 
-bool Broker::was_revoked(const Peer& peer) const {
+// A process may have tens of thousands of mappings, and reading them takes a tenth of a second. What
+// that took is not to be most of what the daemon does: until it has done other things for long enough
+// the answer is no, and the next tick asks again.
+bool Broker::has_let_go(const Peer& peer) {
+  const std::uint64_t begin = monotonic_ns();
+  if (begin < look_due_ns_) return false;
+  const bool maps =
+      maps_file(peer.session.identity().pid, regions_.region_file(*peer.session.client()));
+  const std::uint64_t took = monotonic_ns() - begin;
+  if (took > look_budget_ns) look_due_ns_ = begin + took * look_rest;
+  return !maps;
+}
+
+bool Broker::was_revoked(const Peer& peer) {
   const PeerIdentity& who = peer.session.identity();
   for (const auto& [id, other] : peers_) {
     if (!other->revoked) continue;
@@ -373,7 +389,7 @@ bool Broker::was_revoked(const Peer& peer) const {
                           ? *inode == *its_inode
                           : who.pid > 0 && who.pid == one.pid && !one.process.ended();
     // After exec it is another program.
-    if (same && maps_file(one.pid, regions_.region_file(*other->session.client()))) return true;
+    if (same && !has_let_go(*other)) return true;
   }
   return false;
 }
@@ -409,11 +425,19 @@ void Broker::tick() {
     }
   }
   if (detached_count_ > 0) {
-    std::vector<PeerId> gone;
+    std::vector<Peer*> lost;
     for (const auto& [id, peer] : peers_) {
-      if (peer->detached &&
-          !maps_file(peer->session.identity().pid, regions_.region_file(*peer->session.client())))
-        gone.push_back(id);
+      if (peer->detached) lost.push_back(peer.get());
+    }
+    // Those first that have waited longest: there may be no time for all.
+    std::sort(lost.begin(), lost.end(),
+              [](const Peer* a, const Peer* b) { return a->looked_ns < b->looked_ns; });
+    std::vector<PeerId> gone;
+    for (const std::uint64_t begin = monotonic_ns(); Peer* const peer : lost) {
+      const std::uint64_t now_ns = monotonic_ns();
+      if (now_ns - begin > look_budget_ns || now_ns < look_due_ns_) break;
+      peer->looked_ns = now_ns;
+      if (has_let_go(*peer)) gone.push_back(peer->id);
     }
     for (const PeerId id : gone)
       reap_peer(*peers_.at(id), DeathReason::let_go, "process let go of its region");

@@ -78,7 +78,8 @@ class Broker final : private Post {
     bool detached = false;  // without a connection, or revoked, but alive and mapping its region
     bool revoked = false;   // its client is dead in the tables; nothing it says counts
     bool counts_as_observer = false;
-    std::uint64_t asked_ms = 0;  // of an observer: when its last answer was made
+    std::uint64_t asked_ms = 0;   // of an observer: when its last answer was made
+    std::uint64_t looked_ns = 0;  // when tick() last asked whether it has let go
   };
   /// Connections of one user.
   struct Connections {
@@ -110,7 +111,9 @@ class Broker final : private Post {
   /// Sends what a revoked process is to hear last, then shuts its connection.
   void say_farewell(Peer& peer);
   /// Is the process at the other end one that was revoked?
-  bool was_revoked(const Peer& peer) const;
+  bool was_revoked(const Peer& peer);
+  /// Is nothing of its region left in the process? Only if there is time to look.
+  bool has_let_go(const Peer& peer);
   // --- resume
   [[nodiscard]] Result<void> adopt_client(ClientIndex client, std::uint64_t& lost);
   [[nodiscard]] Result<void> adopt_revoked(ClientIndex client, bool whole);
@@ -187,9 +190,10 @@ class Broker final : private Post {
   std::uint64_t detached_count_ = 0;  // processes without a connection
   bool flush_later_ = false;
   bool said_unlocked_ = false;
-  std::uint64_t looked_ms_ = 0;   // when tick() last had a look
-  std::uint64_t watched_ms_ = 0;  // the same, at what is held
-  UniqueFd spare_;                // given up for a moment when no descriptor is left
+  std::uint64_t looked_ms_ = 0;    // when tick() last had a look
+  std::uint64_t watched_ms_ = 0;   // the same, at what is held
+  std::uint64_t look_due_ns_ = 0;  // before that no process is looked at
+  UniqueFd spare_;                 // given up for a moment when no descriptor is left
   Dispatcher::Token listening_ = 0;
 };
 

@@ -159,7 +159,7 @@ void Broker::end_unwelcomed(const Peer& again) {
   for (const Peer* const peer : by_client_) {
     if (peer != nullptr && peer->detached &&
         same_process(peer->session.identity().process, again.session.identity().process) &&
-        !maps_file(peer->session.identity().pid, regions_.region_file(*peer->session.client())))
+        has_let_go(*peer))
       unused.push_back(peer->id);
   }
   for (const PeerId id : unused)
@@ -344,9 +344,7 @@ Result<void> Broker::admit_executor(ClientIndex client, const ExecutorRequest& r
   if (!is_open)
     return check_limit(registry_.usage_of(registry_.client(client).uid).executors, 1,
                        options_.config.quota.executors, "[quota] executors");
-  // The bells were lost with the answer.
-  ++registry_.counters().requests_answered_again;
-  doorbells_.close(client, request.executor);
+  ++registry_.counters().requests_answered_again;  // the bells were lost with the answer
   return {};
 }
 

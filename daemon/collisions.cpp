@@ -64,15 +64,18 @@ Result<void> Broker::blocked(Peer& peer, const wire::Blocked& range) {
   std::string_view text;
   AGNOCAST_CHECK(text_of(range.what, text));
   const std::string what = printable(text);
+  const std::size_t before = obstacles_.of(client).size();
   if (auto added = obstacles_.add(client, identity.uid, range.base, range.bytes, what); !added)
     return added;
+  // Said again, which has told its publishers nothing new: every notice here is one to somebody else.
+  if (obstacles_.of(client).size() == before) return {};
   note(LogLevel::info, identity.uid, "addresses blocked",
        {{"pid", identity.pid},
         {"uid", identity.uid},
         {"base", hexadecimal(range.base)},
         {"bytes", range.bytes},
         {"what", what}});
-  look_for_collisions_of_subscriptions(client);  // one that has come back has some
+  look_for_collisions_of_subscriptions(client);  // one that comes back to a new daemon has some
   return {};
 }
 

@@ -26,6 +26,11 @@ Result<SharedFd> duplicate(int fd) {
 
 Result<std::vector<SharedFd>> Doorbells::open(ClientIndex client, std::uint64_t executor) {
   const Key key{number(client), executor};
+  if (const auto found = bells_.find(key); found != bells_.end()) {
+    if (SharedFd datagram = found->second.given.lock())
+      return std::vector<SharedFd>{found->second.eventfd, std::move(datagram)};
+    close(client, executor);
+  }
   const std::string name = name_of(key);
   AGNOCAST_CRASH_POINT(B_bell_bind);
   auto receiver = make_doorbell(directory_, name);
@@ -38,7 +43,7 @@ Result<std::vector<SharedFd>> Doorbells::open(ClientIndex client, std::uint64_t 
   if (!datagram) return tl::unexpected(datagram.error());
   if (auto kept = store_.put(DescriptorStore::eventfd(client, executor), (*eventfd)->get()); !kept)
     return tl::unexpected(kept.error());
-  bells_[key] = Bell{*eventfd, Doorbell(std::move(*sender))};
+  bells_[key] = Bell{*eventfd, *datagram, Doorbell(std::move(*sender))};
   return std::vector<SharedFd>{*eventfd, *datagram};
 }
 
@@ -47,7 +52,8 @@ void Doorbells::restore(ClientIndex client, std::uint64_t executor) {
   UniqueFd eventfd = store_.take(DescriptorStore::eventfd(client, executor));
   if (!eventfd) return;  // its process opens it again
   auto sender = connect_doorbell(directory_, name_of(key));
-  bells_[key] = Bell{share(std::move(eventfd)), sender ? Doorbell(std::move(*sender)) : Doorbell()};
+  bells_[key] =
+      Bell{share(std::move(eventfd)), {}, sender ? Doorbell(std::move(*sender)) : Doorbell()};
 }
 
 void Doorbells::clear_strangers() noexcept {

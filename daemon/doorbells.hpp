@@ -16,6 +16,7 @@
 
 #include <cstdint>
 #include <map>
+#include <memory>
 #include <string>
 #include <utility>
 #include <vector>
@@ -30,7 +31,8 @@ class Doorbells {
   Doorbells(const Doorbells&) = delete;
   Doorbells& operator=(const Doorbells&) = delete;
 
-  /// New bells: eventfd and bound socket, for the executor's process. Errors: os_failure.
+  /// New bells: eventfd and bound socket, for the executor's process. Those that it was given before
+  /// it never got, or they are still on their way: then it is given the same. Errors: os_failure.
   [[nodiscard]] Result<std::vector<SharedFd>> open(ClientIndex client, std::uint64_t executor);
   /// Bells of a former life, out of the store; their names are in the directory still. A bell
   /// whose receiver is gone is silent.
@@ -45,16 +47,16 @@ class Doorbells {
   std::vector<SharedFd> for_publisher(ClientIndex client, std::uint64_t executor, bool same_user);
   void ring(ClientIndex client, std::uint64_t executor) noexcept;
   void ring_all() noexcept;
-  /// The executor's process never got them; it asks for new ones.
-  void close(ClientIndex client, std::uint64_t executor) noexcept;
   /// The process is dead.
   void close_client(ClientIndex client) noexcept;
 
  private:
   struct Bell {
     SharedFd eventfd;
+    std::weak_ptr<SharedFd::element_type> given;  // the receiver, until it is sent
     Doorbell own;
   };
+  void close(ClientIndex client, std::uint64_t executor) noexcept;
   using Key = std::pair<std::uint32_t, std::uint64_t>;
   static std::string name_of(const Key& key) {
     return std::to_string(key.first) + "." + std::to_string(key.second);

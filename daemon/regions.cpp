@@ -180,12 +180,16 @@ Result<SharedFd> Regions::open_window(ClientIndex client, std::uint64_t bytes) {
   return share(std::move(*writer));
 }
 
-Result<SharedFd> Regions::window_writer(ClientIndex client, std::uint64_t window) const {
+Result<SharedFd> Regions::window_writer(ClientIndex client, std::uint64_t window) {
+  auto& on_its_way = clients_[number(client)].window_writers[window];
+  if (SharedFd same = on_its_way.lock()) return same;
   const std::string path =
       "/proc/self/fd/" + std::to_string(of(client).window_readers[window]->get());
   UniqueFd writer(::open(path.c_str(), O_RDWR | O_CLOEXEC));
   if (!writer) return fail(Errc::os_failure, "re-opening a window", errno);
-  return share(std::move(writer));
+  SharedFd shared = share(std::move(writer));
+  on_its_way = shared;
+  return shared;
 }
 
 void Regions::bury_client(ClientIndex client) noexcept {

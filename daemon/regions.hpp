@@ -24,6 +24,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <vector>
 
@@ -75,8 +76,9 @@ class Regions {
   /// A heap window, in the store; keeps what readers need. Yields the writable descriptor, which is its owner's
   /// alone. Errors: os_failure.
   [[nodiscard]] Result<SharedFd> open_window(ClientIndex client, std::uint64_t bytes);
-  /// The writable descriptor once more: its owner did not get the answer. Errors: os_failure.
-  [[nodiscard]] Result<SharedFd> window_writer(ClientIndex client, std::uint64_t window) const;
+  /// The writable descriptor once more: its owner did not get the answer. The same as long as an
+  /// answer with it is on its way: who asks without end costs one descriptor. Errors: os_failure.
+  [[nodiscard]] Result<SharedFd> window_writer(ClientIndex client, std::uint64_t window);
   const std::vector<SharedFd>& window_readers(ClientIndex client) const noexcept {
     return of(client).window_readers;
   }
@@ -99,6 +101,7 @@ class Regions {
     Mapping region;
     FileId file;
     std::vector<SharedFd> window_readers;
+    std::map<std::uint64_t, std::weak_ptr<SharedFd::element_type>> window_writers;  // on their way
   };
 
   explicit Regions(DescriptorStore& store) : store_(&store), clients_(abi::client_count_max) {}

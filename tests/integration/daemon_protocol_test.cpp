@@ -13,6 +13,7 @@
 #include <base/memory_policy.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/wire_client.hpp>
+#include <tests/support/wire_dump.hpp>
 
 #include <fcntl.h>
 #include <grp.h>
@@ -784,6 +785,26 @@ TEST(DaemonProtocol, KeepsWhatASlowClientHasNotReadInOrder) {
   honest.round();
 }
 
+TEST(DaemonProtocol, AnswersThatNobodyReadsCostNoDescriptorEach) {
+  DaemonProcess daemon;
+  WireClient deaf(daemon.socket_path());
+  deaf.hello();
+  ASSERT_EQ(deaf.open_window(0).opcode(), Opcode::window_opened);
+  ASSERT_EQ(deaf.open_executor().opcode(), Opcode::executor_opened);
+  const std::size_t before = daemon.descriptor_count();
+  constexpr std::uint64_t count = 1'000;
+  for (std::uint64_t i = 0; i < count; ++i) {
+    deaf.send(Opcode::open_window, wire::WindowRequest{});
+    wire::ExecutorRequest executor{};
+    executor.header = {Opcode::open_executor, sizeof executor, (i + 1) | wire::asked_again};
+    ASSERT_TRUE(deaf.send_bytes(std::as_bytes(std::span(&executor, 1))));
+  }
+  ASSERT_TRUE(eventually([&] {
+    return wire_dump(daemon.socket_path()).daemon.counters.requests_answered_again == 2 * count;
+  }));
+  EXPECT_LE(daemon.descriptor_count(), before + 16);
+}
+
 std::uint64_t say_blocked(WireClient& client, std::uint64_t base, std::uint64_t bytes) {
   wire::Blocked body{};
   body.base = base;
@@ -822,6 +843,22 @@ TEST(DaemonProtocol, AsksAHeapToMoveForAReaderThatCannotMapIt) {
   EXPECT_EQ(more.first, 1u) << "growth within the group";
   EXPECT_EQ(reader.expect<wire::WindowAnnounced>(Opcode::window_announced).first, 1u);
   EXPECT_EQ(reader.expect<wire::WindowAnnounced>(Opcode::window_announced).first, 1u);
+}
+
+TEST(DaemonProtocol, TellsPublishersOnceOfARangeThatIsSaidAgainAndAgain) {
+  DaemonProcess daemon;
+  WireClient publisher(daemon.socket_path()), reader(daemon.socket_path());
+  publisher.hello();
+  const auto window = publisher.open_window(0).as<wire::WindowOpened>();
+  ASSERT_EQ(publisher.create_publisher("/topic").opcode(), Opcode::endpoint_created);
+  reader.hello();
+  reader.open_executor();
+  ASSERT_EQ(reader.create_subscription("/topic").opcode(), Opcode::endpoint_created);
+  for (int i = 0; i < 100; ++i) say_blocked(reader, window.base, window.bytes);
+  reader.drain();
+  std::size_t notices = 0;
+  for (const Incoming& packet : publisher.drain()) notices += packet.opcode() == Opcode::notice;
+  EXPECT_EQ(notices, 1u);
 }
 
 TEST(DaemonProtocol, RefusesBlockedRangesThatCannotBeAndLetsNobodyBlockEverything) {
