@@ -412,6 +412,9 @@ void Membership::welcome_back(ClientIndex client) {
                                        session->packet_count() + 1);
     post_.send(client, packet_of(packet), {});
   }
+  const auto missed = missed_notices_.extract(number(client));
+  if (missed.empty()) return;
+  for (const wire::Notice& packet : missed.mapped()) post_.send(client, packet_of(packet), {});
 }
 
 // --- notices
@@ -426,7 +429,14 @@ void Membership::notice(const EndpointRef& ref, Errc code, const std::string& te
   packet.index = ref.index;
   packet.generation = registry_.generation_of(ref);
   packet.text = name_of(text);
-  post_.send(registry_.owner_of(ref), packet_of(packet), {});
+  const ClientIndex owner = registry_.owner_of(ref);
+  // What collides is found again when its process is back; the rest is not.
+  if (code != Errc::arena_occupied && post_.session_of(owner) == nullptr) {
+    auto& missed = missed_notices_[number(owner)];
+    if (missed.size() < missed_notices_max) missed.push_back(packet);
+    return;
+  }
+  post_.send(owner, packet_of(packet), {});
 }
 
 void Membership::notice_mismatches(const EndpointRef& ref, bool to_all) {
@@ -755,6 +765,7 @@ void Membership::settle_client(ClientIndex client) {
 
 void Membership::forget_client(ClientIndex client) {
   registry_.client_forgotten(client);
+  missed_notices_.erase(number(client));
   std::erase_if(type_notices_, [&](const auto& entry) { return entry.first == number(client); });
 }
 

@@ -21,6 +21,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <set>
 #include <span>
 #include <string>
@@ -140,6 +141,9 @@ class Membership {
   Post& post_;
   // Whose wrong types the members of a topic have been told about; once is enough.
   std::set<std::pair<std::uint32_t, std::uint32_t>> type_notices_;
+  // By client: what it could not be told because it had no connection. The first ones are enough.
+  static constexpr std::size_t missed_notices_max = 64;
+  std::map<std::uint32_t, std::vector<wire::Notice>> missed_notices_;
   std::set<std::uint64_t> given_up_;  // generations of orphans that subscriptions shall let go of
 };
 

@@ -11,11 +11,13 @@
 #include <client/dataplane/views.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/wire_client.hpp>
+#include <tests/support/wire_dump.hpp>
 
 #include <gtest/gtest.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <memory>
 
 namespace agnocast::test {
@@ -233,6 +235,30 @@ TEST(DaemonRejoin, WhoeverCameMeanwhileIsAnnounced) {
   EXPECT_EQ(announced[0].generation, publisher.generation);
   EXPECT_EQ(announced[0].from_start, 1u);
   EXPECT_EQ(announced[1].generation, subscription.generation);
+}
+
+TEST(DaemonRejoin, NoticesThatCameMeanwhileAreSaidOnce) {
+  DaemonProcess daemon;
+  Node node(daemon), other(daemon);
+  Qos best_effort = reliable;
+  best_effort.reliable = false;
+  ASSERT_EQ(node.wire.create_publisher("/a", best_effort).opcode(), Opcode::endpoint_created);
+  node.lose_connection();
+  ASSERT_TRUE(eventually([&] {
+    const auto processes = wire_dump(daemon.socket_path()).processes;
+    return std::any_of(processes.begin(), processes.end(), [](const wire::DumpProcess& process) {
+      return process.state == wire::ProcessState::orphaned;
+    });
+  }));
+  other.subscription("/a");
+  for (const std::size_t count : {1u, 0u}) {
+    node.come_back();
+    const auto told = of_kind<wire::Notice>(node.wire.drain(), Opcode::notice);
+    ASSERT_EQ(told.size(), count);
+    for (const wire::Notice& notice : told)
+      EXPECT_EQ(notice.code, static_cast<std::uint32_t>(Errc::qos_incompatible));
+    node.lose_connection();
+  }
 }
 
 TEST(DaemonRejoin, TheLastMessagesOfTheDeadAreAnnounced) {
