@@ -6,7 +6,7 @@
 // them to the next life. What is put is in the manager's queue when put() returns: a death right
 // after it loses nothing. The names:
 //
-//   board, journal, lock, listen     once; listen last: without it nobody has ever been served
+//   board, journal, lock, listen     once, in this order: with the lock there is a life to go on with
 //   rN   region of process N, to write          pN     its pidfd
 //   wN.K its window K, to read                  eN.X   eventfd of its executor X
 //
@@ -52,6 +52,7 @@ class DescriptorStore {
   std::size_t remove_left_over();
 
   // --- for the next life
+  bool is_kept(const std::string& name) const { return kept_.count(name) != 0; }
   /// Errors: limit_reached (the manager keeps no more), os_failure.
   [[nodiscard]] Result<void> put(const std::string& name, int fd);
   /// What is not kept may be removed as well.

@@ -10,8 +10,11 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
+#include <chrono>
 #include <memory>
+#include <string_view>
 #include <system_error>
 
 namespace agnocast::daemon {
@@ -92,6 +95,15 @@ tl::expected<void, Complaint> clear_socket(const std::string& path) {
   return {};
 }
 
+// A name whose socket is gone is as good as none: a death right after a bind leaves one.
+bool somebody_listens(const std::string& path) noexcept {
+  if (::access(path.c_str(), F_OK) != 0) return false;
+  const auto probe = PacketSocket::connect(path, std::chrono::milliseconds{0});
+  return probe || probe.error().os_errno != ECONNREFUSED;
+}
+
+constexpr std::string_view bells_suffix = ".bells", lock_suffix = ".lock";
+
 }  // namespace
 
 tl::expected<Listener, Complaint> Listener::open(const ListenerOptions& options) {
@@ -102,7 +114,8 @@ tl::expected<Listener, Complaint> Listener::open(const ListenerOptions& options)
     return complain(Errc::invalid_argument,
                     "cannot use socket path " + path + ": it must have 1 to 107 bytes");
   Listener listener;
-  listener.bells_ = base + ".bells";
+  listener.bells_ = base;
+  listener.bells_ += bells_suffix;
   if (listener.bells_.size() > bells_length_max)
     return complain(Errc::invalid_argument, "cannot use runtime directory " + directory + ": " +
                                                 listener.bells_ + " must have at most " +
@@ -111,22 +124,26 @@ tl::expected<Listener, Complaint> Listener::open(const ListenerOptions& options)
     if (auto made = make_directory(wanted); !made) return tl::unexpected(made.error());
   }
 
-  const std::string lock_path = base + ".lock";
-  listener.lock_.reset(::open(lock_path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600));
-  if (!listener.lock_)
-    return complain(errno == EACCES || errno == EPERM ? Errc::permission_denied : Errc::os_failure,
-                    "cannot write in directory " + directory + ": " + reason(errno));
-  if (::flock(listener.lock_.get(), LOCK_EX | LOCK_NB) != 0) {
-    if (errno == EWOULDBLOCK)
-      return complain(Errc::already_running, "another agnocastd is running at " + path);
-    return complain(Errc::os_failure, "cannot lock " + lock_path + ": " + reason(errno));
-  }
+  if (auto locked = listener.lock(base, path); !locked) return tl::unexpected(locked.error());
   if (auto cleared = clear_socket(path); !cleared) return tl::unexpected(cleared.error());
   if (auto made = make_bells(listener.bells_); !made) return tl::unexpected(made.error());
 
   if (auto listening = listener.listen(options); !listening)
     return tl::unexpected(listening.error());
   return listener;
+}
+
+/// `base`: of the names in the runtime directory.
+tl::expected<void, Complaint> Listener::lock(const std::string& base, const std::string& path) {
+  const std::string lock_path = std::string(base).append(lock_suffix);
+  lock_.reset(::open(lock_path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600));
+  if (!lock_)
+    return complain(errno == EACCES || errno == EPERM ? Errc::permission_denied : Errc::os_failure,
+                    "cannot write in directory " + parent_of(lock_path) + ": " + reason(errno));
+  if (::flock(lock_.get(), LOCK_EX | LOCK_NB) == 0) return {};
+  if (errno == EWOULDBLOCK)
+    return complain(Errc::already_running, "another agnocastd is running at " + path);
+  return complain(Errc::os_failure, "cannot lock " + lock_path + ": " + reason(errno));
 }
 
 tl::expected<void, Complaint> Listener::listen(const ListenerOptions& options) {
@@ -154,29 +171,41 @@ tl::expected<void, Complaint> Listener::listen(const ListenerOptions& options) {
 
 tl::expected<Listener, Complaint> Listener::adopt(const ListenerOptions& options, UniqueFd socket,
                                                   UniqueFd lock, const std::string& bells) {
-  UnixAddress address;
-  socklen_t bytes = UnixAddress::size();
-  int listens = 0;
-  socklen_t listens_bytes = sizeof listens;
-  if (::getsockname(socket.get(), reinterpret_cast<sockaddr*>(&address.address), &bytes) != 0 ||
-      ::getsockopt(socket.get(), SOL_SOCKET, SO_ACCEPTCONN, &listens, &listens_bytes) != 0 ||
-      listens == 0)
-    return complain(Errc::internal, "what was kept as the socket is none that listens");
-  if (::flock(lock.get(), LOCK_EX | LOCK_NB) != 0)
-    return complain(Errc::already_running, "another agnocastd has the lock that was kept");
-  ::fcntl(socket.get(), F_SETFL, ::fcntl(socket.get(), F_GETFL) | O_NONBLOCK);
   Listener listener;
   listener.removes_ = false;
   listener.bells_ = bells;
-  listener.lock_ = std::move(lock);
-  const std::string path = address.address.sun_path;
+  std::string path = options.path;
+  if (socket) {
+    UnixAddress address;
+    socklen_t bytes = UnixAddress::size();
+    int listens = 0;
+    socklen_t listens_bytes = sizeof listens;
+    if (::getsockname(socket.get(), reinterpret_cast<sockaddr*>(&address.address), &bytes) != 0 ||
+        ::getsockopt(socket.get(), SOL_SOCKET, SO_ACCEPTCONN, &listens, &listens_bytes) != 0 ||
+        listens == 0)
+      return complain(Errc::internal, "what was kept as the socket is none that listens");
+    ::fcntl(socket.get(), F_SETFL, ::fcntl(socket.get(), F_GETFL) | O_NONBLOCK);
+    path = address.address.sun_path;
+  }
+  if (!lock) {
+    const std::string base =
+        bells.substr(0, bells.size() - std::min(bells.size(), bells_suffix.size()));
+    if (auto locked = listener.lock(base, path); !locked) return tl::unexpected(locked.error());
+  } else if (::flock(lock.get(), LOCK_EX | LOCK_NB) != 0) {
+    return complain(Errc::already_running, "another agnocastd has the lock that was kept");
+  } else {
+    listener.lock_ = std::move(lock);
+  }
   if (::mkdir(bells.c_str(), 0700) == 0) ::chmod(bells.c_str(), 0700);
-  if (::access(path.c_str(), F_OK) == 0) {
+  if (socket && somebody_listens(path)) {
     listener.socket_ = PacketListener(std::move(socket));
     listener.path_ = path;
     return listener;
   }
   listener.renewed_ = true;
+  // What waits in a queue that nobody can reach any more is told so by its end.
+  socket.reset();
+  if (auto cleared = clear_socket(path); !cleared) return tl::unexpected(cleared.error());
   ListenerOptions again = options;
   again.path = path;
   if (auto listening = listener.listen(again); !listening) return tl::unexpected(listening.error());
@@ -184,8 +213,14 @@ tl::expected<Listener, Complaint> Listener::adopt(const ListenerOptions& options
 }
 
 Result<void> Listener::keep(DescriptorStore& store) const {
-  if (auto kept = store.put("lock", lock_.get()); !kept) return kept;
-  return store.put("listen", socket_.fd());
+  if (!store.is_kept("lock")) {
+    if (auto kept = store.put("lock", lock_.get()); !kept) return kept;
+  }
+  if (!store.is_kept("lock")) {
+    if (auto kept = store.put("lock", lock_.get()); !kept) return kept;
+  }
+  if (renewed_) store.remove("listen");  // the former one, which nobody can reach
+  return store.is_kept("listen") ? Result<void>() : store.put("listen", socket_.fd());
 }
 
 Listener::~Listener() {

@@ -50,7 +50,8 @@ class Listener {
   [[nodiscard]] static tl::expected<Listener, Complaint> open(const ListenerOptions& options);
 
   /// Socket and lock of a former life, with its directory of bells; nothing is cleared. A socket
-  /// whose name was removed meanwhile gets a new one, at the same place: renewed().
+  /// that was not kept, or that its name does not lead to any more, is made anew: renewed(). So is a
+  /// lock that was not kept.
   [[nodiscard]] static tl::expected<Listener, Complaint> adopt(const ListenerOptions& options,
                                                                UniqueFd socket, UniqueFd lock,
                                                                const std::string& bells);
@@ -70,13 +71,16 @@ class Listener {
   const std::string& path() const noexcept { return path_; }
   const std::string& bells_directory() const noexcept { return bells_; }
   bool renewed() const noexcept { return renewed_; }
-  /// Lock and socket go into the store, the socket last. Errors: as DescriptorStore::put.
+  /// Lock and socket go into the store, unless they are there, the socket last; a socket that is renewed takes the place of
+  /// the former one. A death in between leaves the lock, which says that there was a life. Errors: as DescriptorStore::put.
   [[nodiscard]] Result<void> keep(DescriptorStore& store) const;
   /// Whether socket and bells are removed at the end; if not, the next life goes on with them.
   void remove_names(bool removes) noexcept { removes_ = removes; }
 
  private:
   Listener() = default;
+  [[nodiscard]] tl::expected<void, Complaint> lock(const std::string& base,
+                                                   const std::string& path);
   [[nodiscard]] tl::expected<void, Complaint> listen(const ListenerOptions& options);
 
   std::string path_;  // empty: nothing to remove

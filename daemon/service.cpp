@@ -166,7 +166,7 @@ std::optional<Trouble> Service::go_on() {
   UniqueFd lock = store_.take("lock");
   UniqueFd board = store_.take("board");
   UniqueFd journal = store_.take("journal");
-  if (!lock || !board || !journal) {
+  if (!board || !journal) {
     log_.write(LogLevel::error, "former life lost", {{"why", "a descriptor was not kept"}});
     for (const char* const name : {"listen", "lock", "board", "journal"}) store_.remove(name);
     socket.reset();
@@ -185,12 +185,9 @@ std::optional<Trouble> Service::go_on() {
     if (!listener) return trouble_of(listener.error());
     listener_.emplace(std::move(*listener));
   }
-  if (listener_->renewed()) {
+  if (listener_->renewed())
     log_.write(LogLevel::error, "socket made anew", {{"socket", listener_->path()}});
-    store_.remove("listen");
-    store_.remove("lock");
-    if (auto kept = listener_->keep(store_); !kept) return trouble_of(kept.error());
-  }
+  if (auto kept = listener_->keep(store_); !kept) return trouble_of(kept.error());
   if (listener_->path() != place_.path)
     log_.write(LogLevel::warning, "socket stays where it is", {{"socket", listener_->path()}});
   broker_.emplace(BrokerOptions{arena_, config_}, log_, *dispatcher_, *listener_,
@@ -207,7 +204,8 @@ std::optional<Trouble> Service::go_on() {
 }
 
 std::optional<Trouble> Service::refuse(UniqueFd socket, const Failure& why) {
-  if (why.code == Errc::os_failure) return trouble_of(why);  // another try may succeed
+  // Another try may succeed.
+  if (why.code == Errc::os_failure || !socket) return trouble_of(why);
   const std::string text = trouble_of(why).what;
   refuser_.emplace(PacketListener(std::move(socket)), *dispatcher_, log_, text);
   if (auto started = refuser_->start(); !started) return trouble_of(started.error());
@@ -250,7 +248,8 @@ std::optional<Trouble> Service::wait() {
 
 std::optional<Trouble> Service::run(const std::string& socket) {
   if (auto trouble = prepare(socket)) return trouble;
-  return store_.has("listen") ? go_on() : begin();
+  // The lock goes into the store after board and journal, and stays there.
+  return store_.has("listen") || store_.has("lock") ? go_on() : begin();
 }
 
 }  // namespace

@@ -520,21 +520,27 @@ TEST(DaemonRestart, RefusesADamagedJournalAndSaysWhatIsWrong) {
   with(64, 0, "has not committed");
 }
 
-TEST(DaemonRestart, TakesOrdersFromItsWorkerAlone) {
-  DaemonProcess daemon;
-  const std::size_t kept = daemon.kept_count();
-  // The address that the worker was given, seen from here.
+// The address that the worker was given, seen from here.
+sockaddr_un address_of_supervisor(const DaemonProcess& daemon) {
   std::ifstream file("/proc/" + std::to_string(daemon.pid()) + "/environ", std::ios::binary);
   std::ostringstream text;
   text << file.rdbuf();
   const std::string environment = text.str();
   const std::string prefix = "NOTIFY_SOCKET=/proc/self/fd/";
   const std::size_t at = environment.find(prefix);
-  ASSERT_NE(at, std::string::npos);
+  EXPECT_NE(at, std::string::npos);
   sockaddr_un address{};
   address.sun_family = AF_UNIX;
-  std::snprintf(address.sun_path, sizeof address.sun_path, "/proc/%d/fd/%s",
-                static_cast<int>(daemon.pid()), environment.c_str() + at + prefix.size());
+  if (at != std::string::npos)
+    std::snprintf(address.sun_path, sizeof address.sun_path, "/proc/%d/fd/%s",
+                  static_cast<int>(daemon.pid()), environment.c_str() + at + prefix.size());
+  return address;
+}
+
+TEST(DaemonRestart, TakesOrdersFromItsWorkerAlone) {
+  DaemonProcess daemon;
+  const std::size_t kept = daemon.kept_count();
+  sockaddr_un address = address_of_supervisor(daemon);
   const UniqueFd socket(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0));
   for (const char* order : {"FDSTOREREMOVE=1\nFDNAME=board", "FDSTORE=1\nFDNAME=mine", "x"}) {
     ASSERT_EQ(::sendto(socket.get(), order, std::strlen(order), 0,
@@ -556,6 +562,65 @@ TEST(DaemonRestart, MakesItsSocketAnewWhereItsNameWasRemoved) {
   EXPECT_EQ(wire_dump(daemon.socket_path()).incarnation, node.welcome().incarnation);
   restart(daemon);
   EXPECT_EQ(wire_dump(daemon.socket_path()).incarnation, node.welcome().incarnation);
+}
+
+// A daemon that dies right after it has made its socket anew leaves its name, and nobody behind it.
+TEST(DaemonRestart, MakesItsSocketAnewWhereItsNameLeadsToNobody) {
+  DaemonProcess daemon;
+  WireNode node(daemon.socket_path());
+  std::filesystem::remove(daemon.socket_path());
+  {
+    const auto stale = PacketListener::listen(daemon.socket_path());
+    ASSERT_TRUE(stale);
+  }
+  restart(daemon);
+  EXPECT_EQ(wire_dump(daemon.socket_path()).incarnation, node.welcome().incarnation);
+}
+
+/// Says something to the supervisor in the name of its worker. Needs root.
+void order_as_worker(const DaemonProcess& daemon, const std::string& order) {
+  sockaddr_un address = address_of_supervisor(daemon);
+  const UniqueFd socket(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0));
+  iovec data{const_cast<char*>(order.data()), order.size()};
+  alignas(cmsghdr) char control[CMSG_SPACE(sizeof(ucred))] = {};
+  msghdr message{};
+  message.msg_name = &address;
+  message.msg_namelen = sizeof address;
+  message.msg_iov = &data;
+  message.msg_iovlen = 1;
+  message.msg_control = control;
+  message.msg_controllen = sizeof control;
+  cmsghdr* const part = CMSG_FIRSTHDR(&message);
+  part->cmsg_level = SOL_SOCKET;
+  part->cmsg_type = SCM_CREDENTIALS;
+  part->cmsg_len = CMSG_LEN(sizeof(ucred));
+  const ucred worker{daemon.pid(), ::getuid(), ::getgid()};
+  std::memcpy(CMSG_DATA(part), &worker, sizeof worker);
+  ASSERT_EQ(::sendmsg(socket.get(), &message, 0), static_cast<ssize_t>(order.size()))
+      << std::strerror(errno);
+}
+
+// It may have died between the removal of the former socket from the store and the new one's arrival.
+TEST(DaemonRestart, MakesSocketAndLockAnewWhereTheyWereNotKept) {
+  if (::geteuid() != 0) GTEST_SKIP() << "needs root";
+  for (const char* const lost : {"listen", "lock"}) {
+    SCOPED_TRACE(lost);
+    DaemonProcess daemon;
+    Pair pair(daemon);
+    const WireDump before = wire_dump(daemon.socket_path());
+    const std::size_t kept = daemon.kept_count();
+    order_as_worker(daemon, std::string("FDSTOREREMOVE=1\nFDNAME=") + lost);
+    ASSERT_TRUE(eventually([&] { return daemon.kept_count() == kept - 1; }));
+    restart(daemon);
+    EXPECT_EQ(daemon.log().find("former life lost"), std::string::npos);
+    const WireDump after = wire_dump(daemon.socket_path());
+    EXPECT_EQ(after.incarnation, before.incarnation);
+    EXPECT_EQ(after.processes.size(), 2u);
+    EXPECT_TRUE(eventually([&] { return daemon.kept_count() == kept; })) << daemon.kept_count();
+    pair.exchange();
+    EXPECT_EQ(run_daemon({"--socket", daemon.socket_path(), "--fd-store=none"}).status, 1)
+        << "another one while this one runs";
+  }
 }
 
 TEST(DaemonRestart, KeepsTheArenaOfItsIncarnationWhateverTheConfigurationSaysNow) {
