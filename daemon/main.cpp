@@ -77,6 +77,7 @@ int run(int argc, const char* const* argv) {
   if (options.fd_store == FdStore::own) return supervise(argc, argv, log);
   DescriptorStore store;
   if (options.fd_store == FdStore::manager) {
+    if (!die_with_supervisor()) return 1;
     auto kept = DescriptorStore::of_manager();
     if (!kept)
       return complain(kept.error().code == Errc::invalid_argument

@@ -8,6 +8,7 @@
 #include <fcntl.h>
 #include <poll.h>
 #include <sys/prctl.h>
+#include <sys/resource.h>
 #include <sys/signalfd.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
@@ -28,6 +29,8 @@
 namespace agnocast::daemon {
 namespace {
 
+// Names the supervisor's pid to its worker.
+constexpr const char* supervisor_variable = "AGNOCASTD_SUPERVISOR";
 constexpr int first_passed = 3;                   // where LISTEN_FDS begins
 constexpr std::size_t datagram_bytes_max = 4096;  // as systemd takes them
 constexpr std::size_t descriptors_per_datagram_max = 253;
@@ -77,6 +80,15 @@ std::uint64_t pause_after(unsigned deaths_before, unsigned failed_starts,
   return failed_starts == 0 ? std::min(doubled(deaths_before - 1),
                                        life_of_ready_ms - std::min(lived_ms, life_of_ready_ms))
                             : std::min(doubled(failed_starts - 1), pause_most_ms);
+}
+
+// Whoever starts a worker has all of them twice for a moment, and the worker needs about two for each.
+std::size_t kept_limit() noexcept {
+  constexpr rlim_t of_ourselves = 64;
+  rlimit limit{};
+  if (::getrlimit(RLIMIT_NOFILE, &limit) != 0) return kept_count_max;
+  const rlim_t pairs = (std::max(limit.rlim_cur, of_ourselves) - of_ourselves) / 2;
+  return std::min<rlim_t>(pairs, kept_count_max);
 }
 
 std::string value_of(const char* name) {
@@ -147,6 +159,7 @@ class Supervisor {
   std::vector<std::string> arguments_;
   UniqueFd signals_;
   std::map<std::string, UniqueFd> kept_;
+  std::size_t kept_limit_ = kept_limit();
   pid_t worker_ = -1;
   std::uint64_t started_ms_ = 0;
   std::optional<std::uint64_t> due_ms_;  // when the next worker begins
@@ -230,7 +243,8 @@ void Supervisor::become_worker(pid_t parent) noexcept {
     placed = ::dup2(passed[static_cast<std::size_t>(i)], first_passed + i) >= 0 && placed;
   const std::string notify = "/proc/self/fd/" + std::to_string(first_passed + count);
   ::setenv("NOTIFY_SOCKET", notify.c_str(), 1);
-  ::setenv("FDSTORE", std::to_string(kept_count_max).c_str(), 1);
+  ::setenv(supervisor_variable, std::to_string(parent).c_str(), 1);
+  ::setenv("FDSTORE", std::to_string(kept_limit_).c_str(), 1);
   if (count > 0) {
     ::setenv("LISTEN_FDS", std::to_string(count).c_str(), 1);
     ::setenv("LISTEN_PID", std::to_string(::getpid()).c_str(), 1);
@@ -364,7 +378,7 @@ void Supervisor::keep(const Notification& notification, std::vector<UniqueFd> fd
   if (notification.remove) kept_.erase(notification.name);
   if (notification.store) {
     for (UniqueFd& fd : fds) {
-      if (kept_.size() < kept_count_max) {
+      if (kept_.size() < kept_limit_ || kept_.count(notification.name) != 0) {
         kept_.insert_or_assign(notification.name, std::move(fd));
       } else {
         lost = true;
@@ -398,6 +412,14 @@ void Supervisor::forward(const std::string& line) const noexcept {
 }
 
 }  // namespace
+
+// exec of a program with file capabilities clears what was asked for before it.
+bool die_with_supervisor() noexcept {
+  const char* const supervisor = std::getenv(supervisor_variable);
+  if (supervisor == nullptr) return true;
+  ::prctl(PR_SET_PDEATHSIG, SIGKILL);
+  return std::to_string(::getppid()) == supervisor;
+}
 
 int supervise(int argc, const char* const* argv, Log& log) {
   auto socket = hidden_socket();

@@ -51,6 +51,10 @@ std::optional<Notification> parse_notification(std::string_view text);
 /// (128 KiB): "w2047.7:" has eight bytes.
 inline constexpr std::size_t kept_count_max = 16'000;
 
+/// Of a worker of ours, as the first thing: it is not to outlive its supervisor. False: the supervisor
+/// has died already. Of any other process: nothing.
+[[nodiscard]] bool die_with_supervisor() noexcept;
+
 /// Runs until it is told to end; its exit status. The arguments are those of this process.
 int supervise(int argc, const char* const* argv, Log& log);
 

@@ -17,10 +17,12 @@
 #include <dirent.h>
 #include <fcntl.h>
 #include <gtest/gtest.h>
+#include <linux/capability.h>
 #include <sys/prctl.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/un.h>
+#include <sys/xattr.h>
 #include <unistd.h>
 
 #include <atomic>
@@ -392,6 +394,58 @@ class Program {
  private:
   std::string directory_;
 };
+
+// Who would not survive a restart of the daemon is refused, and not lost at the restart.
+TEST(DaemonRestart, KeepsNoMoreThanItsLimitOfOpenFilesCanHandOn) {
+  const std::string directory = make_directory();
+  const std::string program = directory + "/agnocastd";
+  std::ofstream(program) << "#!/bin/sh\nulimit -n 200\nexec " AGNOCAST_TEST_DAEMON " \"$@\"\n";
+  std::filesystem::permissions(program, std::filesystem::perms::owner_all);
+  {
+    DaemonProcess daemon({.program = program});
+    std::vector<std::unique_ptr<WireClient>> clients;
+    std::vector<Incoming> welcomes;  // with the regions, and without them nobody is a member
+    Errc refused = Errc::ok;
+    while (refused == Errc::ok && clients.size() < 50) {
+      clients.push_back(std::make_unique<WireClient>(daemon.socket_path()));
+      welcomes.push_back(clients.back()->hello());
+      refused = welcomes.back().refused_code();
+      for (std::uint64_t w = 0; refused == Errc::ok && w < abi::window_count_max; ++w)
+        refused = clients.back()->open_window(w).refused_code();
+    }
+    EXPECT_EQ(refused, Errc::limit_reached);
+    std::vector<Mapping> regions;
+    for (const Incoming& welcome : welcomes) {
+      if (welcome.opcode() == wire::Opcode::welcome)
+        regions.push_back(
+            Mapping::map(welcome.fds[1].get(), abi::page_bytes, Mapping::Access::read_write)
+                .value());
+    }
+    restart(daemon);
+    EXPECT_TRUE(daemon.wait_for_log("clients_lost=0"));
+    EXPECT_EQ(daemon.log().find("descriptor was lost"), std::string::npos);
+    EXPECT_EQ(wire_dump(daemon.socket_path()).processes.size(), regions.size());
+  }
+  remove_directory(directory);
+}
+
+// exec of such a program forgets what the supervisor's child asked for before it.
+TEST(DaemonRestart, DoesNotOutliveItsSupervisorWithFileCapabilitiesEither) {
+  if (::geteuid() != 0) GTEST_SKIP() << "needs root";
+  Program program;
+  vfs_cap_data capabilities{};
+  capabilities.magic_etc = VFS_CAP_REVISION_2 | VFS_CAP_FLAGS_EFFECTIVE;
+  capabilities.data[0].permitted = 1U << CAP_IPC_LOCK;
+  if (::setxattr(program.path().c_str(), "security.capability", &capabilities, sizeof capabilities,
+                 0) != 0)
+    GTEST_SKIP() << "no file capabilities here: " << std::strerror(errno);
+  DaemonProcess daemon({.uid = 65534, .program = program.path()});
+  const auto worker = Pidfd::open(daemon.pid());
+  ASSERT_TRUE(worker);
+  ::kill(daemon.supervisor_pid(), SIGKILL);
+  pollfd entry{worker->fd(), POLLIN, 0};
+  EXPECT_EQ(::poll(&entry, 1, 10'000), 1);
+}
 
 TEST(DaemonRestart, TakesUpAReplacedProgramAndGoesOnWithoutOne) {
   Program program;
