@@ -15,6 +15,7 @@
 #include <daemon/broker.hpp>
 
 #include <base/check.hpp>
+#include <journal/cases.hpp>
 
 #include <sys/epoll.h>
 #include <unistd.h>
@@ -73,24 +74,31 @@ Result<void> Broker::adopt_client(ClientIndex client, std::uint64_t& lost) {
   }
   const auto adopted = regions_.adopt_client(client, record.window_count);
   if (!adopted && adopted.error().code != Errc::endpoint_gone) return adopted;
-  bool whole = adopted.has_value();
+  namespace stored = journal::stored;
+  const std::uint8_t owner = record.state == ClientState::alive ? stored::alive
+                             : registry_.is_revoked(client)     ? stored::revoked
+                                                                : stored::dead;
+  const auto loses_owner = [&](std::uint8_t what, bool is_there) {
+    return journal::decide_stored(what, is_there, owner) == journal::StoredDecision::owner_is_lost;
+  };
+  bool is_lost = loses_owner(stored::memory, adopted.has_value());
   if (record.state == ClientState::alive) {
     UniqueFd process = store_.take(DescriptorStore::process(client));
     for (std::uint64_t x = 0; x < abi::executor_count_max; ++x) {
       if ((record.executors >> x & 1) != 0) doorbells_.restore(client, x);
     }
-    if (process && whole) {
+    is_lost = is_lost || loses_owner(stored::process, static_cast<bool>(process));
+    if (!is_lost) {
       back_endpoints(client);
       return watch(client, std::move(process));
     }
-    whole = false;
   } else {
     if (registry_.is_revoked(client)) {
-      if (auto backed = adopt_revoked(client, whole); !backed) return backed;
+      if (auto backed = adopt_revoked(client, !is_lost); !backed) return backed;
     }
     if (record.state == ClientState::forgotten) regions_.bury_client(client);
   }
-  if (!whole) {
+  if (is_lost) {
     ++lost;
     log_.write(LogLevel::error, "client lost",
                {{"client", number(client)},

@@ -132,7 +132,11 @@ Result<void> Regions::adopt_client(ClientIndex client, std::uint64_t window_coun
   for (std::uint64_t w = 0; w < window_count; ++w) {
     UniqueFd reader = store_->take(DescriptorStore::window(client, w));
     whole = whole && reader;
-    if (whole) memory.window_readers.push_back(share(std::move(reader)));
+    if (whole) {
+      memory.window_readers.push_back(share(std::move(reader)));
+    } else if (reader) {
+      store_->remove(DescriptorStore::window(client, w));  // close_client() would not
+    }
   }
   UniqueFd writer = store_->take(DescriptorStore::region(client));
   if (!writer || bytes_of(writer.get()) != Registry::client_region_bytes)
