@@ -201,7 +201,9 @@ class Context {
   std::chrono::steady_clock::time_point window_again_{};    // not before
 
   UniqueFd epoll_, wake_;
-  Reconnection reconnection_;  // control thread only, as the next three
+  Reconnection reconnection_;  // control thread only, as the next four
+  // When to begin a new connection because descriptors that came on this one were lost.
+  std::optional<Reconnection::Clock::time_point> said_again_;
   std::map<StrangerKey, std::shared_ptr<Stranger>> strangers_;
   int passes_pause_ = 0, link_look_ = 0;
   bool was_reclaimable_ = false, is_output_blocked_ = false;

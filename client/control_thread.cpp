@@ -91,6 +91,10 @@ void Context::serve_once(int timeout_ms) {
       read_connection();
     }
   }
+  if (said_again_ && Reconnection::Clock::now() >= *said_again_) {
+    said_again_.reset();
+    lose_connection();
+  }
   if (reconnection_.is_due(Reconnection::Clock::now())) reconnect();
   run_errands();
   is_output_blocked_ = connection_->flush();
@@ -103,6 +107,11 @@ void Context::read_connection() {
     const Result<bool> alive = connection_->receive(packet, unasked);
     if (!alive || !*alive) return lose_connection();
     if (!unasked) return;
+    if (packet.packet.descriptors_lost) {
+      // This process had none free. After a new connection the daemon says all of it again.
+      if (!said_again_) said_again_ = Reconnection::Clock::now() + std::chrono::seconds{1};
+      continue;
+    }
     handle(packet);
   }
 }
@@ -275,9 +284,11 @@ void Context::on_announce(Incoming& packet) {
            (announcement.kind == Kind::publisher
                 ? is_linked(announcement.topic, announcement.index, announcement.generation)
                 : is_attached(announcement.topic, announcement.index, announcement.generation));
-  if (!linked)
-    say_unlinked(announcement.kind, announcement.topic, announcement.index,
-                 announcement.generation);
+  if (linked) return;
+  say_unlinked(announcement.kind, announcement.topic, announcement.index, announcement.generation);
+  // Never mapped, so nobody will unmap it.
+  if (peers_.count({announcement.client, announcement.client_generation}) == 0)
+    say_unlinked(Kind::region, 0, announcement.client, announcement.client_generation);
 }
 
 bool Context::is_here(Kind kind, const EndpointKey& key) const {

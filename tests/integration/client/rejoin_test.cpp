@@ -13,7 +13,12 @@
 #include <tests/support/wire_dump.hpp>
 
 #include <gtest/gtest.h>
+#include <sys/resource.h>
+#include <unistd.h>
 
+#include <cerrno>
+#include <cstdint>
+#include <fstream>
 #include <functional>
 #include <memory>
 #include <string>
@@ -177,6 +182,76 @@ TEST(Rejoin, AHeapThatGrewMeanwhileIsRead) {
     return heard.size() >= expected.size();
   }));
   EXPECT_EQ(heard, expected);
+}
+
+#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
+
+TEST(Rejoin, AProcessThatCannotBeMappedKeepsNoPlace) {
+  DaemonProcess daemon;
+  ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
+  ASSERT_EQ(subscriber.ask("sub /t 100"), "ok");
+  std::uint64_t pages = 0;
+  std::ifstream("/proc/" + std::to_string(subscriber.pid()) + "/statm") >> pages;
+  // Enough for everything but another process's region.
+  const std::uint64_t bytes = pages * static_cast<std::uint64_t>(::getpagesize()) + (64 << 20);
+  const rlimit limit{bytes, RLIM_INFINITY};
+  ASSERT_EQ(::prlimit(subscriber.pid(), RLIMIT_AS, &limit, nullptr), 0);
+  ASSERT_EQ(publisher.ask("pub /t 1"), "ok");
+  EXPECT_EQ(subscriber.ask("links"), "0");
+  publisher.kill();
+  EXPECT_TRUE(eventually([&] { return wire_dump(daemon.socket_path()).processes.size() == 1; }));
+}
+
+#endif
+
+/// No descriptor is free in a process as long as this lives.
+class NoDescriptorLeft {
+ public:
+  explicit NoDescriptorLeft(pid_t pid) : pid_(pid) {
+    EXPECT_EQ(::prlimit(pid, RLIMIT_NOFILE, nullptr, &before_), 0);
+    rlimit none = before_;
+    const std::string directory = "/proc/" + std::to_string(pid) + "/fd/";
+    for (none.rlim_cur = 0;
+         ::access((directory + std::to_string(none.rlim_cur)).c_str(), F_OK) == 0 ||
+         errno != ENOENT;
+         ++none.rlim_cur) {
+    }
+    EXPECT_EQ(::prlimit(pid, RLIMIT_NOFILE, &none, nullptr), 0);
+  }
+  ~NoDescriptorLeft() { ::prlimit(pid_, RLIMIT_NOFILE, &before_, nullptr); }
+  NoDescriptorLeft(const NoDescriptorLeft&) = delete;
+  NoDescriptorLeft& operator=(const NoDescriptorLeft&) = delete;
+
+ private:
+  pid_t pid_;
+  rlimit before_{};
+};
+
+TEST(Rejoin, WhatAProcessHadNoDescriptorForIsSaidAgain) {
+  DaemonProcess daemon;
+  ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
+  ASSERT_EQ(subscriber.ask("sub /t 100"), "ok");
+  {
+    const NoDescriptorLeft full(subscriber.pid());
+    ASSERT_EQ(publisher.ask("pub /t 1"), "ok");
+    ASSERT_EQ(publisher.ask("publish 1 100"), "ok");
+    EXPECT_EQ(subscriber.ask("links"), "0");
+  }
+  EXPECT_TRUE(eventually([&] { return subscriber.ask("links") == "1"; })) << "its announcement";
+  // A megabyte each, all unread: more than the first window of 64 MiB.
+  constexpr int count = 90;
+  {
+    const NoDescriptorLeft full(subscriber.pid());
+    for (int i = 1; i < count; ++i) ASSERT_EQ(publisher.ask("publish 1 130000"), "ok") << i;
+  }
+  std::string heard, expected;
+  for (int i = 1; i <= count; ++i) expected += std::to_string(i) + " ";
+  EXPECT_TRUE(eventually([&] {
+    heard += take_all(subscriber);
+    return heard.size() >= expected.size();
+  })) << "its second window";
+  EXPECT_EQ(heard, expected);
+  EXPECT_EQ(subscriber.ask("lost"), "0");
 }
 
 TEST(Rejoin, ARequestWhoseAnswerIsLostIsDoneOnce) {
