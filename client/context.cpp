@@ -3,13 +3,13 @@
 #include <client/context.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
+#include <base/signals.hpp>
 #include <base/step.hpp>
 #include <base/text.hpp>
 #include <client/forked_child.hpp>
 #include <client/user_code.hpp>
 
 #include <pthread.h>
-#include <signal.h>
 #include <sys/epoll.h>
 #include <sys/eventfd.h>
 #include <unistd.h>
@@ -231,19 +231,17 @@ Result<void> Context::start_thread() {
   pthread_attr_t attributes;
   ::pthread_attr_init(&attributes);
   ::pthread_attr_setstacksize(&attributes, control_stack_bytes);
-  // It takes no signals: those are the application's.
-  sigset_t all, before;
-  ::sigfillset(&all);
-  ::pthread_sigmask(SIG_SETMASK, &all, &before);
   pthread_t thread{};
-  const int refused = ::pthread_create(
-      &thread, &attributes,
-      [](void* context) -> void* {
-        static_cast<Context*>(context)->serve();
-        return nullptr;
-      },
-      this);
-  ::pthread_sigmask(SIG_SETMASK, &before, nullptr);
+  const int refused = [&] {
+    const SignalsBlocked blocked;
+    return ::pthread_create(
+        &thread, &attributes,
+        [](void* context) -> void* {
+          static_cast<Context*>(context)->serve();
+          return nullptr;
+        },
+        this);
+  }();
   ::pthread_attr_destroy(&attributes);
   if (refused == 0) {
     ::pthread_setname_np(thread, "agnocast-ctl");

@@ -3,12 +3,12 @@
 #include <client/forked_child.hpp>
 #include <client/runner.hpp>
 
+#include <base/signals.hpp>
 #include <client/context.hpp>
 #include <client/executors/executor_core.hpp>
 #include <client/executors/node_thread.hpp>
 
 #include <pthread.h>
-#include <signal.h>
 #include <sys/epoll.h>
 
 #include <cerrno>
@@ -48,11 +48,9 @@ Result<void> Runner::host_by_thread() {
     UniqueFd epoll(::epoll_create1(EPOLL_CLOEXEC));
     if (!epoll) return fail(Errc::os_failure, "preparing a callback thread", errno);
     if (Result<void> added = sleeper()->bells().add_to(epoll.get(), 0, 1); !added) return added;
-    sigset_t every, before;
-    ::sigfillset(&every);
-    ::pthread_sigmask(SIG_SETMASK, &every, &before);
     int error = 0;
     try {
+      const SignalsBlocked blocked;
       thread_ = std::thread(
           [callbacks = callbacks_, epoll = std::move(epoll)] { serve(*callbacks, epoll.get()); });
     } catch (const std::system_error& refused) {
@@ -60,7 +58,6 @@ Result<void> Runner::host_by_thread() {
     } catch (const std::bad_alloc&) {
       error = ENOMEM;
     }
-    ::pthread_sigmask(SIG_SETMASK, &before, nullptr);
     if (error != 0) return fail(Errc::os_failure, "starting a callback thread", error);
     ::pthread_setname_np(thread_.native_handle(), "agnocast-call");
   }

@@ -2,9 +2,9 @@
 
 #include <daemon/closer.hpp>
 
+#include <base/signals.hpp>
 #include <daemon/descriptor_store.hpp>
 
-#include <csignal>
 #include <iterator>
 #include <system_error>
 #include <utility>
@@ -28,16 +28,12 @@ void Closer::close(std::vector<SharedFd> fds) {
   }
   changed_.notify_one();
   if (thread_.joinable()) return;
-  // Signals are the first thread's business.
-  sigset_t all, before;
-  ::sigfillset(&all);
-  ::pthread_sigmask(SIG_SETMASK, &all, &before);
+  const SignalsBlocked blocked;  // they are the first thread's business
   try {
     thread_ = std::thread([this] { run(); });
   } catch (const std::system_error&) {  // no thread left: then it takes its time
     waiting_.clear();
   }
-  ::pthread_sigmask(SIG_SETMASK, &before, nullptr);
 }
 
 void Closer::run() {

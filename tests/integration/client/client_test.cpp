@@ -13,6 +13,9 @@
 #include <signal.h>
 #include <unistd.h>
 
+#include <cstdint>
+#include <filesystem>
+#include <fstream>
 #include <string>
 
 namespace agnocast {
@@ -172,6 +175,27 @@ TEST(Client, TheHeapGrowsUnderAReader) {
       for (int i = 0; i < 3; ++i) ASSERT_EQ(subscriber.ask("release"), "ok");
     }
   }
+}
+
+// Destructors of messages run there: a fault has to reach the application's handler.
+TEST(Client, ItsThreadTakesNoSignalsButWhatItBringsUponItself) {
+  DaemonProcess daemon;
+  ClientTool tool(daemon.socket_path());
+  ASSERT_EQ(tool.ask("sub /t 1"), "ok");
+  std::uint64_t blocked = 0;
+  for (const auto& task :
+       std::filesystem::directory_iterator("/proc/" + std::to_string(tool.pid()) + "/task")) {
+    std::string name, line;
+    std::ifstream(task.path() / "comm") >> name;
+    if (name != "agnocast-ctl") continue;
+    std::ifstream status(task.path() / "status");
+    while (std::getline(status, line)) {
+      if (line.rfind("SigBlk:", 0) == 0) blocked = std::stoull(line.substr(7), nullptr, 16);
+    }
+  }
+  const auto blocks = [&](int signal) { return (blocked >> (signal - 1) & 1) != 0; };
+  EXPECT_TRUE(blocks(SIGTERM) && blocks(SIGUSR1) && blocks(SIGPROF));
+  EXPECT_FALSE(blocks(SIGSEGV) || blocks(SIGBUS) || blocks(SIGFPE) || blocks(SIGILL));
 }
 
 TEST(Client, WithoutADaemonCreationFailsAndNothingElseHappens) {
