@@ -98,6 +98,20 @@ struct Here {
   SoakPlace& place;
 };
 
+/// Creates an endpoint. The daemon is dead now and then, and a machine with more to do may keep the next
+/// one from answering within the library's five seconds: such a refusal is counted and asked again. Only
+/// a daemon that is away for all of this time hangs.
+template <class Create>
+auto create_patiently(Here here, Create create) -> decltype(create()) {
+  constexpr std::uint64_t daemon_patience_ns = 60'000'000'000;
+  const std::uint64_t end = now_ns() + daemon_patience_ns;
+  for (;;) {
+    auto made = create();
+    if (made || made.error().code != Errc::daemon_not_running || now_ns() > end) return made;
+    here.board.refuse(made.error().code);
+  }
+}
+
 // --- publishing ---
 
 class Writer {
@@ -108,7 +122,9 @@ class Writer {
     PublisherRecord& record = here.board.publisher[index];
     record.topic = static_cast<std::uint64_t>(topic) + 1;
     record.born_ns = now_ns();
-    auto made = try_create_publisher<Parcel>(node, name_of(topic), publisher_qos(topic, random));
+    const QoS qos = publisher_qos(topic, random);
+    auto made = create_patiently(
+        here, [&] { return try_create_publisher<Parcel>(node, name_of(topic), qos); });
     if (!made) {
       here.board.refuse(made.error().code);
       if (!is_expected(made.error().code))
@@ -206,18 +222,20 @@ class Reader {
     std::unique_ptr<Reader> reader(new Reader(here, topic, kind, qos, seed));
     const SubscriptionOptions options = SubscriptionOptions().hold_quota(2 * held_max);
     if (kind == Kind::callback) {
-      auto made = try_create_subscription<Parcel>(
-          node, name_of(topic), qos,
-          [own = reader.get()](ipc_shared_ptr<const Parcel> message) {
-            own->called(std::move(message));
-          },
-          options);
+      const auto call = [own = reader.get()](ipc_shared_ptr<const Parcel> message) {
+        own->called(std::move(message));
+      };
+      auto made = create_patiently(here, [&] {
+        return try_create_subscription<Parcel>(node, name_of(topic), qos, call, options);
+      });
       if (!made) return refused(here, topic, made.error());
       const std::lock_guard lock(reader->mutex_);
       reader->subscription_ = std::move(*made);
       reader->born_ns_ = now_ns();
     } else {
-      auto made = try_create_subscription<Parcel>(node, name_of(topic), qos, options);
+      auto made = create_patiently(here, [&] {
+        return try_create_subscription<Parcel>(node, name_of(topic), qos, options);
+      });
       if (!made) return refused(here, topic, made.error());
       reader->polled_ = std::move(*made);
       reader->born_ns_ = now_ns();
