@@ -145,6 +145,10 @@ namespace agnocast {
   X(C_adopted, "adoption: the copy is made")                                \
   X(C_original, "adoption: the original is gone")                           \
   X(C_destroy, "destroy a message")                                         \
+  X(C_reconnect, "the socket of the next connection is connected")          \
+  X(C_rejoin, "say who this was")                                           \
+  X(C_rejoined, "the connection may be used again")                         \
+  X(C_revoked, "the membership is over")                                    \
   /* daemon, between its journaled changes */                               \
   X(B_accepted, "a connection is accepted")                                 \
   X(B_request, "a request is read")                                         \
@@ -152,6 +156,7 @@ namespace agnocast {
   X(B_sent, "a packet is handed over")                                      \
   X(B_ended, "a connection has ended")                                      \
   X(B_reap, "a process has died")                                           \
+  X(B_revoke, "end the membership of a process that lives")                 \
   X(B_recover, "repair a dead publisher's queue")                           \
   X(B_region_made, "a client region exists, without memory")                \
   X(B_region_sign, "a client region says whose it is")                      \
@@ -168,6 +173,10 @@ namespace agnocast {
   X(B_buried, "the daemon has let go of a dead process's memory")           \
   X(B_settle, "free what nobody has any more")                              \
   X(B_place_free, "give back a process's region and addresses")             \
+  X(B_keep, "have a descriptor kept")                                       \
+  X(B_kept, "a descriptor is kept")                                         \
+  X(B_drop, "have a descriptor kept no longer")                             \
+  X(B_dropped, "a descriptor is kept no longer")                            \
   /* daemon, inside a journaled change */                                   \
   X(B_name, "tables: a name in a free place")                               \
   X(B_table, "tables: the next number")                                     \

@@ -55,7 +55,9 @@ void Context::become_island(const Failure& why) noexcept {
   island_reason_.store(why.code, std::memory_order_release);
   connection_->refuse(why);
   if (why.code == Errc::revoked) {
+    AGNOCAST_CRASH_POINT(C_revoked);
     end_service();
+    AGNOCAST_CRASH_POINT(C_revoked);
     const std::lock_guard lock(endpoints_);
     for (const auto& [key, publisher] : publishers_) publisher->revoke();
     for (const auto& [key, subscription] : subscriptions_) subscription->revoke();
@@ -71,6 +73,7 @@ Result<void> Context::introduce_again() {
   // A queue that is full now may have room at the next try.
   Result<PacketSocket> socket = PacketSocket::connect(socket_path_, std::chrono::milliseconds{0});
   if (!socket) return tl::unexpected<Failure>(socket.error());
+  AGNOCAST_CRASH_POINT(C_reconnect);
   connection_->begin(std::move(*socket));
   reconnection_.asked();
   if (Result<void> watched = watch(connection_->fd()); !watched) return watched;
@@ -79,6 +82,7 @@ Result<void> Context::introduce_again() {
   rejoin.incarnation = incarnation_;
   rejoin.client = client_;
   rejoin.client_generation = client_generation_;
+  AGNOCAST_CRASH_POINT(C_rejoin);
   return connection_->introduce(Opcode::rejoin, rejoin);
 }
 
@@ -88,6 +92,7 @@ void Context::on_rejoined(Incoming& packet) {
       body.incarnation != incarnation_)
     return lose_connection();
   say_blocked();  // the daemon may not be the one that knew
+  AGNOCAST_CRASH_POINT(C_rejoined);
   connection_->open();
   reconnection_.succeeded(Reconnection::Clock::now());
   tell_state(ConnectionState::connected);

@@ -327,6 +327,7 @@ void Broker::repair(ClientIndex client, DeathReason reason, std::string_view how
 // Until the process ends the peer stays, and with it the connection's place in its user's quota and
 // the pidfd: so long the process has its memory, and may not come back.
 void Broker::revoke(Peer& peer, const std::string& why) {
+  AGNOCAST_CRASH_POINT(B_revoke);
   const ClientIndex client = *peer.session.client();
   by_client_[number(client)] = nullptr;
   peer.revoked = true;

@@ -2,6 +2,8 @@
 
 #include <daemon/descriptor_store.hpp>
 
+#include <base/step.hpp>
+
 #include <systemd/sd-daemon.h>
 
 #include <cerrno>
@@ -80,15 +82,19 @@ Result<void> DescriptorStore::put(const std::string& name, int fd) {
   // FDPOLL=0: a manager that polls would drop a pidfd when its process ends.
   const std::string state = "FDSTORE=1\nFDPOLL=0\nFDNAME=" + name;
   const int fds[] = {fd};
+  AGNOCAST_CRASH_POINT(B_keep);
   const int status = ::sd_pid_notify_with_fds(0, 0, state.c_str(), fds, 1);
   if (status <= 0) return fail(Errc::os_failure, "having a descriptor kept", -status);
+  AGNOCAST_CRASH_POINT(B_kept);
   kept_.insert(name);
   return {};
 }
 
 void DescriptorStore::remove(const std::string& name) noexcept {
   if (kept_.erase(name) == 0) return;
+  AGNOCAST_CRASH_POINT(B_drop);
   notify("FDSTOREREMOVE=1\nFDNAME=" + name);
+  AGNOCAST_CRASH_POINT(B_dropped);
 }
 
 std::string DescriptorStore::region(ClientIndex client) { return indexed('r', client); }

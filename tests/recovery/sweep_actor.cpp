@@ -10,6 +10,8 @@
 //       foreign: built outside the shared heap, so adopted. big: 4 MiB of addresses each
 //   take ID → none | PUBLISHER:NUMBER, held · drain ID → all of them, not held · heard ID → what the callback got
 //   release → ok | nothing             the oldest that is held, looked at once more
+//   drop → ok | nothing                 likewise, not looked at
+//   island → why this process is one, when it is
 //   unpub ID · unsub ID                 what is held stays
 //   fork                                a child that lives as long as this process, with all it inherits
 //   sync                                everything announced so far has been handled
@@ -70,6 +72,8 @@ class Actor {
     line >> what;
     if (what == "sync") return sync();
     if (what == "release") return release();
+    if (what == "drop") return drop();
+    if (what == "island") return await_island();
     if (what == "fork") return fork_child();
     line >> id;
     if (what == "take") return take(id);
@@ -153,6 +157,17 @@ class Actor {
     const bool intact = held_.front()->intact();
     held_.pop_front();
     return intact ? "ok" : "bad content";
+  }
+
+  std::string drop() {
+    if (held_.empty()) return "nothing";
+    held_.pop_front();
+    return "ok";
+  }
+
+  static std::string await_island() {
+    for (int i = 0; i < 10'000 && island_reason() == Errc::ok; ++i) ::usleep(1000);
+    return sentence_of(island_reason());
   }
 
   void listen(std::uint64_t id, const std::string& topic, const QoS& qos) {

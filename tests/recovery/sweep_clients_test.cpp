@@ -63,6 +63,25 @@ Totals sweep(const Script& script, SweepStage& stage, std::uint64_t first, std::
   return totals;
 }
 
+/// A point is not the same place in each run, so a name may be missed that is reached. Deaths at those
+/// names then; what nobody dies at even so stays in `left`.
+void sweep_names(std::set<Step>& left, Totals& sum) {
+  // The last script is one of those that reach what others do not.
+  for (std::size_t i = std::size(scripts); i-- > 0 && !left.empty();) {
+    SweepStage stage;
+    Performance performance(stage, scripts[i]);
+    ASSERT_EQ(performance.rehearse(), "") << scripts[i].name;
+    for (auto step = left.begin(); step != left.end();) {
+      const Performance::Ended ended = performance.perform_from(*step);
+      ASSERT_EQ(ended.wrong, "") << scripts[i].name << ": death at " << name_of(*step)
+                                 << "\nagnocastd wrote:\n"
+                                 << stage.daemon().log();
+      sum.deaths += ended.died_at ? 1u : 0u;
+      step = ended.died_at ? left.erase(step) : std::next(step);
+    }
+  }
+}
+
 TEST(ClientSweep, AProcessKilledAtAnyPointDisturbsNobodyAndLeavesNothing) {
   const std::uint64_t stride = std::max<std::uint64_t>(1, number_of("AGNOCAST_SWEEP_STRIDE", 1));
   const std::uint64_t only = number_of("AGNOCAST_SWEEP_SCRIPT", 0);
@@ -110,12 +129,13 @@ TEST(ClientSweep, AProcessKilledAtAnyPointDisturbsNobodyAndLeavesNothing) {
       "%zu violations\n",
       std::uintmax_t{sum.points}, std::uintmax_t{stride}, std::uintmax_t{sum.deaths},
       std::uintmax_t{sum.survived}, sum.violations.size());
-  std::string missed;
+  std::set<Step> left;
   for (std::uint16_t s = 0; s < static_cast<std::uint16_t>(Step::count); ++s) {
-    const Step step{s};
-    if (name_of(step)[0] == 'C' && sum.died_at.count(step) == 0)
-      missed += std::string(" ") + name_of(step);
+    if (name_of(Step{s})[0] == 'C' && sum.died_at.count(Step{s}) == 0) left.insert(Step{s});
   }
+  if (stride == 1 && only == 0 && sum.violations.empty()) sweep_names(left, sum);
+  std::string missed;
+  for (const Step step : left) missed += std::string(" ") + name_of(step);
   std::printf("nobody died at:%s\n", missed.empty() ? " (every C_ name was hit)" : missed.c_str());
   if (stride == 1 && only == 0) {
     EXPECT_EQ(missed, "") << "a named place that no script reaches";

@@ -5,12 +5,14 @@
 //
 //   "A sub 1 /s 20; sync; V pub 2 /s 20; …"     V may die; A and B live as long as the performance.
 //       Ids are of the whole script. "sync": everybody who lives. "V arm": points count from here on.
+//       "revoke": V's membership, by an observer. "restart": the daemon is killed, another goes on.
 //
 // What the death of V may change, and nothing else:
 //   - V's commands after it are not given;
 //   - of each of V's publishers a survivor's subscription gets a prefix of what it gets without the
-//     death. The prefix has every message whose publish had returned, if the subscription was there
-//     before V's last answer; besides it at most what the interrupted publish was committing;
+//     death. The prefix has every message whose publish had returned or was seen behind its
+//     commit, if the subscription was there before V's last answer; besides it at most what the
+//     interrupted publish was committing;
 //   - so a take may find nothing, and a release nothing to release.
 // What survivors get of each other is the same, in the same order.
 #pragma once
@@ -49,7 +51,7 @@ inline std::vector<Command> parse(const char* text) {
   for (std::string line; std::getline(lines, line, ';');) {
     line.erase(0, line.find_first_not_of(' '));
     Command command;
-    if (line != "sync") {
+    if (line != "sync" && line != "revoke" && line != "restart") {
       command.who = line[0];
       line.erase(0, 2);
     }
@@ -72,6 +74,7 @@ struct Run {
   std::map<std::uint64_t, std::uint64_t>
       interrupted;  // publisher → numbers V was asked for when it died
   std::map<std::uint64_t, std::uint64_t> acknowledged;  // publisher → numbers
+  bool committed = false;                               // what was interrupted is behind a commit
   std::optional<std::size_t> noticed_dead;              // before or at this command
   std::size_t last_answer = 0;                          // of V
   std::string wrong;
@@ -119,18 +122,12 @@ class Performance {
   struct Ended {
     std::optional<Step> died_at;
     std::string wrong;
+    bool both = false;  // of a pair: the daemon has died as well
   };
   /// The daemon dies at its n-th point, and the next one `then` points later. Nobody notices.
   Ended perform_daemon(std::uint64_t n, std::uint64_t then) {
-    ControlPage& control = stage_.daemon_control();
-    control.arm(n, then);
-    daemon_dies_ = true;
-    const Run run = play(0);
-    control.disarm();
-    Ended ended{control.died_at(), run.wrong};
-    if (ended.wrong.empty()) ended.wrong = compare_answers(run);
-    if (ended.wrong.empty()) ended.wrong = stage_.verify();
-    return ended;
+    stage_.daemon_control().arm(n, then);
+    return perform_without_victim();
   }
   /// V dies at its n-th point, and the daemon at the m-th point of what it does about it.
   Ended perform_pair(std::uint64_t n, std::uint64_t m) {
@@ -138,12 +135,25 @@ class Performance {
     daemon_dies_ = true;
     Ended ended = perform(n);
     stage_.daemon_control().disarm();
+    ended.both = ended.died_at && stage_.daemon_control().died_at();
+    return ended;
+  }
+  /// The daemon dies at the n-th point from the next time that it comes to this step.
+  Ended perform_daemon_from(Step step, std::uint64_t n) {
+    stage_.daemon_control().arm_from(step, n);
+    return perform_without_victim();
+  }
+  /// V dies when it comes to this step for the first time.
+  Ended perform_from(Step step) {
+    from_ = step;
+    Ended ended = perform(1);
+    from_.reset();
     return ended;
   }
   /// V dies at its n-th point; then everything once more without a death.
   Ended perform(std::uint64_t n) {
     Run run = play(n);
-    Ended ended{control_.died_at(), std::move(run.wrong)};
+    Ended ended{control_.died_at(), std::move(run.wrong), false};
     if (ended.wrong.empty()) ended.wrong = compare(run);
     if (!ended.wrong.empty() || !ended.died_at) return ended;
     run = play(0);
@@ -153,6 +163,16 @@ class Performance {
   }
 
  private:
+  Ended perform_without_victim() {
+    daemon_dies_ = true;
+    const Run run = play(0);
+    stage_.daemon_control().disarm();
+    Ended ended{stage_.daemon_control().died_at(), run.wrong, false};
+    if (ended.wrong.empty()) ended.wrong = compare_answers(run);
+    if (ended.wrong.empty()) ended.wrong = stage_.verify();
+    return ended;
+  }
+
   struct Publisher {
     char owner;
     std::string topic;
@@ -164,12 +184,17 @@ class Performance {
     left_something_ = false;
     const bool armed_later = std::any_of(commands_.begin(), commands_.end(),
                                          [](const Command& c) { return c.text == "arm"; });
-    control_.arm(armed_later ? 0 : n);
+    arm(armed_later ? 0 : n);
     for (at_ = 0; at_ < commands_.size() && run.wrong.empty(); ++at_) {
       const Command& command = commands_[at_];
       if (command.what.rfind("un", 0) == 0) left_something_ = true;
       if (victim_ != nullptr && !run.noticed_dead && victim_->is_dead()) mourn(run);
-      if (command.who == '*') {
+      if (command.what == "revoke") {
+        revoke(run);
+      } else if (command.what == "restart") {
+        run.answers[at_] = "another";
+        if (!stage_.restart()) complain(run, "no daemon goes on");
+      } else if (command.who == '*') {
         sync(run);
       } else if (command.who != 'V') {
         tell_survivor(command, run);
@@ -183,8 +208,16 @@ class Performance {
     return run;
   }
 
+  void arm(std::uint64_t n) {
+    if (from_ && n != 0) {
+      control_.arm_from(*from_, n);
+    } else {
+      control_.arm(n);
+    }
+  }
+
   void tell_victim(const Command& command, std::uint64_t n, Run& run) {
-    if (command.text == "arm") return control_.arm(n);
+    if (command.text == "arm") return arm(n);
     if (victim_ == nullptr) victim_ = stage_.make(control_);
     if (command.text == "quit") {
       run.answers[at_] = "quit";
@@ -204,8 +237,22 @@ class Performance {
     if (publishes(command))
       run.acknowledged[command.id] += std::strtoull(answer->c_str(), nullptr, 10);
   }
+  /// It lives, and keeps its place until it ends.
+  void revoke(Run& run) {
+    left_something_ = true;
+    run.answers[at_] = "revoked";
+    if (victim_ == nullptr) return;
+    if (!stage_.revoke(victim_->pid())) return complain(run, "it stays a member");
+    if (const std::string broken = stage_.verify(); !broken.empty()) complain(run, broken);
+  }
   static bool publishes(const Command& command) {
     return command.what == "publish" || command.what == "foreign" || command.what == "big";
+  }
+
+  // Steps that no other pass than that of a publish has.
+  static bool is_behind_commit(Step step) {
+    return step == Step::P8_armed || step == Step::P8_asleep || step == Step::P8_rung ||
+           step == Step::P8_ring || step == Step::P11_idle;
   }
 
   /// V is dead: the daemon has to deal with it before anything else happens.
@@ -213,6 +260,7 @@ class Performance {
     if (!victim_->wait_for_end()) run.wrong = "V neither answers nor ends";
     if (by_crash && !control_.died_at()) return complain(run, "V ended, and not at a crash point");
     if (by_crash) run.noticed_dead = at_;
+    if (by_crash) run.committed = is_behind_commit(*control_.died_at());
     const pid_t pid = victim_->pid();
     victim_.reset();
     if (!stage_.wait_until_recovered(pid)) return complain(run, "the daemon does not recover");
@@ -244,10 +292,15 @@ class Performance {
       return c.id == subscription && c.what == "cb";
     });
     std::size_t count = 0;
-    for (const auto& [publisher, numbers] : run.acknowledged) {
-      if (publishers_.at(publisher).topic == joined->topic) count += numbers;
+    for (const auto& [publisher, whose] : publishers_) {
+      if (whose.topic == joined->topic) count += committed_by(run, publisher);
     }
     return count;
+  }
+  /// Messages that have to arrive: publish has returned, or V died in it behind the commit.
+  static std::uint64_t committed_by(const Run& run, std::uint64_t publisher) {
+    const bool one_more = run.committed && number_in(run.interrupted, publisher) > 0;
+    return number_in(run.acknowledged, publisher) + (one_more ? 1 : 0);
   }
   static void note(std::uint64_t subscription, const std::string& answer, Run& run) {
     std::istringstream names(answer);
@@ -394,9 +447,9 @@ class Performance {
       return say("no prefix");
     if (!got.empty() && got.back() > acknowledged + number_in(run.interrupted, publisher))
       return say("more than was published");
-    const auto owed = static_cast<std::size_t>(
-        std::count_if(wanted.begin(), wanted.end(),
-                      [&](std::uint64_t number) { return number <= acknowledged; }));
+    const std::uint64_t committed = committed_by(run, publisher);
+    const auto owed = static_cast<std::size_t>(std::count_if(
+        wanted.begin(), wanted.end(), [&](std::uint64_t number) { return number <= committed; }));
     if (run.joined.at(subscription) < run.last_answer && got.size() < owed)
       return say("a committed message is missing");
     return {};
@@ -422,6 +475,7 @@ class Performance {
   std::unique_ptr<SweepProcess> victim_;
   std::size_t at_ = 0;
   bool left_something_ = false;
+  std::optional<Step> from_;
   Run reference_;
   std::string baseline_;
   std::size_t descriptors_ = 0;

@@ -94,6 +94,15 @@ inline const Script scripts[] = {
      "B pub 3 /w 30t; A sub 1 /w 30t; sync; B big 3 10; V sub 4 /w 30t; V sync; V take 4; B big 3 "
      "4; B sync; V sync;V drain 4; V release; V unsub 4; V sync; V quit; A drain 1; B unpub 3; A "
      "unsub 1"},
+    {"one that is revoked, and lives on",
+     "A sub 1 /s 20; B sub 4 /s 20; A pub 5 /t 20; sync; V pub 2 /s 20; V sub 3 /t 20; V cb 6 /t "
+     "20; sync; V publish 2 2; A publish 5 2; V take 3; A take 1; V arm; revoke; V island; V "
+     "publish 2 1; V take 3; A sync; B sync; A drain 1; B drain 4; A publish 5 1; A release; V "
+     "drop; V unsub 3; V unpub 2; V quit; A unpub 5; A unsub 1; B unsub 4"},
+    {"a daemon that is killed and goes on",
+     "A sub 1 /s 20; A pub 4 /t 20; sync; V pub 2 /s 20; V sub 3 /t 20; sync; V publish 2 1; A "
+     "publish 4 1; V take 3; V arm; restart; V publish 2 1; sync; A publish 4 1; V take 3; V quit; "
+     "A publish 4 1; A drain 1; A unsub 1; A unpub 4"},
 };
 
 inline std::uint64_t number_of(const char* name, std::uint64_t otherwise) {

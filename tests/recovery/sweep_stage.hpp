@@ -17,6 +17,7 @@
 
 #include <fcntl.h>
 #include <poll.h>
+#include <signal.h>
 #include <unistd.h>
 
 #include <array>
@@ -195,6 +196,34 @@ class SweepStage {
           return false;
       }
       return system.daemon.connections == living_;
+    });
+  }
+  /// Ends the membership of a process that lives, however many daemons it takes. True as well when
+  /// the process is no member any more.
+  bool revoke(pid_t pid) {
+    return test::eventually([&] {
+      const ctl::System system = look();
+      if (!observer_) return false;
+      for (const auto& [index, process] : system.processes) {
+        using State = ctl::wire::ProcessState;
+        const State state = process.facts.state;
+        if (static_cast<pid_t>(process.facts.pid) != pid || state == State::dead ||
+            state == State::revoked)
+          continue;
+        if (!observer_->revoke(process.facts)) observer_.reset();
+        return false;  // it is looked at once more
+      }
+      return true;
+    });
+  }
+  /// SIGKILL to the daemon; true when the next one serves.
+  bool restart() {
+    const std::uint32_t former = look_in_time().daemon.pid;
+    if (former == 0) return false;
+    ::kill(static_cast<pid_t>(former), SIGKILL);
+    return test::eventually([&] {
+      const std::uint32_t pid = look().daemon.pid;
+      return pid != 0 && pid != former;
     });
   }
   /// How many processes are connected when everybody else is gone.
