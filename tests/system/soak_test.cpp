@@ -242,6 +242,7 @@ class DaemonKiller {
     if (const pid_t worker = daemon_.pid(); worker > 0) last_ = daemon_.kill_worker();
     due_ns_ = now_ns() + random_.below(2 * life_ns_);
   }
+  bool is_idle() const noexcept { return is_idle_; }
   /// No more deaths; false when no daemon serves.
   [[nodiscard]] bool rest() {
     control_.seed = 0;
@@ -402,6 +403,10 @@ TEST_F(Soak, NobodysDeathIsEverNoticedByWhoLives) {
   }
   print(herd.deaths(), killer.deaths(), took_minutes);
   report_complaints(seed);
+  if (minutes >= 1) {
+    EXPECT_GT(herd.deaths().at_points, 0u) << "then this was no test";
+    EXPECT_TRUE(killer.is_idle() || killer.deaths() > 0) << "then this was no test";
+  }
   ASSERT_TRUE(well) << "--seed=" << seed;
 
   EXPECT_TRUE(eventually([&] {
