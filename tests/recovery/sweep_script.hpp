@@ -136,6 +136,7 @@ class Performance {
     Ended ended = perform(n);
     stage_.daemon_control().disarm();
     ended.both = ended.died_at && stage_.daemon_control().died_at();
+    if (ended.wrong.empty()) ended.wrong = lost();
     return ended;
   }
   /// The daemon dies at the n-th point from the next time that it comes to this step.
@@ -170,7 +171,13 @@ class Performance {
     Ended ended{stage_.daemon_control().died_at(), run.wrong, false};
     if (ended.wrong.empty()) ended.wrong = compare_answers(run);
     if (ended.wrong.empty()) ended.wrong = stage_.verify();
+    if (ended.wrong.empty()) ended.wrong = lost();
     return ended;
+  }
+  /// Nothing that a daemon needs of a process may be missing when it goes on.
+  std::string lost() const {
+    const bool is_lost = stage_.daemon().log().find(" client lost ") != std::string::npos;
+    return is_lost ? "what was kept of a process is not all" : "";
   }
 
   struct Publisher {
@@ -181,7 +188,7 @@ class Performance {
   Run play(std::uint64_t n) {
     Run run;
     run.answers.resize(commands_.size());
-    left_something_ = false;
+    left_something_ = revoked_ = false;
     const bool armed_later = std::any_of(commands_.begin(), commands_.end(),
                                          [](const Command& c) { return c.text == "arm"; });
     arm(armed_later ? 0 : n);
@@ -221,6 +228,8 @@ class Performance {
     if (victim_ == nullptr) victim_ = stage_.make(control_);
     if (command.text == "quit") {
       run.answers[at_] = "quit";
+      if (revoked_ && !stage_.is_revoked(victim_->pid()) && !victim_->is_dead())
+        return complain(run, "its place is not kept while it lives");
       victim_->tell("quit");
       if (!victim_->wait_for_end()) run.wrong = "V does not end";
       mourn(run, control_.died_at().has_value());
@@ -239,7 +248,7 @@ class Performance {
   }
   /// It lives, and keeps its place until it ends.
   void revoke(Run& run) {
-    left_something_ = true;
+    left_something_ = revoked_ = true;
     run.answers[at_] = "revoked";
     if (victim_ == nullptr) return;
     if (!stage_.revoke(victim_->pid())) return complain(run, "it stays a member");
@@ -474,7 +483,7 @@ class Performance {
   std::map<char, std::unique_ptr<SweepProcess>> survivors_;
   std::unique_ptr<SweepProcess> victim_;
   std::size_t at_ = 0;
-  bool left_something_ = false;
+  bool left_something_ = false, revoked_ = false;
   std::optional<Step> from_;
   Run reference_;
   std::string baseline_;

@@ -216,6 +216,14 @@ class SweepStage {
       return true;
     });
   }
+  /// Does the daemon know that this process is no member, and keep its place?
+  bool is_revoked(pid_t pid) {
+    for (const auto& [index, process] : look_in_time().processes) {
+      if (static_cast<pid_t>(process.facts.pid) == pid)
+        return process.facts.state == ctl::wire::ProcessState::revoked;
+    }
+    return false;
+  }
   /// SIGKILL to the daemon; true when the next one serves.
   bool restart() {
     const std::uint32_t former = look_in_time().daemon.pid;
