@@ -65,7 +65,7 @@ std::optional<AddressPlan::Choice> AddressPlan::best(std::span<const Obstacle> o
     std::uint64_t less = 0;
     std::int64_t forbidding = 0;
   };
-  std::map<std::uint64_t, Change> edges{{0, {}}, {count_, {}}};
+  std::map<std::uint64_t, Change> edges{{0, {}}, {start_, {}}, {count_, {}}};
   for (const Obstacle& obstacle : obstacles) {
     const std::uint64_t base = std::max(obstacle.base, arena_.base) - arena_.base;
     const std::uint64_t end = std::max(obstacle.base + obstacle.bytes, arena_.base) - arena_.base;
@@ -81,18 +81,19 @@ std::optional<AddressPlan::Choice> AddressPlan::best(std::span<const Obstacle> o
       edges[last].less += obstacle.weight;
     }
   }
-  std::optional<Choice> best;
+  std::optional<Choice> low, high;  // before start_, and from there on
   std::uint64_t weight = 0;
   std::int64_t forbidding = 0;
   for (auto edge = edges.begin(); edge->first < count_; ++edge) {
     weight += edge->second.weight;
     weight -= edge->second.less;
     forbidding += edge->second.forbidding;
+    std::optional<Choice>& best = edge->first < start_ ? low : high;
     if (forbidding != 0 || (best && best->weight <= weight)) continue;
     const auto window = lowest_free(edge->first, std::next(edge)->first);
     if (window) best = Choice{arena_.base + *window * arena_.window_bytes, weight};
   }
-  return best;
+  return !high || (low && low->weight < high->weight) ? low : high;
 }
 
 std::optional<AddressPlan::Choice> AddressPlan::take(std::span<const Obstacle> obstacles) {

@@ -54,8 +54,12 @@ struct Obstacle {
 
 class AddressPlan {
  public:
-  explicit AddressPlan(const Arena& arena) noexcept
-      : arena_(arena), count_(arena.bytes / arena.window_bytes) {}
+  /// `former_count`: daemons that were here before. Windows that they gave may still be in use by
+  /// processes that have not come back yet, so this one begins in another eighth of the arena.
+  explicit AddressPlan(const Arena& arena, std::uint64_t former_count = 0) noexcept
+      : arena_(arena),
+        count_(arena.bytes / arena.window_bytes),
+        start_(count_ * (former_count % 8) / 8) {}
 
   const Arena& arena() const noexcept { return arena_; }
   std::uint64_t window_count() const noexcept { return count_; }
@@ -66,7 +70,7 @@ class AddressPlan {
     std::uint64_t weight = 0;  // of the obstacles in it, together
     friend bool operator==(const Choice&, const Choice&) = default;
   };
-  /// The free window with the least weight, of those the lowest; nothing when none is free and allowed.
+  /// The free window with the least weight, of those the first from where this plan begins; nothing when none is free and allowed.
   std::optional<Choice> best(std::span<const Obstacle> obstacles = {}) const;
   /// The same; it is not free any more.
   std::optional<Choice> take(std::span<const Obstacle> obstacles = {});
@@ -80,6 +84,7 @@ class AddressPlan {
 
   Arena arena_;
   std::uint64_t count_;
+  std::uint64_t start_;
   std::set<std::uint64_t> used_;  // numbers of the windows that are given out
 };
 

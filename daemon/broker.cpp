@@ -59,7 +59,7 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
                                     options.config.limits.publishers_per_topic,
                                     options.config.limits.subscriptions_per_topic,
                                     options.config.limits.slots_per_publisher}),
-      plan_(options.arena),
+      plan_(options.arena, options.former_count),
       obstacles_(options.arena),
       doorbells_(listener.bells_directory(), store),
       membership_(registry_, regions_, doorbells_, *this),
@@ -212,7 +212,8 @@ void Broker::on_readable(PeerId id) {
     }
     AGNOCAST_CRASH_POINT(B_request);
     const Envelope envelope{packet->descriptor_count, packet->truncated, packet->descriptors_lost};
-    serve(peer, decode({buffer.data(), packet->bytes}, envelope, peer.session.role()));
+    serve(peer, decode({buffer.data(), packet->bytes}, envelope, peer.session.role()),
+          packet->fds());
   }
 }
 

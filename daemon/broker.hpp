@@ -35,6 +35,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <unordered_map>
 #include <vector>
@@ -44,6 +45,7 @@ namespace agnocast::daemon {
 struct BrokerOptions {
   Arena arena;
   Config config;
+  std::uint64_t former_count = 0;  // daemons that began here before
 };
 
 class Broker final : private Post {
@@ -121,13 +123,16 @@ class Broker final : private Post {
   [[nodiscard]] Result<void> watch(ClientIndex client, UniqueFd process);
   std::uint64_t reap_while_away(const std::vector<ClientIndex>& ended);
 
-  void serve(Peer& peer, const Request& request);
+  /// `fds`: what came with the request.
+  void serve(Peer& peer, const Request& request, std::span<UniqueFd> fds);
   [[nodiscard]] Result<void> check_caller(const Peer& peer, std::uint64_t fingerprint);
   void end_unwelcomed(const Peer& again);
   [[nodiscard]] Result<void> hello(Peer& peer, const wire::Hello& hello);
   [[nodiscard]] Result<void> rejoin(Peer& peer, const wire::Rejoin& request);
   [[nodiscard]] Result<Peer*> lost_peer(const Peer& peer, const wire::Rejoin& request);
   [[nodiscard]] Result<void> open_window(Peer& peer, const wire::WindowRequest& request);
+  [[nodiscard]] Result<void> bring_window(Peer& peer, const wire::BringWindow& request,
+                                          UniqueFd window);
   [[nodiscard]] Result<WindowRecord> choose_window(ClientIndex client);
   [[nodiscard]] Result<void> open_executor(Peer& peer, const ExecutorRequest& request);
   [[nodiscard]] Result<void> admit_executor(ClientIndex client, const ExecutorRequest& request);

@@ -80,7 +80,7 @@ void Broker::refuse(Peer& peer, std::uint64_t request, Errc code, int os_errno,
   reply(peer, packet_of(packet));
 }
 
-void Broker::serve(Peer& peer, const Request& request) {
+void Broker::serve(Peer& peer, const Request& request, std::span<UniqueFd> fds) {
   Result<void> served;
   std::uint64_t id = 0;
   const auto handle = [&](const auto& body) {
@@ -94,6 +94,9 @@ void Broker::serve(Peer& peer, const Request& request) {
     } else if constexpr (std::is_same_v<Body, wire::WindowRequest>) {
       id = body.header.request;
       served = open_window(peer, body);
+    } else if constexpr (std::is_same_v<Body, wire::BringWindow>) {
+      id = body.header.request;
+      served = bring_window(peer, body, std::move(fds[0]));  // decode() has counted them
     } else if constexpr (std::is_same_v<Body, ExecutorRequest>) {
       id = body.request;
       served = open_executor(peer, body);
@@ -274,6 +277,55 @@ Result<void> Broker::rejoin(Peer& peer, const wire::Rejoin& request) {
   log_.write(LogLevel::debug, "client is back",
              {{"client", number(client)}, {"pid", peer.session.identity().pid}});
   return {};
+}
+
+// What lies in a window outlives the daemon that gave it: its owner, which knows nobody here yet, keeps
+// it where it is, and its readers find the same memory at the same place.
+Result<void> Broker::bring_window(Peer& peer, const wire::BringWindow& request, UniqueFd window) {
+  const ClientIndex client = *peer.session.client();
+  const ClientRecord& record = registry_.client(client);
+  const auto done = [&] {
+    const auto packet = make_body<wire::Done>(wire::Opcode::done, request.header.request);
+    reply(peer, packet_of(packet));
+    return Result<void>();
+  };
+  if (request.window < record.window_count) {
+    if (record.window[request.window].base != request.base)
+      return refusal(Errc::protocol_violation, "another window has this number");
+    ++registry_.counters().requests_answered_again;
+    return done();
+  }
+  if (request.window > record.window_count)
+    return refusal(Errc::protocol_violation, "windows are brought one after the other");
+  if (request.first != request.window &&
+      (request.window == 0 || request.first != record.window[request.window - 1].first))
+    return refusal(Errc::protocol_violation, "a window that cannot be of this group");
+  if (record.window_count >= options_.config.heap.windows_per_process)
+    return refusal(Errc::window_exhausted,
+                   "[heap] windows_per_process is " +
+                       std::to_string(options_.config.heap.windows_per_process));
+  if (auto ours = Regions::check_window(window.get(), request.bytes); !ours) return ours;
+  if (auto allowed = check_limit(registry_.usage_of(record.uid).heap_bytes, request.bytes,
+                                 options_.config.quota.heap_bytes, "[quota] heap_bytes");
+      !allowed)
+    return allowed;
+  if (request.bytes != options_.arena.window_bytes || !plan_.adopt(request.base))
+    return refusal(Errc::arena_occupied,
+                   "the window at " + hexadecimal(request.base) +
+                       " is another process's, or outside [heap] arena_base and arena_bytes");
+  if (auto kept = regions_.bring_window(client, std::move(window)); !kept) {
+    plan_.give_back(request.base);
+    return kept;
+  }
+  registry_.open_window(client, {request.base, request.bytes, request.first});
+  membership_.announce_window(client);
+  log_.write(LogLevel::debug, "window brought",
+             {{"client", number(client)},
+              {"pid", peer.session.identity().pid},
+              {"window", request.window},
+              {"base", hexadecimal(request.base)}});
+  look_for_collisions_of_publishers(client);
+  return done();
 }
 
 Result<void> Broker::open_window(Peer& peer, const wire::WindowRequest& request) {

@@ -31,7 +31,7 @@ Result<void> Broker::resume() {
   if (auto opened = registry_.open(); !opened) return opened;
   const TableHeader& header = registry_.header();
   options_.arena = {header.arena_base, header.arena_bytes, header.window_bytes};
-  plan_ = AddressPlan(options_.arena);
+  plan_ = AddressPlan(options_.arena, options_.former_count);
   const std::uint64_t repaired = registry_.repair_board();
 
   std::uint64_t lost = 0, living = 0;

@@ -12,7 +12,9 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <charconv>
 #include <chrono>
+#include <cstdint>
 #include <memory>
 #include <string_view>
 #include <system_error>
@@ -51,6 +53,23 @@ tl::expected<void, Complaint> make_directory(const std::string& directory) {
                                                  ": others may write there and could replace the "
                                                  "socket");
   return {};
+}
+
+// What is in the lock file. Whatever else may be written there is as good as nothing.
+std::uint64_t read_count(int lock) noexcept {
+  char text[20];
+  const ssize_t bytes = ::pread(lock, text, sizeof text, 0);
+  std::uint32_t count = 0;
+  if (bytes > 0) std::from_chars(text, text + bytes, count);
+  return count;
+}
+
+void write_count(int lock, std::uint64_t count) noexcept {
+  char text[20];
+  char* const end = std::to_chars(text, text + sizeof text, static_cast<std::uint32_t>(count)).ptr;
+  // A failure costs the next daemon its fresh addresses and nothing else.
+  if (::pwrite(lock, text, static_cast<std::size_t>(end - text), 0) == end - text) [[maybe_unused]]
+    const int cut = ::ftruncate(lock, end - text);
 }
 
 void clear_bells(const std::string& directory) noexcept {
@@ -125,6 +144,8 @@ tl::expected<Listener, Complaint> Listener::open(const ListenerOptions& options)
   }
 
   if (auto locked = listener.lock(base, path); !locked) return tl::unexpected(locked.error());
+  listener.former_count_ = read_count(listener.lock_.get());
+  write_count(listener.lock_.get(), listener.former_count_ + 1);
   if (auto cleared = clear_socket(path); !cleared) return tl::unexpected(cleared.error());
   if (auto made = make_bells(listener.bells_); !made) return tl::unexpected(made.error());
 
@@ -196,6 +217,7 @@ tl::expected<Listener, Complaint> Listener::adopt(const ListenerOptions& options
   } else {
     listener.lock_ = std::move(lock);
   }
+  listener.former_count_ = std::max<std::uint64_t>(read_count(listener.lock_.get()), 1) - 1;
   if (::mkdir(bells.c_str(), 0700) == 0) ::chmod(bells.c_str(), 0700);
   if (socket && somebody_listens(path)) {
     listener.socket_ = PacketListener(std::move(socket));

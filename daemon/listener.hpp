@@ -3,7 +3,8 @@
 // Listener: the place where clients find the daemon, and proof that there is only one.
 //
 //   SOCKET             where clients connect
-//   RUN/NAME.lock      held with flock as long as the daemon runs; NAME is the socket's last part
+//   RUN/NAME.lock      held with flock as long as the daemon runs; NAME is the socket's last part. It
+//                      says how many daemons have begun here, each with nothing of the former's
 //   RUN/NAME.bells/    names of the doorbells, for the daemon's user alone
 //
 // RUN is the socket's directory unless the configuration names another one.
@@ -27,6 +28,7 @@
 
 #include <sys/types.h>
 
+#include <cstdint>
 #include <optional>
 #include <string>
 #include <utility>
@@ -61,6 +63,7 @@ class Listener {
         bells_(std::exchange(other.bells_, {})),
         removes_(other.removes_),
         renewed_(other.renewed_),
+        former_count_(other.former_count_),
         lock_(std::move(other.lock_)),
         socket_(std::move(other.socket_)) {}
   Listener& operator=(Listener&&) = delete;
@@ -71,6 +74,8 @@ class Listener {
   const std::string& path() const noexcept { return path_; }
   const std::string& bells_directory() const noexcept { return bells_; }
   bool renewed() const noexcept { return renewed_; }
+  /// How many daemons began here before this one.
+  std::uint64_t former_count() const noexcept { return former_count_; }
   /// Lock and socket go into the store, unless they are there, the socket last; a socket that is renewed takes the place of
   /// the former one. A death in between leaves the lock, which says that there was a life. Errors: as DescriptorStore::put.
   [[nodiscard]] Result<void> keep(DescriptorStore& store) const;
@@ -87,6 +92,7 @@ class Listener {
   std::string bells_;
   bool removes_ = true;
   bool renewed_ = false;
+  std::uint64_t former_count_ = 0;
   UniqueFd lock_;
   PacketListener socket_;
 };

@@ -184,6 +184,27 @@ Result<SharedFd> Regions::open_window(ClientIndex client, std::uint64_t bytes) {
   return share(std::move(*writer));
 }
 
+Result<void> Regions::check_window(int window, std::uint64_t bytes) noexcept {
+  struct stat file {};
+  constexpr int seals = F_SEAL_SHRINK | F_SEAL_GROW | F_SEAL_SEAL;
+  const bool is_ours = ::fcntl(window, F_GET_SEALS) >= 0 && ::fstat(window, &file) == 0 &&
+                       S_ISREG(file.st_mode) && (file.st_mode & 07777) == 0600 &&
+                       file.st_uid == ::geteuid() &&
+                       static_cast<std::uint64_t>(file.st_size) == bytes &&
+                       (::fcntl(window, F_GET_SEALS) & seals) == seals &&
+                       (::fcntl(window, F_GETFL) & (O_ACCMODE | O_PATH)) == O_RDONLY;
+  if (is_ours) return {};
+  return fail_with(Errc::permission_denied, "this is no window that an agnocastd has made");
+}
+
+Result<void> Regions::bring_window(ClientIndex client, UniqueFd window) {
+  std::vector<SharedFd>& readers = clients_[number(client)].window_readers;
+  if (auto kept = store_->put(DescriptorStore::window(client, readers.size()), window.get()); !kept)
+    return kept;
+  readers.push_back(share(std::move(window)));
+  return {};
+}
+
 Result<SharedFd> Regions::window_writer(ClientIndex client, std::uint64_t window) {
   auto& on_its_way = clients_[number(client)].window_writers[window];
   if (SharedFd same = on_its_way.lock()) return same;

@@ -82,6 +82,13 @@ Request decode_window(Packet packet) {
   return body;
 }
 
+Request decode_bring(Packet packet) {
+  const auto body = body_of<wire::BringWindow>(packet);
+  if (body.window >= abi::window_count_max || body.first > body.window)
+    return refuse(body.header, Errc::protocol_violation, "a window's number is out of range");
+  return body;
+}
+
 Request decode_executor(Packet packet) {
   const auto body = body_of<wire::ExecutorRequest>(packet);
   if (body.executor >= abi::executor_count_max)
@@ -177,6 +184,7 @@ struct Row {
   std::size_t bytes;
   Role role;  // of the connection that may say it
   Request (*decode)(Packet packet);
+  std::size_t descriptors = 0;  // that come with it
 };
 
 constexpr Row rows[] = {
@@ -191,6 +199,7 @@ constexpr Row rows[] = {
      decode_reference<DrainedRequest>},
     {wire::Opcode::unlinked, sizeof(wire::Unlinked), Role::client, decode_unlinked},
     {wire::Opcode::blocked, sizeof(wire::Blocked), Role::client, decode_blocked},
+    {wire::Opcode::bring_window, sizeof(wire::BringWindow), Role::client, decode_bring, 1},
     {wire::Opcode::observe, sizeof(wire::Observe), Role::unknown, decode_observe},
     {wire::Opcode::dump, sizeof(wire::Dump), Role::observer, decode_dump},
     {wire::Opcode::revoke, sizeof(wire::Revoke), Role::observer, decode_revoke},
@@ -218,10 +227,13 @@ Request decode(std::span<const std::byte> packet, const Envelope& envelope, Role
   if (envelope.truncated) return end(header.request, "a packet is too long");
   if (header.bytes != packet.size())
     return end(header.request, "a packet is not as long as it says");
-  if (envelope.descriptor_count != 0 || envelope.descriptors_lost)
-    return refuse(header, Errc::protocol_violation, "descriptors came with a request");
   const Row* const row = std::find_if(std::begin(rows), std::end(rows),
                                       [&](const Row& r) { return r.opcode == header.opcode; });
+  const std::size_t wanted = row != std::end(rows) ? row->descriptors : 0;
+  if (envelope.descriptor_count != wanted || envelope.descriptors_lost)
+    return refuse(header, Errc::protocol_violation,
+                  wanted == 0 ? "descriptors came with a request"
+                              : "a window that is brought comes with one descriptor");
   if (row == std::end(rows))
     return refuse(header, Errc::protocol_violation,
                   "unknown request " + std::to_string(static_cast<std::uint32_t>(header.opcode)));

@@ -62,8 +62,8 @@ struct Rejected {
 
 using Request =
     std::variant<wire::Hello, wire::Rejoin, wire::WindowRequest, ExecutorRequest, CreateRequest,
-                 LeaveRequest, DrainedRequest, wire::Unlinked, wire::Blocked, wire::Observe,
-                 wire::Dump, wire::ReadJournal, wire::Revoke, Rejected>;
+                 LeaveRequest, DrainedRequest, wire::Unlinked, wire::Blocked, wire::BringWindow,
+                 wire::Observe, wire::Dump, wire::ReadJournal, wire::Revoke, Rejected>;
 
 /// How far a connection has come, and so what may be said on it: hello or rejoin makes it a client,
 /// observe an observer, for good.

@@ -151,8 +151,8 @@ std::optional<Trouble> Service::begin() {
   listener_.emplace(std::move(*listener));
   auto regions = Regions::create(store_);
   if (!regions) return trouble_of(regions.error());
-  broker_.emplace(BrokerOptions{arena_, config_}, log_, *dispatcher_, *listener_,
-                  std::move(*regions), store_);
+  broker_.emplace(BrokerOptions{arena_, config_, listener_->former_count()}, log_, *dispatcher_,
+                  *listener_, std::move(*regions), store_);
   if (auto founded = broker_->found(random_incarnation()); !founded)
     return trouble_of(founded.error());
   listener_->remove_names(!store_.keeps());
@@ -190,8 +190,8 @@ std::optional<Trouble> Service::go_on() {
   if (auto kept = listener_->keep(store_); !kept) return trouble_of(kept.error());
   if (listener_->path() != place_.path)
     log_.write(LogLevel::warning, "socket stays where it is", {{"socket", listener_->path()}});
-  broker_.emplace(BrokerOptions{arena_, config_}, log_, *dispatcher_, *listener_,
-                  std::move(*regions), store_);
+  broker_.emplace(BrokerOptions{arena_, config_, listener_->former_count()}, log_, *dispatcher_,
+                  *listener_, std::move(*regions), store_);
   if (auto resumed = broker_->resume(); !resumed) {
     if (resumed.error().code != Errc::internal) return trouble_of(resumed.error());
     UniqueFd again(::fcntl(listener_->socket().fd(), F_DUPFD_CLOEXEC, 0));

@@ -179,6 +179,16 @@ class WireClient {
     body.window = window;
     return ask(wire::Opcode::open_window, body);
   }
+  Incoming bring_window(const wire::WindowOpened& window, int fd) {
+    wire::BringWindow body{};
+    body.header = {wire::Opcode::bring_window, sizeof body, ++last_request_};
+    body.window = window.window;
+    body.base = window.base;
+    body.bytes = window.bytes;
+    body.first = window.first;
+    EXPECT_TRUE(send_bytes(std::as_bytes(std::span(&body, 1)), std::span(&fd, 1)));
+    return answer_to(last_request_);
+  }
   Incoming open_executor(std::uint64_t executor = 0) {
     wire::ExecutorRequest body{};
     body.executor = executor;

@@ -56,7 +56,7 @@ constexpr std::uint64_t fingerprint() noexcept {
           pack_member(0x123456789abc, MemberState::leaving), generation_of(0xfedcba9876543210),
           pack_qos({0x1234, true, false, false, false}), pack_qos({0, false, true, false, false}),
           pack_qos({0, false, false, true, false}), window_of({7, false, true, true, false}),
-          intent_idle, intent_publish);
+          intent_idle, intent_publish, intent_moved);
   sum.add(QosPolicy::none, QosPolicy::durability, QosPolicy::reliability);
   sum.add(MemberState::free, MemberState::active, MemberState::leaving, MemberState::orphan,
           MemberState::revoked, MemberState::dead);
@@ -114,6 +114,9 @@ constexpr std::uint64_t fingerprint() noexcept {
   sum.add(sizeof(wire::WindowOpened), offsetof(wire::WindowOpened, header),
           offsetof(wire::WindowOpened, window), offsetof(wire::WindowOpened, base),
           offsetof(wire::WindowOpened, bytes), offsetof(wire::WindowOpened, first));
+  sum.add(sizeof(wire::BringWindow), offsetof(wire::BringWindow, header),
+          offsetof(wire::BringWindow, window), offsetof(wire::BringWindow, base),
+          offsetof(wire::BringWindow, bytes), offsetof(wire::BringWindow, first));
   sum.add(sizeof(wire::WindowAnnounced), offsetof(wire::WindowAnnounced, header),
           offsetof(wire::WindowAnnounced, client),
           offsetof(wire::WindowAnnounced, client_generation),
@@ -254,7 +257,7 @@ constexpr std::uint64_t fingerprint() noexcept {
           Opcode::done, Opcode::refused, Opcode::announce, Opcode::window_announced, Opcode::forget,
           Opcode::orphaned, Opcode::kick, Opcode::notice);
   sum.add(Opcode::rejoin, Opcode::rejoined, Opcode::own, Opcode::region, Opcode::revoked,
-          Opcode::revoke, Opcode::blocked, Opcode::move_heap, Opcode::read_journal,
+          Opcode::revoke, Opcode::blocked, Opcode::bring_window, Opcode::move_heap, Opcode::read_journal,
           Opcode::journal_record, Opcode::journal_end);
   sum.add(Opcode::observe, Opcode::dump, Opcode::observed, Opcode::dump_daemon,
           Opcode::dump_process, Opcode::dump_topic, Opcode::dump_endpoint, Opcode::dump_user,

@@ -16,6 +16,7 @@
 //   hello                 Hello              welcome             board (read), region (write)
 //   rejoin                Rejoin             rejoined            after the connection was lost
 //   open_window           WindowRequest      window_opened       window (write), window (read)
+//   bring_window          BringWindow        done                (comes with: window (read))
 //   open_executor         ExecutorRequest    executor_opened     eventfd, datagram socket
 //   create_publisher      CreateEndpoint     endpoint_created
 //   create_subscription   CreateEndpoint     endpoint_created
@@ -76,6 +77,7 @@ enum class Opcode : std::uint32_t {
   // client → daemon, again
   rejoin = 11,
   blocked = 15,
+  bring_window = 16,
   // daemon → client: answers
   welcome = 101,
   window_opened = 102,
@@ -194,6 +196,15 @@ struct WindowOpened {
   std::uint64_t base;
   std::uint64_t bytes;
   std::uint64_t first;
+};
+/// A window that a former agnocastd gave this process, with all that lies in it: it keeps its place and
+/// its number. The only request that comes with a descriptor: the window, for reading.
+struct BringWindow {
+  Header header;
+  std::uint64_t window;
+  std::uint64_t base;
+  std::uint64_t bytes;
+  std::uint64_t first;  // of its group
 };
 struct WindowAnnounced {
   Header header;

@@ -96,5 +96,8 @@ constexpr std::uint32_t window_of(const Qos& requested) noexcept {
 // --- intent.op: what a publisher was doing when it died
 inline constexpr std::uint64_t intent_idle = 0;
 inline constexpr std::uint64_t intent_publish = 1;
+// After the daemon's store was lost: the queue gets no more, its publisher has another one now. Only
+// readers of a former membership look; no daemon ever does, because the one that made the region is gone.
+inline constexpr std::uint64_t intent_moved = 2;
 
 }  // namespace agnocast::abi

@@ -27,6 +27,23 @@ std::optional<std::uint64_t> taken(AddressPlan& plan, std::span<const Obstacle> 
   return choice->base;
 }
 
+TEST(AddressPlan, BeginsInAnotherEighthAfterEachDaemonAndComesRound) {
+  const Arena arena{0x1000000, 16 * 0x1000, 0x1000};
+  for (std::uint64_t former : {0u, 1u, 7u, 8u, 1000u}) {
+    AddressPlan plan(arena, former);
+    for (std::uint64_t i = 0; i < 16; ++i)
+      EXPECT_EQ(taken(plan), arena.base + (former % 8 * 2 + i) % 16 * 0x1000) << former;
+    EXPECT_EQ(taken(plan), std::nullopt);
+  }
+}
+
+TEST(AddressPlan, PrefersAnEmptyPlaceToItsBeginning) {
+  const Arena arena{0x1000000, 16 * 0x1000, 0x1000};
+  AddressPlan plan(arena, 4);
+  const Obstacle upper[] = {{arena.base + 8 * 0x1000, 8 * 0x1000, 1}};
+  EXPECT_EQ(taken(plan, upper), arena.base);
+}
+
 TEST(AddressPlan, TakesTheDefaultOnAServer) {
   const auto arena = plan_arena({}, 47, 64 * gib);
   ASSERT_TRUE(arena);
