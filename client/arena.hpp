@@ -32,6 +32,8 @@ class Arena {
   /// lock_limit, os_failure.
   [[nodiscard]] static Result<Arena> reserve(std::uint64_t base, std::uint64_t bytes);
 
+  std::uint64_t base() const noexcept { return base_; }
+  std::uint64_t bytes() const noexcept { return bytes_; }
   /// Whether all of [base, base + bytes) lies in the arena. Any values.
   bool contains(std::uint64_t base, std::uint64_t bytes) const noexcept;
   /// Whether all of it is reserved here, so that it may be mapped over.

@@ -3,6 +3,7 @@
 #include <base/step.hpp>
 #include <client/connection.hpp>
 
+#include <fcntl.h>
 #include <poll.h>
 
 #include <algorithm>
@@ -78,15 +79,16 @@ void Connection::enter(std::span<const std::byte> bytes, const std::shared_ptr<R
   put_id(request->bytes, id | abi::wire::asked_again);
   requests_.emplace(id, request);
   AGNOCAST_CRASH_POINT(C_ask);
-  if (is_open_) send(first);
+  if (is_open_) send(first, request->fd);
 }
 
 Result<void> Connection::request_bytes(std::span<const std::byte> bytes, OnAnswer on_answer,
-                                       OnAnswer on_late) {
+                                       OnAnswer on_late, int fd) {
   const auto deadline = std::chrono::steady_clock::now() + answer_timeout;
   const auto request = std::make_shared<Request>();
   request->on_answer = std::move(on_answer);
   request->on_late = std::move(on_late);
+  request->fd = fd;
   std::unique_lock lock(mutex_);
   if (refused_ != Errc::ok) return refused();
   enter(bytes, request);
@@ -95,6 +97,7 @@ Result<void> Connection::request_bytes(std::span<const std::byte> bytes, OnAnswe
     if (requests_.count(id) != 0) {
       // Nobody may call `on_answer` any more: what it refers to is gone with the caller.
       request->on_answer = nullptr;
+      request->fd = -1;  // the caller's
       request->given_up = true;
       if (!is_open_ || request->on_late == nullptr) requests_.erase(id);
       const std::string why = path_ + (is_open_ ? ": no answer within 5 s"
@@ -121,20 +124,25 @@ void Connection::request_bytes_later(std::span<const std::byte> bytes, OnLater o
   on_answer(refused());
 }
 
-void Connection::send(std::span<const std::byte> bytes) {
+void Connection::send(std::span<const std::byte> bytes, int fd) {
+  const std::span<const int> fds(&fd, fd >= 0 ? 1 : 0);
   if (unsent_.empty()) {
-    const Result<Sent> sent = socket_.send(bytes);
+    const Result<Sent> sent = socket_.send(bytes, fds);
     if (sent && *sent != Sent::would_block)
       return;  // a peer that is gone: the control thread notices
   }
-  unsent_.emplace_back(bytes.begin(), bytes.end());
+  // Who asks may have given up when it is sent.
+  unsent_.push_back(
+      {{bytes.begin(), bytes.end()}, UniqueFd(fd >= 0 ? ::fcntl(fd, F_DUPFD_CLOEXEC, 0) : -1)});
   wake_();
 }
 
 bool Connection::flush() noexcept {
   const std::lock_guard lock(mutex_);
   while (!unsent_.empty()) {
-    const Result<Sent> sent = socket_.send(unsent_.front());
+    const Unsent& next = unsent_.front();
+    const int fd = next.fd.get();
+    const Result<Sent> sent = socket_.send(next.bytes, {&fd, fd >= 0 ? 1u : 0u});
     if (sent && *sent == Sent::would_block) return true;
     unsent_.pop_front();
   }
@@ -156,7 +164,7 @@ Result<void> Connection::introduce_bytes(std::span<const std::byte> bytes) noexc
 
 void Connection::open() {
   const std::lock_guard lock(mutex_);
-  for (const auto& [id, request] : requests_) send(request->bytes);
+  for (const auto& [id, request] : requests_) send(request->bytes, request->fd);
   is_open_ = true;
 }
 

@@ -73,24 +73,25 @@ class Connection {
   using OnAnswer = std::function<Result<void>(Incoming&)>;
   using OnLater = std::function<void(Result<Incoming*>)>;
 
-  /// `wake`: asks the control thread to call flush(); static, any thread. `path`: of the daemon's
-  /// socket, for people.
-  Connection(void (*wake)() noexcept, std::string path) noexcept
-      : wake_(wake), path_(std::move(path)) {}
+  /// `wake`: asks the control thread to call flush(); any thread. `path`: of the daemon's socket,
+  /// for people.
+  Connection(std::function<void()> wake, std::string path) noexcept
+      : wake_(std::move(wake)), path_(std::move(path)) {}
 
   // --- any thread but the control thread
 
   /// Sends `body` (a struct of abi/wire.hpp; its header is filled in here) and waits for the
   /// answer, across connections. `on_answer` runs in the control thread and may fail the request.
   /// `on_late` instead of it, when the answer comes after this function has given up, and after it,
-  /// when it has failed; not for refusals. `again`: the daemon may have done it for an earlier request. Errors: what the daemon
-  /// refused, daemon_not_running (gone, or no answer in time), what refuse() said.
+  /// when it has failed; not for refusals. `again`: the daemon may have done it for an earlier request.
+  /// `fd`: goes with it; stays the caller's, and open until this returns; -1: none. Errors: what the
+  /// daemon refused, daemon_not_running (gone, or no answer in time), what refuse() said.
   template <class T>
   [[nodiscard]] Result<void> request(abi::wire::Opcode opcode, T body, OnAnswer on_answer,
-                                     OnAnswer on_late = nullptr, bool again = false) {
+                                     OnAnswer on_late = nullptr, bool again = false, int fd = -1) {
     body.header = {opcode, sizeof(T), again ? abi::wire::asked_again : 0};
     return request_bytes({reinterpret_cast<const std::byte*>(&body), sizeof(T)},
-                         std::move(on_answer), std::move(on_late));
+                         std::move(on_answer), std::move(on_late), fd);
   }
 
   // --- any thread
@@ -169,6 +170,7 @@ class Connection {
     OnAnswer on_answer;            // of request()
     OnAnswer on_late;
     OnLater later;  // of request_later()
+    int fd = -1;    // sent with it
     bool given_up = false;
     bool done = false;
     Result<void> result;
@@ -176,17 +178,17 @@ class Connection {
   };
 
   [[nodiscard]] Result<void> request_bytes(std::span<const std::byte> bytes, OnAnswer on_answer,
-                                           OnAnswer on_late);
+                                           OnAnswer on_late, int fd);
   void request_bytes_later(std::span<const std::byte> bytes, OnLater on_answer);
   [[nodiscard]] Result<void> introduce_bytes(std::span<const std::byte> bytes) noexcept;
   void enter(std::span<const std::byte> bytes, const std::shared_ptr<Request>& request);
-  void send(std::span<const std::byte> bytes);
+  void send(std::span<const std::byte> bytes, int fd = -1);
   Result<void> give_up(Request& request);
   void answer(std::uint64_t id, Incoming& packet);
   void finish(Request& request, Result<void> result);
   tl::unexpected<Failure> refused() const noexcept;
 
-  void (*wake_)() noexcept;
+  std::function<void()> wake_;
   std::string path_;
   PacketSocket socket_;     // control thread; others send on it under the mutex while it is open
   std::uint64_t seen_ = 0;  // control thread
@@ -198,7 +200,11 @@ class Connection {
   bool is_open_ = false;
   Errc refused_ = Errc::ok;
   std::string refused_detail_;
-  std::deque<std::vector<std::byte>> unsent_;
+  struct Unsent {
+    std::vector<std::byte> bytes;
+    UniqueFd fd;
+  };
+  std::deque<Unsent> unsent_;
 };
 
 /// The body of leave and drained: an endpoint of this process.

@@ -7,6 +7,7 @@
 #include <base/step.hpp>
 #include <base/text.hpp>
 #include <client/forked_child.hpp>
+#include <client/reregistration.hpp>
 #include <client/user_code.hpp>
 
 #include <pthread.h>
@@ -87,9 +88,13 @@ Result<bool> is_switched_off() noexcept {
   return fail(Errc::invalid_argument, "AGNOCAST must be on or off");
 }
 
-Context& Context::instance() noexcept {
+std::atomic<Context*> Context::present_{nullptr};
+
+Context& Context::first() noexcept {
   static Context* const context =
       new Context;  // immortal: messages in statics outlive every static of ours
+  Context* none = nullptr;
+  present_.compare_exchange_strong(none, context, std::memory_order_acq_rel);
   return *context;
 }
 
@@ -131,7 +136,7 @@ Result<void> Context::become_known() {
     was_there = was_there || connection_ != nullptr;
     connection_.reset();
     region_ = {};
-    arena_ = {};
+    arena_.reset();
     board_ = {};
     if (done.error().code != Errc::daemon_not_running || !was_there ||
         Reconnection::Clock::now() + pause >= deadline)
@@ -152,8 +157,12 @@ Result<void> Context::say_hello(Reconnection::Clock::time_point deadline) {
     return fail_with(why.code, "connecting to " + socket_path_, why.os_errno);
   }
   AGNOCAST_CRASH_POINT(C_connect);
-  connection_ = std::make_unique<Connection>([]() noexcept { Context::instance().wake_control(); },
-                                             socket_path_);
+  if (wake_ == nullptr) {
+    auto wake = ControlWake::make();
+    if (!wake) return tl::unexpected<Failure>(wake.error());
+    wake_ = std::move(*wake);
+  }
+  connection_ = std::make_unique<Connection>(waker(), socket_path_);
   connection_->begin(std::move(*socket));
 
   wire::Hello hello{};
@@ -185,9 +194,8 @@ Result<void> Context::say_hello(Reconnection::Clock::time_point deadline) {
 
 Result<void> Context::map_regions(const wire::Welcome& welcome, std::span<UniqueFd> fds) {
   AGNOCAST_CRASH_POINT(C_arena);
-  Result<Arena> arena = Arena::reserve(welcome.arena_base, welcome.arena_bytes);
-  if (!arena) return tl::unexpected<Failure>(arena.error());
-  arena_ = std::move(*arena);
+  if (Result<void> reserved = reserve_arena(welcome.arena_base, welcome.arena_bytes); !reserved)
+    return reserved;
   say_blocked();
   AGNOCAST_CRASH_POINT(C_regions);
   Result<SparseRegion> board =
@@ -199,20 +207,39 @@ Result<void> Context::map_regions(const wire::Welcome& welcome, std::span<Unique
                                                    Mapping::Access::read_write);
   if (!region) return tl::unexpected<Failure>(region.error());
   region_ = std::move(*region);
+  region_.claim();
   return region_.open(0, abi::page_bytes);
+}
+
+Result<void> Context::reserve_arena(std::uint64_t base, std::uint64_t bytes) {
+  const Arena* const before = former_ != nullptr ? former_->arena_.get() : nullptr;
+  if (before != nullptr && before->base() == base && before->bytes() == bytes) {
+    arena_ = former_->arena_;
+    return {};
+  }
+  // What this process has published lies in the former one, and its readers find it nowhere else.
+  if (before != nullptr &&
+      (heap_is_open_.load(std::memory_order_relaxed) ||
+       (base < before->base() + before->bytes() && before->base() < base + bytes)))
+    return fail(Errc::arena_occupied, "agnocastd has another arena than the one before");
+  Result<Arena> arena = Arena::reserve(base, bytes);
+  if (!arena) return tl::unexpected<Failure>(arena.error());
+  arena_ = std::make_shared<const Arena>(std::move(*arena));
+  return {};
 }
 
 Result<void> Context::start_control_thread() {
   epoll_.reset(::epoll_create1(EPOLL_CLOEXEC));
-  wake_.reset(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
-  if (!epoll_ || !wake_) return fail(Errc::os_failure, "preparing the control thread", errno);
-  for (const int fd : {connection_->fd(), wake_.get()}) {
+  if (!epoll_) return fail(Errc::os_failure, "preparing the control thread", errno);
+  for (const int fd : {connection_->fd(), wake_->fd()}) {
     if (Result<void> watched = watch(fd); !watched) return watched;
   }
   connection_->open();
-  state_.store(ConnectionState::connected, std::memory_order_release);
+  // A further membership is told of when the endpoints are in it.
+  const ConnectionState before = state_.load(std::memory_order_relaxed);
+  if (former_ == nullptr) state_.store(ConnectionState::connected, std::memory_order_release);
   if (Result<void> started = start_thread(); !started) {
-    state_.store(ConnectionState::unconnected, std::memory_order_release);
+    state_.store(before, std::memory_order_release);
     return started;
   }
   return {};
@@ -227,27 +254,33 @@ Result<void> Context::watch(int fd) noexcept {
   return {};
 }
 
-Result<void> Context::start_thread() {
+int Context::start_service_thread(const char* name, void* (*body)(void*), void* argument) noexcept {
   pthread_attr_t attributes;
   ::pthread_attr_init(&attributes);
   ::pthread_attr_setstacksize(&attributes, control_stack_bytes);
   pthread_t thread{};
   const int refused = [&] {
     const SignalsBlocked blocked;
-    return ::pthread_create(
-        &thread, &attributes,
-        [](void* context) -> void* {
-          static_cast<Context*>(context)->serve();
-          return nullptr;
-        },
-        this);
+    return ::pthread_create(&thread, &attributes, body, argument);
   }();
   ::pthread_attr_destroy(&attributes);
-  if (refused == 0) {
-    ::pthread_setname_np(thread, "agnocast-ctl");
-    ::pthread_detach(thread);
-    return {};
-  }
+  if (refused != 0) return refused;
+  ::pthread_setname_np(thread, name);
+  ::pthread_detach(thread);
+  return 0;
+}
+
+Result<void> Context::start_thread() {
+  const int refused = start_service_thread(
+      "agnocast-ctl",
+      [](void* context) -> void* {
+        auto* const self = static_cast<Context*>(context);
+        self->serve();
+        if (self->is_dropped_.load(std::memory_order_acquire)) delete self;
+        return nullptr;
+      },
+      this);
+  if (refused == 0) return {};
   // Too many threads, or no room for its stack? Both are EAGAIN.
   if (const Result<Mapping> stack = Mapping::map_private(control_stack_bytes); !stack)
     return tl::unexpected<Failure>(stack.error());
@@ -256,20 +289,13 @@ Result<void> Context::start_thread() {
 
 // Ahead of all requests: what the daemon gives must not lie there.
 void Context::say_blocked() {
-  for (const Arena::Blocked& range : arena_.blocked()) {
+  for (const Arena::Blocked& range : arena_->blocked()) {
     wire::Blocked body{};
     body.base = range.base;
     body.bytes = range.bytes;
     write_name(body.what, std::string_view(range.what).substr(0, sizeof body.what.text - 1));
     connection_->state(Opcode::blocked, body);
   }
-}
-
-void Context::wake_control() noexcept {
-  if (is_forked_child()) return;  // it would wake the parent's
-  const std::uint64_t one = 1;
-  [[maybe_unused]] const ssize_t written =
-      ::write(wake_.get(), &one, sizeof one);  // full: it is awake anyway
 }
 
 // --- creating and destroying ---
@@ -298,8 +324,9 @@ Result<void> Context::open_heap() {
         if (!packet.read(window) || packet.packet.descriptor_count != 2)
           return fail(Errc::protocol_violation, "a heap window");
         const auto fds = packet.packet.fds();
-        return found->attach(region_.base(), window.base, window.bytes, fds[0].get(), fds[1].get(),
-                             *scope, []() noexcept { Context::instance().wake_control(); });
+        return found->attach(region_.base(), window.base, window.bytes, fds[0].get(),
+                             std::move(fds[1]), *scope,
+                             []() noexcept { Context::instance().wake_control(); });
       });
   if (!opened) return opened;
   heap_ = *found;
@@ -308,10 +335,31 @@ Result<void> Context::open_heap() {
   return {};
 }
 
+// What lies in the windows stays where it is, and so do they: the new daemon is told of them.
+Result<void> Context::bring_windows() {
+  if (!heap_is_open_.load(std::memory_order_acquire)) return {};
+  if (!Heap::follow(region_.base()))
+    return fail(Errc::limit_reached, "too many former memberships are still in use");
+  for (std::uint64_t i = 0; i < Heap::window_count(); ++i) {
+    const Heap::Window window = Heap::window(i);
+    wire::BringWindow body{};
+    body.window = i;
+    body.base = window.base;
+    body.bytes = window.length;
+    body.first = window.first;
+    Result<void> brought = connection_->request(
+        Opcode::bring_window, body, [](Incoming&) { return Result<void>(); }, nullptr, false,
+        window.read_fd);
+    if (!brought) return brought;
+  }
+  window_count_ = Heap::window_count();
+  return {};
+}
+
 // Ahead of need: malloc never waits for the daemon. While the answer is on its way, or when it is a
 // refusal, the heap does with what it has.
 void Context::ask_for_window() {
-  if (!heap_is_open_.load(std::memory_order_acquire) || window_asked_) return;
+  if (!heap_is_open_.load(std::memory_order_acquire) || window_asked_ || !may_grow_.load()) return;
   if (move_to_ != window_count_ && !heap_->wants_window()) return;
   if (std::chrono::steady_clock::now() < window_again_) return;
   window_asked_ = true;
@@ -344,7 +392,7 @@ bool Context::add_window(Incoming& answer) noexcept {
   const auto fds = answer.packet.fds();
   return heap_
       ->add_window(region_.base(), opened.window, opened.base, opened.bytes, fds[0].get(),
-                   fds[1].get(), opened.first == opened.window)
+                   std::move(fds[1]), opened.first == opened.window)
       .has_value();
 }
 
@@ -375,8 +423,62 @@ Result<void> Context::open_extents(const wire::EndpointCreated& made, std::uint6
   return opened ? region_.open(made.extent, bytes) : opened;
 }
 
+template <class Work>
+auto Context::in_present(Work work) -> decltype(work(instance())) {
+  const auto deadline = Reconnection::Clock::now() + Connection::answer_timeout;
+  for (;;) {
+    Context& present = instance();
+    auto done = work(present);
+    if (done || done.error().code != Errc::started_anew ||
+        !Reregistration::instance().wait_for_next(present, deadline))
+      return done;
+  }
+}
+
 Result<std::shared_ptr<PublisherEndpoint>> Context::create_publisher(
     const EndpointRequest& request, void (*destroy_message)(void*) noexcept) {
+  auto made = in_present(
+      [&](Context& present) { return present.make_publisher(request, destroy_message, nullptr); });
+  if (made) Reregistration::instance().add(*made, request, destroy_message);
+  return made;
+}
+
+Result<std::shared_ptr<SubscriptionEndpoint>> Context::create_subscription(
+    const EndpointRequest& request, std::shared_ptr<Sleeper> sleeper) {
+  auto made = in_present(
+      [&](Context& present) { return present.make_subscription(request, sleeper, nullptr); });
+  if (made) Reregistration::instance().add(*made, request);
+  return made;
+}
+
+Result<std::shared_ptr<Sleeper>> Context::create_sleeper() {
+  auto sleeper = std::make_shared<Sleeper>();
+  Result<void> made = in_present([&](Context& present) { return present.make_place(*sleeper); });
+  if (!made) return tl::unexpected<Failure>(made.error());
+  Reregistration::instance().add(sleeper);
+  return sleeper;
+}
+
+Result<std::shared_ptr<Sleeper>> Context::idle_sleeper() {
+  if (Result<void> refused = refuse_forked_child(); !refused)
+    return tl::unexpected<Failure>(refused.error());
+  struct Idle {
+    std::mutex making;
+    std::shared_ptr<Sleeper> sleeper;
+  };
+  static Idle* const idle = new Idle;  // immortal, as the context
+  const std::lock_guard lock(idle->making);
+  if (idle->sleeper == nullptr) {
+    auto made = create_sleeper();
+    if (!made) return made;
+    idle->sleeper = std::move(*made);
+  }
+  return idle->sleeper;
+}
+
+Result<std::shared_ptr<PublisherEndpoint>> Context::make_publisher(
+    const EndpointRequest& request, void (*destroy_message)(void*) noexcept,
+    std::shared_ptr<EndpointEvents> events) {
   if (Result<void> connected = connect(); !connected)
     return tl::unexpected<Failure>(connected.error());
   if (Result<void> heap = open_heap(); !heap) return tl::unexpected<Failure>(heap.error());
@@ -406,8 +508,7 @@ Result<std::shared_ptr<PublisherEndpoint>> Context::create_publisher(
                                                      made.slot_count,
                                                      0};
         publisher = std::make_shared<PublisherEndpoint>(
-            PublisherEndpoint::Identity{core, made.topic, destroy_message,
-                                        []() noexcept { Context::instance().wake_control(); }});
+            PublisherEndpoint::Identity{core, made.topic, destroy_message, waker(), events, this});
         const std::lock_guard lock(endpoints_);
         AGNOCAST_CRASH_POINT(C_registered);
         publishers_[{made.topic, made.index}] = publisher;
@@ -418,11 +519,15 @@ Result<std::shared_ptr<PublisherEndpoint>> Context::create_publisher(
   return publisher;
 }
 
-Result<std::shared_ptr<SubscriptionEndpoint>> Context::create_subscription(
-    const EndpointRequest& request, std::shared_ptr<Sleeper> sleeper) {
+Result<std::shared_ptr<SubscriptionEndpoint>> Context::make_subscription(
+    const EndpointRequest& request, const std::shared_ptr<Sleeper>& sleeper,
+    std::shared_ptr<EndpointEvents> events) {
   if (Result<void> connected = connect(); !connected)
     return tl::unexpected<Failure>(connected.error());
-  const Result<wire::CreateEndpoint> body = describe(request, sleeper->index());
+  // The sleeper may be older than this membership.
+  if (Result<void> place = make_place(*sleeper); !place)
+    return tl::unexpected<Failure>(place.error());
+  const Result<wire::CreateEndpoint> body = describe(request, *sleeper->index_in(this));
   if (!body) return tl::unexpected<Failure>(body.error());
   std::shared_ptr<SubscriptionEndpoint> subscription;
   Result<void> created = connection_->request(
@@ -445,7 +550,10 @@ Result<std::shared_ptr<SubscriptionEndpoint>> Context::create_subscription(
                                            request.qos,
                                            request.quota,
                                            request.message_bytes,
-                                           request.message_alignment},
+                                           request.message_alignment,
+                                           waker(),
+                                           events,
+                                           this},
             sleeper);
         const std::lock_guard lock(endpoints_);
         AGNOCAST_CRASH_POINT(C_registered);
@@ -457,28 +565,32 @@ Result<std::shared_ptr<SubscriptionEndpoint>> Context::create_subscription(
   return subscription;
 }
 
-// A sleeper goes back to the context, not away: its place in the region and its bells stay the process's, and its sleep word goes on counting.
-std::shared_ptr<Sleeper> Context::lend(std::unique_ptr<Sleeper> sleeper) {
-  return {sleeper.release(), [this](Sleeper* returned) noexcept {
+// A place goes back to the context, not away: it stays the process's, with its bells, and its sleep
+// word goes on counting.
+std::shared_ptr<Sleeper::Place> Context::lend(std::unique_ptr<Sleeper::Place> place) {
+  return {place.release(), [this](Sleeper::Place* returned) noexcept {
             if (is_forked_child()) return;
             const std::lock_guard lock(sleepers_);
-            unused_sleepers_.emplace_back(returned);  // within its capacity
+            unused_places_.emplace_back(returned);  // within its capacity
+            --lent_places_;
           }};
 }
 
-Result<std::shared_ptr<Sleeper>> Context::create_sleeper() {
-  if (Result<void> connected = connect(); !connected)
-    return tl::unexpected<Failure>(connected.error());
+Result<void> Context::make_place(Sleeper& sleeper) {
+  if (Result<void> connected = connect(); !connected) return connected;
+  const std::lock_guard making(places_making_);
+  if (sleeper.index_in(this)) return {};
   wire::ExecutorRequest request{};
   bool again = false;
-  std::unique_ptr<Sleeper> sleeper;
+  std::unique_ptr<Sleeper::Place> place;
   {
     const std::lock_guard lock(sleepers_);
-    unused_sleepers_.reserve(abi::executor_count_max);
+    unused_places_.reserve(abi::executor_count_max);
     failed_sleepers_.reserve(abi::executor_count_max);
-    if (!unused_sleepers_.empty()) {
-      sleeper = std::move(unused_sleepers_.back());
-      unused_sleepers_.pop_back();
+    if (!unused_places_.empty()) {
+      place = std::move(unused_places_.back());
+      unused_places_.pop_back();
+      ++lent_places_;
     } else if (!failed_sleepers_.empty()) {
       request.executor = failed_sleepers_.back();
       failed_sleepers_.pop_back();
@@ -493,7 +605,7 @@ Result<std::shared_ptr<Sleeper>> Context::create_sleeper() {
       request.executor = next_sleeper_++;
     }
   }
-  if (sleeper != nullptr) return lend(std::move(sleeper));
+  if (place != nullptr) return sleeper.add(this, lend(std::move(place)));
   Result<void> opened = connection_->request(
       Opcode::open_executor, request,
       [&](Incoming& packet) -> Result<void> {
@@ -503,30 +615,22 @@ Result<std::shared_ptr<Sleeper>> Context::create_sleeper() {
         }
         const auto fds = packet.packet.fds();
         AGNOCAST_CRASH_POINT(C_sleeper);
-        sleeper = std::make_unique<Sleeper>(region_.base(), request.executor,
-                                            DoorbellReceiver(std::move(fds[0]), std::move(fds[1])));
+        place = std::make_unique<Sleeper::Place>(
+            region_.base(), request.executor,
+            DoorbellReceiver(std::move(fds[0]), std::move(fds[1])));
         return {};
       },
       nullptr, again);
-  if (!opened) {
-    // Should the bells come late, nobody wants them; who gets the number next asks for new ones.
+  {
     const std::lock_guard lock(sleepers_);
-    failed_sleepers_.push_back(request.executor);  // within its capacity
-    return tl::unexpected<Failure>(opened.error());
+    if (opened) {
+      ++lent_places_;
+    } else {
+      // Should the bells come late, nobody wants them; who gets the number next asks for new ones.
+      failed_sleepers_.push_back(request.executor);  // within its capacity
+    }
   }
-  return lend(std::move(sleeper));
-}
-
-Result<std::shared_ptr<Sleeper>> Context::idle_sleeper() {
-  if (Result<void> refused = refuse_forked_child(); !refused)
-    return tl::unexpected<Failure>(refused.error());
-  const std::lock_guard lock(idle_making_);
-  if (idle_sleeper_ == nullptr) {
-    auto made = create_sleeper();
-    if (!made) return made;
-    idle_sleeper_ = std::move(*made);
-  }
-  return idle_sleeper_;
+  return opened ? sleeper.add(this, lend(std::move(place))) : opened;
 }
 
 // The control thread says it, now or when it is connected again.
@@ -537,25 +641,39 @@ void Context::wait_for(const Departure& departure) noexcept {
                      [&] { return departure.is_known() || !connection_->is_open(); });
 }
 
+void Context::let_leave(PublisherEndpoint& publisher) noexcept {
+  publisher.departure().want();
+  wait_for(publisher.departure());
+}
+
+void Context::let_leave(SubscriptionEndpoint& subscription) noexcept {
+  AGNOCAST_CRASH_POINT(C_closed);
+  subscription.departure().want();
+  wait_for(subscription.departure());
+}
+
+// In each membership that it is in.
 void Context::destroy(const std::shared_ptr<PublisherEndpoint>& publisher) noexcept {
   if (!is_connected()) return;
-  publisher->departure().want();
-  wait_for(publisher->departure());
+  publisher->end();
+  const std::shared_ptr<PublisherEndpoint> present = publisher->present(publisher);
+  if (present != publisher) publisher->context()->let_leave(*publisher);
+  present->context()->let_leave(*present);
 }
 
 void Context::destroy(const std::shared_ptr<SubscriptionEndpoint>& subscription) noexcept {
   if (!is_connected()) return;
   subscription->close();
-  AGNOCAST_CRASH_POINT(C_closed);
-  subscription->departure().want();
-  wait_for(subscription->departure());
+  for (const auto& successor : subscription->successors())
+    successor->context()->let_leave(*successor);
+  subscription->context()->let_leave(*subscription);
 }
 
 void Context::release(const Received& received) noexcept {
   if (is_forked_child()) return;  // the hold is the parent's
   if (!received.link->release(received.taken.slot)) return;
   AGNOCAST_CRASH_POINT(C_release_last);
-  wake_control();
+  received.link->wake_control();
 }
 
 }  // namespace agnocast

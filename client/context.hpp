@@ -1,8 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Context: this process's membership: connection, client region, heap, peers, and every endpoint.
+// Context: a membership of this process: connection, client region, heap, peers, and every endpoint.
 // Made by the first endpoint, never destroyed (messages in statics stay valid), dead in a forked
 // child.
+//
+// Usually there is one. When the daemon's store was lost, another one begins beside it, and becomes
+// the present one (reregistering.cpp); the former lives on by itself until nothing of it is used, and
+// then lets go of all it has mapped.
 //
 // One control thread serves it: it handles what the daemon says in order, makes the passes that
 // publishers leave to it, unlinks what is over, unmaps peers that nobody uses, and opens the next
@@ -17,6 +21,7 @@
 #include <base/mapping.hpp>
 #include <client/arena.hpp>
 #include <client/connection.hpp>
+#include <client/control_wake.hpp>
 #include <client/departure.hpp>
 #include <client/heap.hpp>
 #include <client/peer.hpp>
@@ -30,6 +35,7 @@
 #include <chrono>
 #include <condition_variable>
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -61,13 +67,17 @@ struct EndpointRequest {
 
 class Context {
  public:
-  /// The one of this process. Any thread.
-  static Context& instance() noexcept;
+  /// The present one of this process. Any thread.
+  static Context& instance() noexcept {
+    Context* const present = present_.load(std::memory_order_acquire);
+    return present != nullptr ? *present : first();
+  }
 
   /// Any of the following connects first if need be. Errors of all: daemon_not_running,
   /// layout_mismatch, arena_occupied, lock_limit, address_limit, permission_denied, quota_exceeded,
   /// limit_reached, shut_down (forked child, exit handlers), invalid_argument (ROS_DOMAIN_ID), os_failure,
-  /// started_anew and revoked (an island), and what is named.
+  /// started_anew and revoked (an island), and what is named. While a new membership begins they wait
+  /// for it, as for a daemon that is away.
 
   /// Errors also: hook_missing, hook_ineffective, type_mismatch, invalid_name, depth_refused.
   [[nodiscard]] Result<std::shared_ptr<PublisherEndpoint>> create_publisher(
@@ -101,9 +111,13 @@ class Context {
   bool is_connected() const noexcept;
   ConnectionState state() const noexcept;
   Errc island_reason() const noexcept { return island_reason_.load(std::memory_order_acquire); }
-  void wake_control() noexcept;
+  void wake_control() noexcept {
+    if (wake_ != nullptr) (*wake_)();
+  }
 
  private:
+  friend class Reregistration;
+
   struct KnownPeer {
     std::unique_ptr<Peer> peer;
     std::shared_ptr<std::atomic<std::uint64_t>> users;
@@ -119,16 +133,36 @@ class Context {
   using StrangerKey = std::pair<abi::wire::Kind, EndpointKey>;
 
   Context() = default;
+  static Context& first() noexcept;
+  /// Does `work` with the present membership, and once more with the next one if it is lost.
+  template <class Work>
+  static auto in_present(Work work) -> decltype(work(instance()));
+  Result<std::shared_ptr<PublisherEndpoint>> make_publisher(const EndpointRequest& request,
+                                                            void (*destroy_message)(void*) noexcept,
+                                                            std::shared_ptr<EndpointEvents> events);
+  Result<std::shared_ptr<SubscriptionEndpoint>> make_subscription(
+      const EndpointRequest& request, const std::shared_ptr<Sleeper>& sleeper,
+      std::shared_ptr<EndpointEvents> events);
+  Result<void> make_place(Sleeper& sleeper);
+  void let_leave(PublisherEndpoint& publisher) noexcept;
+  void let_leave(SubscriptionEndpoint& subscription) noexcept;
+  std::function<void()> waker() const {
+    return [wake = wake_] { (*wake)(); };
+  }
+
   Result<void> connect();
   Result<void> become_known();
   Result<void> say_hello(Reconnection::Clock::time_point deadline);
   Result<void> map_regions(const abi::wire::Welcome& welcome, std::span<UniqueFd> fds);
+  Result<void> reserve_arena(std::uint64_t base, std::uint64_t bytes);
+  Result<void> bring_windows();
   Result<void> start_control_thread();
   Result<void> start_thread();
+  static int start_service_thread(const char* name, void* (*body)(void*), void* argument) noexcept;
   void say_blocked();
   Result<void> open_heap();
   Result<void> open_extents(const abi::wire::EndpointCreated& made, std::uint64_t bytes);
-  std::shared_ptr<Sleeper> lend(std::unique_ptr<Sleeper> sleeper);
+  std::shared_ptr<Sleeper::Place> lend(std::unique_ptr<Sleeper::Place> place);
   void wait_for(const Departure& departure) noexcept;
 
   // control thread
@@ -154,7 +188,17 @@ class Context {
   Result<void> introduce_again();
   void lose_connection() noexcept;
   void become_island(const Failure& why) noexcept;
+  // control thread: a former membership
+  bool is_former() const noexcept {
+    return is_alone_.load(std::memory_order_acquire) && present_.load() != this;
+  }
+  void run_former_errands();
+  bool is_unused();
+  bool let_go_of_everything();
+
   void tell_state(ConnectionState state) noexcept;
+  void tell_reason(Errc reason) noexcept;         // of an island; any thread
+  void stay_island(const Failure& why) noexcept;  // no further attempt will help; any thread
   Result<void> watch(int fd) noexcept;
   void on_rejoined(Incoming& packet);
   void on_refused(Incoming& packet);
@@ -183,11 +227,18 @@ class Context {
   bool is_linked(std::uint32_t topic, std::uint64_t publisher, std::uint64_t generation) const;
   bool is_attached(std::uint32_t topic, std::uint64_t subscription, std::uint64_t generation) const;
 
+  static std::atomic<Context*> present_;
+
+  const Context* former_ = nullptr;      // while this membership begins
+  std::atomic<bool> is_alone_{false};    // an island whose daemon will not come back
+  std::atomic<bool> has_begun_{false};   // a further one: what moves here is here
+  std::atomic<bool> may_grow_{true};     // its heap: not before all publishers have moved here
+  std::atomic<bool> is_dropped_{false};  // it never became the present one: gone with its thread
   mutable std::mutex connecting_;
   std::atomic<bool> is_connected_{false};  // a forked child inherits it
   std::string socket_path_;
   std::unique_ptr<Connection> connection_;
-  Arena arena_;
+  std::shared_ptr<const Arena> arena_;  // several memberships may have the same
   SparseRegion board_, region_;
   std::uint64_t incarnation_ = 0, client_ = 0, client_generation_ = 0;
   HeapScope scope_ = HeapScope::loan;
@@ -200,13 +251,15 @@ class Context {
   std::chrono::seconds window_pause_ = window_pause_first;  // after the next refusal
   std::chrono::steady_clock::time_point window_again_{};    // not before
 
-  UniqueFd epoll_, wake_;
+  UniqueFd epoll_;
+  std::shared_ptr<const ControlWake> wake_;
   Reconnection reconnection_;  // control thread only, as the next four
   // When to begin a new connection because descriptors that came on this one were lost.
   std::optional<Reconnection::Clock::time_point> said_again_;
   std::map<StrangerKey, std::shared_ptr<Stranger>> strangers_;
   int passes_pause_ = 0, link_look_ = 0;
   bool was_reclaimable_ = false, is_output_blocked_ = false;
+  std::chrono::steady_clock::time_point former_looked_{};
   std::atomic<ConnectionState> state_{ConnectionState::unconnected};
   std::atomic<Errc> island_reason_{Errc::ok};
   std::mutex departing_;
@@ -215,13 +268,13 @@ class Context {
   mutable std::mutex endpoints_;
   std::map<EndpointKey, std::shared_ptr<PublisherEndpoint>> publishers_;
   std::map<EndpointKey, std::shared_ptr<SubscriptionEndpoint>> subscriptions_;
-  // Innermost: a sleeper comes back wherever its last user is destroyed, also under `endpoints_`.
+  // Innermost: a place comes back wherever its last user is destroyed, also under `endpoints_`.
   std::mutex sleepers_;
+  std::mutex places_making_;  // one at a time, so that a sleeper has one place here
   std::uint64_t next_sleeper_ = 0;
-  std::vector<std::unique_ptr<Sleeper>> unused_sleepers_;
+  std::uint64_t lent_places_ = 0;
+  std::vector<std::unique_ptr<Sleeper::Place>> unused_places_;
   std::vector<std::uint64_t> failed_sleepers_;  // numbers whose bells never came
-  std::mutex idle_making_;
-  std::shared_ptr<Sleeper> idle_sleeper_;
 
   std::map<std::pair<std::uint64_t, std::uint64_t>, KnownPeer>
       peers_;  // by client and generation; control thread only

@@ -3,6 +3,7 @@
 // The control thread of the context: what the daemon says, in order, and everything that user threads leave to it.
 
 #include <client/context.hpp>
+#include <client/reregistration.hpp>
 
 #include <base/step.hpp>
 
@@ -12,6 +13,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <iterator>
 #include <new>
 #include <utility>
 
@@ -31,6 +33,8 @@ constexpr int timer_last_ms = 1000;
 constexpr int link_look_first_ms = 1;
 // Looks at a socket that the daemon has not read empty.
 constexpr int output_look_ms = 10;
+// Looks at what is left of a membership without a daemon.
+constexpr int former_look_ms = 20;
 
 }  // namespace
 
@@ -38,6 +42,8 @@ void Context::serve() noexcept {
   for (;;) {
     try {
       serve_once(passes_due_ms());
+      if (is_dropped_.load(std::memory_order_acquire)) return;
+      if (is_former() && is_unused() && let_go_of_everything()) return;
     } catch (const std::bad_alloc&) {
       // A packet may be half done. After a new connection the daemon says again what counts.
       lose_connection();
@@ -58,6 +64,7 @@ int Context::passes_due_ms() {
   was_reclaimable_ = reclaimable;
   const bool awaits_link = std::any_of(
       all.begin(), all.end(), [](const auto& publisher) { return publisher->awaits_link(); });
+  if (is_alone_.load(std::memory_order_acquire)) return former_look_ms;
   if (!awaits_link) {
     link_look_ = link_look_first_ms;
     return passes_pause_;
@@ -84,9 +91,9 @@ void Context::serve_once(int timeout_ms) {
     ::poll(nullptr, 0, timer_first_ms);
   }
   for (int i = 0; i < count; ++i) {
-    if (events[i].data.fd == wake_.get()) {
+    if (events[i].data.fd == wake_->fd()) {
       std::uint64_t ignored = 0;
-      [[maybe_unused]] const ssize_t got = ::read(wake_.get(), &ignored, sizeof ignored);
+      [[maybe_unused]] const ssize_t got = ::read(wake_->fd(), &ignored, sizeof ignored);
     } else {
       read_connection();
     }
@@ -172,9 +179,8 @@ void Context::handle(Incoming& packet) {
 std::shared_ptr<Peer> Context::use(KnownPeer& known) {
   known.users->fetch_add(1, std::memory_order_relaxed);
   // The peer itself stays in the table; only the number of its users is shared.
-  return {known.peer.get(), [users = known.users](Peer*) {
-            if (users->fetch_sub(1, std::memory_order_acq_rel) == 1)
-              Context::instance().wake_control();
+  return {known.peer.get(), [users = known.users, wake = wake_](Peer*) {
+            if (users->fetch_sub(1, std::memory_order_acq_rel) == 1) (*wake)();
           }};
 }
 
@@ -222,14 +228,14 @@ std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
 Result<void> Context::add_window_of(KnownPeer& known, const PeerHeap::Announced& window,
                                     UniqueFd fd) {
   PeerHeap& heap = known.peer->heap();
-  if (!arena_.contains(window.base, window.length))
+  if (!arena_->contains(window.base, window.length))
     return fail(Errc::protocol_violation, "a window outside the arena");
   AGNOCAST_CRASH_POINT(C_peer_window);
   const std::uint64_t before = heap.window_count();
   const bool own = is_self(known.peer->client(), known.peer->generation());
-  Result<void> added = own                                      ? heap.add_own(window)
-                       : arena_.has(window.base, window.length) ? heap.add(window, std::move(fd))
-                                                                : heap.add_blocked(window);
+  Result<void> added = own                                       ? heap.add_own(window)
+                       : arena_->has(window.base, window.length) ? heap.add(window, std::move(fd))
+                                                                 : heap.add_blocked(window);
   if (heap.window_count() == before) return added;
   // A taker may have found a message there already and left it.
   const std::lock_guard lock(endpoints_);
@@ -413,6 +419,13 @@ void Context::say_unlinked(Kind kind, std::uint32_t topic, std::uint64_t index,
 }
 
 void Context::run_errands() {
+  if (is_alone_.load(std::memory_order_acquire)) return run_former_errands();
+  if (has_begun_.load(std::memory_order_acquire) &&
+      reconnection_.state() == Reconnection::State::connected) {
+    has_begun_.store(false, std::memory_order_relaxed);
+    island_reason_.store(Errc::ok, std::memory_order_release);
+    tell_state(ConnectionState::connected);
+  }
   say_departures();
   for (const auto& publisher : publishers()) {
     publisher->run_errands();
@@ -479,6 +492,60 @@ void Context::collect_peers() {
     it = peers_.erase(it);  // unmapped here, said after
     if (!is_self(client, generation)) say_unlinked(Kind::region, 0, client, generation);
   }
+}
+
+// --- a membership whose daemon will not come back: nobody says who is gone, so this thread looks
+
+void Context::run_former_errands() {
+  for (const auto& publisher : publishers()) publisher->run_errands();
+  const auto now = std::chrono::steady_clock::now();
+  if (now - former_looked_ < std::chrono::milliseconds{former_look_ms}) return;
+  former_looked_ = now;
+  if (present_.load(std::memory_order_acquire) == this) Reregistration::instance().go_on();
+  for (const auto& publisher : publishers()) {
+    publisher->bury_dead();
+    if (!publisher->is_finished()) continue;
+    publisher->finish();
+    const std::lock_guard lock(endpoints_);
+    publishers_.erase({publisher->topic_index(), publisher->identity().index});
+  }
+  std::vector<std::shared_ptr<SubscriptionEndpoint>> subscriptions;
+  {
+    const std::lock_guard lock(endpoints_);
+    for (const auto& [key, subscription] : subscriptions_) subscriptions.push_back(subscription);
+  }
+  for (const auto& subscription : subscriptions) {
+    subscription->collect_alone();
+    if (!subscription->is_finished()) continue;
+    subscription->finish();
+    const std::lock_guard lock(endpoints_);
+    subscriptions_.erase({subscription->identity().topic_index, subscription->identity().index});
+  }
+  for (auto it = peers_.begin(); it != peers_.end();)
+    it = it->second.users->load(std::memory_order_acquire) == 0 ? peers_.erase(it) : std::next(it);
+}
+
+bool Context::is_unused() {
+  const std::lock_guard lock(endpoints_);
+  return publishers_.empty() && subscriptions_.empty() && peers_.empty();
+}
+
+// Nobody has anything of it any more but sleepers, and those let go here.
+bool Context::let_go_of_everything() {
+  Reregistration::instance().release_places(*this);
+  {
+    const std::lock_guard lock(sleepers_);
+    if (lent_places_ != 0) return false;  // in a moment
+    unused_places_.clear();
+  }
+  Heap::leave_region(region_.base());
+  strangers_.clear();
+  region_ = {};
+  board_ = {};
+  arena_.reset();
+  epoll_.reset();
+  ControlWake::give_back(wake_);
+  return true;
 }
 
 }  // namespace agnocast

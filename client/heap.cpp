@@ -3,6 +3,7 @@
 #include <base/mapping.hpp>
 #include <base/step.hpp>
 #include <base/text.hpp>
+#include <client/address_users.hpp>
 #include <client/dataplane/windows.hpp>
 #include <client/heap.hpp>
 
@@ -16,6 +17,7 @@
 #include <memory>
 #include <new>
 #include <string>
+#include <utility>
 
 namespace agnocast {
 namespace {
@@ -23,11 +25,19 @@ namespace {
 static_assert(WindowSet::count_max == abi::window_count_max &&
               AGNOCAST_HEAPHOOK_WINDOWS_MAX == abi::window_count_max);
 
+// Losses of the store that may follow each other before what was published first has been read.
+constexpr std::size_t regions_max = 8;
+
 // One heap per process, for its whole life; the hook keeps pointers to these.
 struct Attached {
-  std::byte* client_region = nullptr;
+  // Of each membership that readers may still look at; more than one after the daemon's store was lost.
+  std::byte* client_region[regions_max] = {};
+  std::atomic_flag regions_changing = ATOMIC_FLAG_INIT;
   void (*grown)() noexcept = nullptr;
   std::uint64_t base[abi::window_count_max] = {};
+  std::uint64_t length[abi::window_count_max] = {};
+  std::uint64_t first[abi::window_count_max] = {};
+  int read_fd[abi::window_count_max] = {};  // never closed, like all of this
   std::atomic<std::uint64_t> count{0};
   std::atomic<bool> is_last{false};  // the newest window stays the newest
   const agnocast_heaphook_table* hook = nullptr;
@@ -38,10 +48,27 @@ Attached attached;
 // For SharedAllocator, in any thread: the hook, once its heap is open.
 std::atomic<const agnocast_heaphook_table*> open_hook{nullptr};
 
+// Held for a few stores: growth is rare, and followed regions change once in a daemon's life.
+class ChangingRegions {
+ public:
+  ChangingRegions() noexcept {
+    while (attached.regions_changing.test_and_set(std::memory_order_acquire)) {
+    }
+  }
+  ~ChangingRegions() { attached.regions_changing.clear(std::memory_order_release); }
+  ChangingRegions(const ChangingRegions&) = delete;
+  ChangingRegions& operator=(const ChangingRegions&) = delete;
+};
+
 // In whatever thread allocates, under the allocator's locks.
 void store_grown(void* context, std::uint32_t window, std::uint64_t bytes) {
   const auto& heap = *static_cast<Attached*>(context);
-  dataplane::store_frontier<SharedMemory>(heap.client_region, window, bytes);
+  {
+    const ChangingRegions changing;
+    for (std::byte* const region : heap.client_region) {
+      if (region != nullptr) dataplane::store_frontier<SharedMemory>(region, window, bytes);
+    }
+  }
   if (heap.grown != nullptr) heap.grown();
 }
 
@@ -111,6 +138,17 @@ void describe_window(std::byte* client_region, std::uint64_t window, std::uint64
   entry.base.store(base, std::memory_order_release);
 }
 
+void remember(std::uint64_t window, std::uint64_t base, std::uint64_t length, std::uint64_t first,
+              UniqueFd read_fd) {
+  attached.base[window] = base;
+  attached.length[window] = length;
+  attached.first[window] = first;
+  // For as long as the process lives: whatever else a daemon gives there is not mapped here.
+  [[maybe_unused]] const bool entered =
+      AddressUsers::instance().enter(base, length, AddressUsers::file_of(read_fd.get()));
+  attached.read_fd[window] = read_fd.release();
+}
+
 template <class Pointer>
 bool lies_in_heap(const agnocast_heaphook_table& hook, Pointer block) noexcept {
   return block != nullptr && hook.owns(block) != 0;
@@ -165,13 +203,14 @@ Result<Heap> Heap::find() {
 }
 
 Result<void> Heap::attach(std::byte* client_region, std::uint64_t base, std::uint64_t length,
-                          int write_fd, int read_fd, HeapScope scope, void (*grown)() noexcept) {
-  attached.client_region = client_region;
+                          int write_fd, UniqueFd read_fd, HeapScope scope,
+                          void (*grown)() noexcept) {
+  attached.client_region[0] = client_region;
   attached.grown = grown;
   attached.hook = hook_;
   describe_window(client_region, 0, base, length);
   const agnocast_heaphook_window window{
-      reinterpret_cast<void*>(base),     length, write_fd, read_fd,
+      reinterpret_cast<void*>(base),     length, write_fd, read_fd.get(),
       AGNOCAST_HEAPHOOK_WINDOW_RESERVED, 0};
   const agnocast_heaphook_options options{
       static_cast<std::uint32_t>(scope == HeapScope::all ? AGNOCAST_HEAPHOOK_SCOPE_ALL
@@ -182,7 +221,7 @@ Result<void> Heap::attach(std::byte* client_region, std::uint64_t base, std::uin
     AGNOCAST_CRASH_POINT(C_window_open);
     if (Result<void> opened = result_of(hook_->attach(&window, &options)); !opened) return opened;
     AGNOCAST_CRASH_POINT(C_window_opened);
-    attached.base[0] = base;
+    remember(0, base, length, 0, std::move(read_fd));
     attached.count.store(1, std::memory_order_release);
   }
 
@@ -206,24 +245,59 @@ Result<void> Heap::check_interposition() const {
 }
 
 Result<void> Heap::add_window(std::byte* client_region, std::uint64_t window, std::uint64_t base,
-                              std::uint64_t length, int write_fd, int read_fd,
+                              std::uint64_t length, int write_fd, UniqueFd read_fd,
                               bool fresh) noexcept {
   describe_window(client_region, window, base, length);
   const agnocast_heaphook_window next{
       reinterpret_cast<void*>(base),
       length,
       write_fd,
-      read_fd,
+      read_fd.get(),
       AGNOCAST_HEAPHOOK_WINDOW_RESERVED | (fresh ? AGNOCAST_HEAPHOOK_WINDOW_FRESH : 0u),
       0};
   // Known before the hook hands out its first address: a message that lies there is resident.
-  attached.base[window] = base;
+  remember(window, base, length, fresh ? window : attached.first[window - 1], std::move(read_fd));
   attached.count.store(window + 1, std::memory_order_release);
   AGNOCAST_CRASH_POINT(C_window_open);
   Result<void> opened = result_of(hook_->add_window(&next));
   AGNOCAST_CRASH_POINT(C_window_opened);
-  if (!opened) attached.count.store(window, std::memory_order_release);
+  if (!opened) {
+    attached.count.store(window, std::memory_order_release);
+    UniqueFd gone(attached.read_fd[window]);
+    AddressUsers::instance().leave(base);
+  }
   return opened;
+}
+
+std::uint64_t Heap::window_count() noexcept {
+  return attached.count.load(std::memory_order_acquire);
+}
+
+Heap::Window Heap::window(std::uint64_t number) noexcept {
+  return {attached.base[number], attached.length[number], attached.first[number],
+          attached.read_fd[number]};
+}
+
+bool Heap::follow(std::byte* client_region) noexcept {
+  const ChangingRegions changing;
+  for (std::byte*& region : attached.client_region) {
+    if (region != nullptr) continue;
+    for (std::uint64_t i = 0; i < window_count(); ++i) {
+      describe_window(client_region, i, attached.base[i], attached.length[i]);
+      dataplane::store_frontier<SharedMemory>(
+          client_region, i, attached.hook->frontier(static_cast<std::uint32_t>(i)));
+    }
+    region = client_region;
+    return true;
+  }
+  return false;
+}
+
+void Heap::leave_region(std::byte* client_region) noexcept {
+  const ChangingRegions changing;
+  for (std::byte*& region : attached.client_region) {
+    if (region == client_region) region = nullptr;
+  }
 }
 
 void Heap::no_more_windows() noexcept { attached.is_last.store(true, std::memory_order_relaxed); }

@@ -8,6 +8,7 @@
 #include <agnocast/heap.hpp>
 #include <agnocast/residency.hpp>
 #include <agnocast/result.hpp>
+#include <base/unique_fd.hpp>
 
 #include <cstddef>
 #include <cstdint>
@@ -23,7 +24,7 @@ class Heap {
   /// without locks of ours, must not allocate. Errors: hook_missing, arena_occupied, lock_limit,
   /// os_failure.
   [[nodiscard]] Result<void> attach(std::byte* client_region, std::uint64_t base,
-                                    std::uint64_t length, int write_fd, int read_fd,
+                                    std::uint64_t length, int write_fd, UniqueFd read_fd,
                                     HeapScope scope, void (*grown)() noexcept);
   /// Whether ordinary allocations in a scope come from this heap; found out by attach. Errors:
   /// hook_ineffective (malloc or new are not the hook's: somebody else replaced them).
@@ -32,7 +33,23 @@ class Heap {
   /// on, until others are added.
   [[nodiscard]] Result<void> add_window(std::byte* client_region, std::uint64_t window,
                                         std::uint64_t base, std::uint64_t length, int write_fd,
-                                        int read_fd, bool fresh) noexcept;
+                                        UniqueFd read_fd, bool fresh) noexcept;
+
+  /// A window as another daemon is told of it.
+  struct Window {
+    std::uint64_t base;
+    std::uint64_t length;
+    std::uint64_t first;  // of its group
+    int read_fd;          // the heap's
+  };
+  static std::uint64_t window_count() noexcept;
+  static Window window(std::uint64_t number) noexcept;
+  /// The windows are described in one more client region, and frontiers are stored there from now on.
+  /// False: in too many already.
+  [[nodiscard]] static bool follow(std::byte* client_region) noexcept;
+  /// No longer: afterwards nothing of it is touched. Nothing happens if it is not followed.
+  static void leave_region(std::byte* client_region) noexcept;
+
   /// Whoever finds the heap full from now on is told that it will not grow.
   void no_more_windows() noexcept;
   /// True when the newest window is used to three quarters, or a request did not fit.

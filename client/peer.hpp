@@ -35,6 +35,8 @@ class Peer {
     return region_.open(extent, bytes);
   }
   PeerHeap& heap() noexcept { return heap_; }
+  /// Without a daemon to say so. One system call.
+  bool is_alive() const noexcept { return region_.base() == nullptr || region_.is_claimed(); }
 
  private:
   std::uint64_t client_;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <base/mapping.hpp>
 #include <base/step.hpp>
+#include <client/address_users.hpp>
 #include <client/dataplane/windows.hpp>
 #include <client/peer_heap.hpp>
 
@@ -19,10 +19,7 @@ void* at_address(std::uint64_t address) noexcept { return reinterpret_cast<void*
 PeerHeap::~PeerHeap() {
   for (std::uint64_t i = 0; i < window_count(); ++i) {
     const Window& window = windows_[i];
-    if (!window.fd || window.opened.load(std::memory_order_relaxed) == 0) continue;
-    AGNOCAST_CRASH_POINT(C_peer_cover);
-    Mapping::cover(static_cast<std::byte*>(at_address(window.base)),
-                   window.opened.load(std::memory_order_relaxed));
+    if (window.fd) AddressUsers::instance().leave(window.base);
   }
 }
 
@@ -35,6 +32,11 @@ Result<void> PeerHeap::append(const Announced& window, UniqueFd fd, std::uint64_
       window.base % abi::page_bytes != 0 || window.length % abi::page_bytes != 0 ||
       window.base + window.length < window.base) {
     return fail(Errc::invalid_argument, "a heap window that cannot be");
+  }
+  if (fd && !AddressUsers::instance().enter(window.base, window.length,
+                                            AddressUsers::file_of(fd.get()))) {
+    fd.reset();
+    is_blocked = true;
   }
   Window& added = windows_[count];
   added.fd = std::move(fd);
@@ -79,6 +81,7 @@ std::uint64_t PeerHeap::open() noexcept {
     if (refused) continue;
     ::madvise(at, frontier - opened, MADV_DONTDUMP);
     AGNOCAST_CRASH_POINT(C_peer_opened);
+    AddressUsers::instance().mapped(window.base, frontier);
     window.opened.store(frontier, std::memory_order_release);
   }
   return count;

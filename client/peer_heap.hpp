@@ -27,8 +27,8 @@ class PeerHeap {
  public:
   /// `client_region`: the owner's, mapped here; must outlive this.
   explicit PeerHeap(std::byte* client_region) noexcept : client_region_(client_region) {}
-  /// Puts the reservation back in place of what was mapped. Nobody may use a message of this heap
-  /// any more.
+  /// Puts the reservation back in place of what was mapped, unless another membership of this process
+  /// has it as well. Nobody may use a message of this heap any more.
   ~PeerHeap();
   PeerHeap(const PeerHeap&) = delete;
   PeerHeap& operator=(const PeerHeap&) = delete;
@@ -41,7 +41,8 @@ class PeerHeap {
     std::uint64_t first;  // of its group
   };
   /// `fd` opened for reading, the addresses reserved by the caller. Windows come in order; one that is
-  /// there already is ignored. Errors: invalid_argument.
+  /// there already is ignored, and one whose addresses are in use for something else is as blocked.
+  /// Errors: invalid_argument.
   [[nodiscard]] Result<void> add(const Announced& window, UniqueFd fd) noexcept;
   /// The same where this process has something else.
   [[nodiscard]] Result<void> add_blocked(const Announced& window) noexcept;

@@ -3,6 +3,7 @@
 #include <base/step.hpp>
 #include <client/forked_child.hpp>
 #include <client/publisher_endpoint.hpp>
+#include <client/twice_owned.hpp>
 #include <client/user_code.hpp>
 
 #include <time.h>
@@ -50,8 +51,8 @@ struct PublisherEndpoint::Work {
     if (destroy_count < destroy.size()) {
       destroy[destroy_count++] = message;
     } else if (endpoint.doomed_.size() == endpoint.doomed_.capacity()) {
-      endpoint.identity_.destroy(message);  // the control thread is far behind: rather here, under
-                                            // the mutex, than allocate
+      endpoint.destroy(message);  // the control thread is far behind: rather here, under the mutex,
+                                  // than allocate
     } else {
       endpoint.doomed_.push_back(message);  // within its capacity: no allocation
     }
@@ -66,7 +67,9 @@ struct PublisherEndpoint::Work {
 };
 
 PublisherEndpoint::PublisherEndpoint(const Identity& identity)
-    : identity_(identity), core_(std::make_unique<Core>(identity.core)) {
+    : identity_(identity),
+      core_(std::make_unique<Core>(identity.core)),
+      events_(identity.events != nullptr ? identity.events : std::make_shared<EndpointEvents>()) {
   doomed_.reserve(abi::slot_count_max);
 }
 
@@ -79,7 +82,7 @@ void PublisherEndpoint::with_queue(Do work, bool may_destroy) noexcept {
   }
   for (std::size_t i = 0; i < left.destroy_count; ++i) {
     AGNOCAST_CRASH_POINT(C_destroy);
-    identity_.destroy(left.destroy[i]);
+    destroy(left.destroy[i]);
   }
   if (left.wake_control) identity_.wake_control();
 }
@@ -92,7 +95,12 @@ void PublisherEndpoint::in_control_thread(Do work) noexcept {
 
 dataplane::PublishOutcome PublisherEndpoint::publish(void* message, std::uint64_t bytes) noexcept {
   dataplane::PublishOutcome outcome = dataplane::PublishOutcome::no_slot;
+  std::shared_ptr<PublisherEndpoint> heir;
   with_queue([&](Work& work) {
+    if (moved_) [[unlikely]] {
+      heir = heir_;
+      return;
+    }
     // The stamp is taken under the mutex, so that it grows with the sequence.
     outcome =
         core_->publish({reinterpret_cast<std::uint64_t>(message), bytes, monotonic_ns()}, work);
@@ -100,6 +108,8 @@ dataplane::PublishOutcome PublisherEndpoint::publish(void* message, std::uint64_
     // the control thread's timer. Waking it would be a system call.
     work.destroy_doomed();
   });
+  if (heir != nullptr) [[unlikely]]
+    return heir->publish(message, bytes);
   if (outcome == dataplane::PublishOutcome::no_slot)
     count(offsetof(abi::PublisherEndpoint, refused_no_slot), 1);
   if (outcome == dataplane::PublishOutcome::would_block)
@@ -108,7 +118,13 @@ dataplane::PublishOutcome PublisherEndpoint::publish(void* message, std::uint64_
 }
 
 void PublisherEndpoint::count(std::size_t counter, std::uint64_t more) noexcept {
-  identity_.core.words.counter(counter).fetch_add(more, std::memory_order_relaxed);
+  std::shared_ptr<PublisherEndpoint> heir;
+  {
+    const std::lock_guard lock(mutex_);
+    if (!moved_) identity_.core.words.counter(counter).fetch_add(more, std::memory_order_relaxed);
+    heir = heir_;
+  }
+  if (heir != nullptr) heir->count(counter, more);
 }
 void PublisherEndpoint::count_adopted(std::uint64_t bytes) noexcept {
   count(offsetof(abi::PublisherEndpoint, adopted_messages), 1);
@@ -174,13 +190,14 @@ void PublisherEndpoint::note_links() noexcept {
   std::size_t linked = 0;
   {
     const std::lock_guard lock(mutex_);
+    if (moved_) return;
     for (Attached& attached : attached_) {
       if (attached.matched || !is_linked(attached)) continue;
       attached.matched = true;
       ++linked;
     }
   }
-  for (; linked > 0; --linked) events_.gained();
+  for (; linked > 0; --linked) events_->gained();
 }
 
 void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) noexcept {
@@ -200,7 +217,7 @@ void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) no
     was_matched = found->matched;
     attached_.erase(found);
   });
-  if (was_matched) events_.ceased();
+  if (was_matched) events_->ceased();
 }
 
 // What is attached stays: its readers are waited for as before, as far as the board tells of them.
@@ -208,10 +225,9 @@ void PublisherEndpoint::revoke() noexcept {
   std::ptrdiff_t matched = 0;
   {
     const std::lock_guard lock(mutex_);
-    matched = std::count_if(attached_.begin(), attached_.end(),
-                            [](const Attached& attached) { return attached.matched; });
+    for (Attached& attached : attached_) matched += std::exchange(attached.matched, false);
   }
-  for (; matched > 0; --matched) events_.ceased();
+  for (; matched > 0; --matched) events_->ceased();
 }
 
 std::vector<PublisherEndpoint::Member> PublisherEndpoint::detach_all() {
@@ -257,11 +273,20 @@ bool PublisherEndpoint::is_over() const noexcept {
 }
 std::uint64_t PublisherEndpoint::allocated_count() const noexcept {
   const std::lock_guard lock(mutex_);
-  return core_->allocated_count();
+  return (core_ != nullptr ? core_->allocated_count() : 0) +
+         (heir_ != nullptr ? heir_->allocated_count() : 0);
 }
 std::size_t PublisherEndpoint::subscription_count() const noexcept {
   if (!is_served()) return 0;
-  const std::lock_guard lock(mutex_);
+  std::shared_ptr<PublisherEndpoint> heir;
+  {
+    const std::lock_guard lock(mutex_);
+    if (!moved_) return linked_count();
+    heir = heir_;
+  }
+  return heir != nullptr ? heir->subscription_count() : 0;
+}
+std::size_t PublisherEndpoint::linked_count() const noexcept {
   return static_cast<std::size_t>(
       std::count_if(attached_.begin(), attached_.end(),
                     [this](const Attached& attached) { return is_linked(attached); }));
@@ -270,6 +295,120 @@ bool PublisherEndpoint::awaits_link() const noexcept {
   const std::lock_guard lock(mutex_);
   return std::any_of(attached_.begin(), attached_.end(),
                      [](const Attached& attached) { return !attached.matched; });
+}
+
+void PublisherEndpoint::destroy(void* message) noexcept {
+  if (!TwiceOwned::instance().let_go(message)) identity_.destroy(message);
+}
+
+// --- after the daemon's store was lost
+
+bool PublisherEndpoint::move_to(const std::shared_ptr<PublisherEndpoint>& heir) noexcept {
+  bool moves = false;
+  in_control_thread([&](Work& work) {
+    if (moved_) return;
+    moves = true;
+    const auto& words = identity_.core.words;
+    const std::uint64_t head = core_->head_sequence();
+    const std::uint64_t kept = identity_.core.qos.transient_local ? identity_.core.qos.depth : 0;
+    const std::uint64_t begin =
+        std::max(identity_.core.first_sequence, head - std::min(head, kept)) + 1;
+    for (std::uint64_t sequence = begin; sequence <= head; ++sequence) {
+      const std::uint64_t slot =
+          abi::slot_of(words.order(sequence).load(std::memory_order_relaxed));
+      if (slot >= abi::slot_count_max ||
+          words.slot_id(slot).load(std::memory_order_relaxed) != sequence)
+        continue;
+      heir->inherit({words.slot_address(slot).load(std::memory_order_relaxed),
+                     words.slot_size(slot).load(std::memory_order_relaxed),
+                     words.slot_stamp(slot).load(std::memory_order_relaxed)});
+    }
+    moved_ = true;
+    heir_ = heir;
+    core_->keep_no_history();
+    // Behind the last commit: who sees it sees the whole queue.
+    words.intent_op().store(abi::intent_moved, std::memory_order_release);
+    core_->pass(work);
+  });
+  if (moves) revoke();  // its subscriptions are the heir's now
+  return moves;
+}
+
+void PublisherEndpoint::inherit(const dataplane::Entry& entry) noexcept {
+  void* const message = reinterpret_cast<void*>(entry.address);
+  try {
+    TwiceOwned::instance().share(message);
+  } catch (const std::bad_alloc&) {
+    return;  // late joiners miss it
+  }
+  dataplane::PublishOutcome outcome = dataplane::PublishOutcome::no_slot;
+  with_queue([&](Work& work) { outcome = core_->publish(entry, work); });
+  if (outcome != dataplane::PublishOutcome::published) TwiceOwned::instance().let_go(message);
+}
+
+void PublisherEndpoint::redirect_to(const std::shared_ptr<PublisherEndpoint>& heir) noexcept {
+  const std::lock_guard lock(mutex_);
+  if (moved_ && heir.get() != this) heir_ = heir;
+}
+
+std::shared_ptr<PublisherEndpoint> PublisherEndpoint::present(
+    const std::shared_ptr<PublisherEndpoint>& self) const {
+  std::shared_ptr<PublisherEndpoint> heir;
+  {
+    const std::lock_guard lock(mutex_);
+    heir = heir_;
+  }
+  return heir != nullptr ? heir->present(heir) : self;
+}
+
+void PublisherEndpoint::abandon() noexcept {
+  const std::lock_guard lock(mutex_);
+  moved_ = true;
+}
+
+std::size_t PublisherEndpoint::living_count() const noexcept {
+  const std::lock_guard lock(mutex_);
+  return static_cast<std::size_t>(
+      std::count_if(attached_.begin(), attached_.end(), [this](const Attached& attached) {
+        return is_linked(attached) && attached.peer->is_alive();
+      }));
+}
+
+void PublisherEndpoint::bury_dead() {
+  std::vector<Member> dead;
+  {
+    const std::lock_guard lock(mutex_);
+    for (const Attached& attached : attached_) {
+      if (!attached.peer->is_alive()) dead.push_back({attached.index, attached.generation});
+    }
+  }
+  for (const Member& member : dead) {
+    {
+      const std::lock_guard lock(mutex_);
+      core_->bury(member.index, member.generation);
+    }
+    detach(member.index, member.generation);
+  }
+}
+
+bool PublisherEndpoint::is_finished() noexcept {
+  const std::lock_guard lock(mutex_);
+  if (!moved_ && departure_.is_wanted()) {
+    moved_ = true;
+    core_->keep_no_history();
+    identity_.core.words.intent_op().store(abi::intent_moved, std::memory_order_release);
+  }
+  if (!moved_) return false;
+  return core_->allocated_count() == 0 && doomed_.empty();
+}
+
+void PublisherEndpoint::finish() noexcept {
+  std::vector<Attached> let_go;  // after the lock
+  const std::lock_guard lock(mutex_);
+  let_go.swap(attached_);
+  executors_.clear();
+  moved_ = true;
+  core_.reset();
 }
 
 }  // namespace agnocast

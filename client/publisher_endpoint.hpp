@@ -18,11 +18,14 @@
 #include <array>
 #include <atomic>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <mutex>
 #include <vector>
 
 namespace agnocast {
+
+class Context;
 
 class PublisherEndpoint {
  public:
@@ -31,9 +34,11 @@ class PublisherEndpoint {
     Core::Identity core;
     std::uint32_t topic_index;
     void (*destroy)(
-        void* message) noexcept;      // destructor and deallocation of the message type; static
-    void (*wake_control)() noexcept;  // asks the control thread to call run_errands(); static, any
-                                      // thread, no allocation
+        void* message) noexcept;         // destructor and deallocation of the message type; static
+    std::function<void()> wake_control;  // asks the control thread to call run_errands(); any
+                                         // thread, no allocation
+    std::shared_ptr<EndpointEvents> events = {};  // of the endpoint that this one continues
+    Context* context = nullptr;                   // its membership
   };
   struct Subscription {
     std::uint64_t index;
@@ -50,6 +55,7 @@ class PublisherEndpoint {
   ~PublisherEndpoint() = default;
 
   const Core::Identity& identity() const noexcept { return identity_.core; }
+  Context* context() const noexcept { return identity_.context; }
   std::uint32_t topic_index() const noexcept { return identity_.topic_index; }
 
   // --- user threads
@@ -93,8 +99,33 @@ class PublisherEndpoint {
   /// A subscription is mapped that has not linked yet: run_errands() shall look again soon, because
   /// nobody rings when it has.
   bool awaits_link() const noexcept;
-  EndpointEvents& events() noexcept { return events_; }
+  const std::shared_ptr<EndpointEvents>& shared_events() const noexcept { return events_; }
+  EndpointEvents& events() noexcept { return *events_; }
   Departure& departure() noexcept { return departure_; }
+
+  // --- after the daemon's store was lost: docs/decisions/0006. The endpoint that the user has stays,
+  // and hands what it is given to the one that the new daemon knows.
+
+  /// From now on what is published goes to `heir`, with the history for late joiners ahead of it; here
+  /// nothing is added any more, and readers can see that. False when it has moved already.
+  bool move_to(const std::shared_ptr<PublisherEndpoint>& heir) noexcept;
+  /// A later heir of an endpoint that has moved.
+  void redirect_to(const std::shared_ptr<PublisherEndpoint>& heir) noexcept;
+  /// The endpoint that publishes now: this one, or its heir.
+  std::shared_ptr<PublisherEndpoint> present(const std::shared_ptr<PublisherEndpoint>& self) const;
+  /// Its owner wants no more of it.
+  void end() noexcept { has_ended_.store(true, std::memory_order_release); }
+  bool has_ended() const noexcept { return has_ended_.load(std::memory_order_acquire); }
+  /// Its membership will not be used after all: nothing was published.
+  void abandon() noexcept;
+  /// Linked subscriptions whose processes live.
+  std::size_t living_count() const noexcept;
+  /// What a daemon would have said: members whose processes are gone count no more.
+  void bury_dead();
+  /// It has moved or ended, and nobody reads anything of it any more.
+  bool is_finished() noexcept;
+  /// Touches nothing of its membership any more.
+  void finish() noexcept;
 
  private:
   // Destroyed by one publish at most; what is more waits for the next ones, or for the timer of the
@@ -131,6 +162,7 @@ class PublisherEndpoint {
   std::size_t executor_of(const Peer& peer, std::uint64_t executor, Doorbell bell);
   bool is_linked(const Attached& attached) const noexcept;
   void note_links() noexcept;
+  std::size_t linked_count() const noexcept;  // under the mutex
 
   Identity identity_;
   mutable std::mutex mutex_;
@@ -138,8 +170,14 @@ class PublisherEndpoint {
   std::vector<Executor> executors_;
   std::vector<Attached> attached_;
   std::vector<void*> doomed_;  // to be destroyed later; capacity for every slot from the start
-  EndpointEvents events_;
+  void destroy(void* message) noexcept;
+  void inherit(const dataplane::Entry& entry) noexcept;
+
+  const std::shared_ptr<EndpointEvents> events_;
   Departure departure_;
+  bool moved_ = false;                       // under the mutex, as the next
+  std::shared_ptr<PublisherEndpoint> heir_;  // null with `moved_`: it was abandoned
+  std::atomic<bool> has_ended_{false};
 };
 
 }  // namespace agnocast

@@ -9,11 +9,12 @@
 // here already is recognised; of what is not here any more the client says again that it has left,
 // is drained, is unlinked. So nothing that either side said before needs to have arrived.
 //
-// A daemon that refuses leaves the process an island. It would have to say hello again and move its
-// endpoints to a new region; become_island() is where that would begin.
+// A daemon that refuses leaves this membership an island. If the reason is that it knows nobody, the
+// process begins another membership (reregistration.hpp), and this one ends when nobody uses it.
 
 #include <client/context.hpp>
 #include <client/forked_child.hpp>
+#include <client/reregistration.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/step.hpp>
@@ -63,6 +64,26 @@ void Context::become_island(const Failure& why) noexcept {
     for (const auto& [key, subscription] : subscriptions_) subscription->revoke();
   }
   tell_state(ConnectionState::island);
+  if (why.code != Errc::started_anew) return;
+  is_alone_.store(true, std::memory_order_release);
+  {
+    const std::lock_guard lock(endpoints_);
+    for (const auto& [key, subscription] : subscriptions_) subscription->be_alone();
+  }
+  Reregistration::instance().begin();
+}
+
+void Context::tell_reason(Errc reason) noexcept {
+  if (island_reason_.exchange(reason, std::memory_order_acq_rel) == reason) return;
+  const ConnectionInfo info{ConnectionState::island, reason};
+  const std::lock_guard lock(endpoints_);
+  for (const auto& [key, publisher] : publishers_) publisher->events().connection(info);
+  for (const auto& [key, subscription] : subscriptions_) subscription->events().connection(info);
+}
+
+void Context::stay_island(const Failure& why) noexcept {
+  connection_->refuse(why);
+  tell_reason(why.code);
 }
 
 void Context::reconnect() {

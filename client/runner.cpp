@@ -47,12 +47,15 @@ Result<void> Runner::host_by_thread() {
   if (!thread_.joinable()) {
     UniqueFd epoll(::epoll_create1(EPOLL_CLOEXEC));
     if (!epoll) return fail(Errc::os_failure, "preparing a callback thread", errno);
-    if (Result<void> added = sleeper()->bells().add_to(epoll.get(), 0, 1); !added) return added;
+    if (Result<void> added = sleeper()->add_to(epoll.get(), 0, 1); !added) return added;
     int error = 0;
     try {
       const SignalsBlocked blocked;
-      thread_ = std::thread(
-          [callbacks = callbacks_, epoll = std::move(epoll)] { serve(*callbacks, epoll.get()); });
+      thread_ = std::thread([callbacks = callbacks_, epoll = std::move(epoll)] {
+        serve(*callbacks, epoll.get());
+        // Its number may soon be somebody else's.
+        if (!is_forked_child()) callbacks->sleeper()->remove_from(epoll.get());
+      });
     } catch (const std::system_error& refused) {
       error = refused.code().value();
     } catch (const std::bad_alloc&) {

@@ -2,7 +2,9 @@
 
 #include <client/sparse_region.hpp>
 
+#include <fcntl.h>
 #include <sys/mman.h>
+#include <unistd.h>
 
 #include <cerrno>
 #include <utility>
@@ -18,6 +20,28 @@ Result<SparseRegion> SparseRegion::make(UniqueFd fd, std::uint64_t bytes,
   region.reservation_ = std::move(*reservation);
   region.access_ = access;
   return region;
+}
+
+namespace {
+
+// Nobody else locks a client region.
+struct flock whole(short type) noexcept {
+  struct flock lock {};
+  lock.l_type = type;
+  lock.l_whence = SEEK_SET;
+  return lock;
+}
+
+}  // namespace
+
+void SparseRegion::claim() const noexcept {
+  struct flock lock = whole(F_WRLCK);
+  ::fcntl(fd_.get(), F_OFD_SETLK, &lock);
+}
+
+bool SparseRegion::is_claimed() const noexcept {
+  struct flock lock = whole(F_WRLCK);
+  return ::fcntl(fd_.get(), F_OFD_GETLK, &lock) != 0 || lock.l_type != F_UNLCK;
 }
 
 Result<void> SparseRegion::open(std::uint64_t offset, std::uint64_t bytes) noexcept {

@@ -28,6 +28,11 @@ class SparseRegion {
   /// Makes [offset, offset + bytes) accessible, whole pages. Repeating it is harmless. Errors:
   /// invalid_argument (outside the region), os_failure, lock_limit.
   [[nodiscard]] Result<void> open(std::uint64_t offset, std::uint64_t bytes) noexcept;
+  /// Says to everybody who has this region that this process lives; the kernel takes it back when it
+  /// ends. Where it cannot be said, the process counts as gone for those who ask.
+  void claim() const noexcept;
+  /// Whether the process that claimed it lives. One system call.
+  bool is_claimed() const noexcept;
   std::byte* base() const noexcept { return reservation_.base(); }
 
  private:

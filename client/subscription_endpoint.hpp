@@ -25,6 +25,7 @@
 
 #include <atomic>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -39,12 +40,13 @@ class Link {
  public:
   using Core = dataplane::LinkCore<SharedMemory>;
   Link(const Core::Identity& identity, std::shared_ptr<Peer> peer, std::shared_ptr<Sleeper> sleeper,
-       std::uint64_t quota) noexcept
+       std::uint64_t quota, std::function<void()> wake_control)
       : core_(identity),
         identity_(identity),
         peer_(std::move(peer)),
         sleeper_(std::move(sleeper)),
-        quota_(quota) {}
+        quota_(quota),
+        wake_control_(std::move(wake_control)) {}
 
   std::uint64_t publisher() const noexcept { return identity_.index; }
   std::uint64_t generation() const noexcept { return identity_.generation; }
@@ -60,6 +62,11 @@ class Link {
     if (before == quota_) sleeper_->wake();  // it may take again: what is unread rings nobody
     return before == 1 && closing_.load(std::memory_order_acquire);
   }
+  /// For whoever releases and is told so. Any thread.
+  void wake_control() const noexcept {
+    if (wake_control_) wake_control_();
+  }
+  bool keeps_history() const noexcept { return identity_.offered.transient_local; }
   std::uint64_t held_count() const noexcept { return held_.load(std::memory_order_acquire); }
 
  private:
@@ -70,11 +77,23 @@ class Link {
                                      peer_->heap().window_count() != windows_seen_);
   }
 
+  /// Its publisher adds nothing any more: it has moved, or its process is gone.
+  bool has_ceased_alone() const noexcept {
+    // acquire; pairs with the store behind the last commit of PublisherEndpoint::move_to.
+    return identity_.publisher.intent_op().load(std::memory_order_acquire) == abi::intent_moved ||
+           !peer_->is_alive();
+  }
+  /// function(address, stamp) of the newest messages that are taken or lost; as far back as the
+  /// publisher's history goes.
+  template <class Function>
+  void for_each_handled(Function function) const;
+
   Core core_;
   Core::Identity identity_;
   std::shared_ptr<Peer> peer_;
   std::shared_ptr<Sleeper> sleeper_;
   std::uint64_t quota_;
+  std::function<void()> wake_control_;
   std::uint64_t windows_seen_ = 0;  // when take() was tried last
   std::uint64_t lost_noted_ = 0, malformed_noted_ = 0, unreachable_noted_ = 0;
   std::atomic<std::uint64_t> held_{0};
@@ -90,6 +109,8 @@ struct Received {
   std::shared_ptr<Link> link;
 };
 
+class Context;
+
 class SubscriptionEndpoint {
  public:
   struct Identity {
@@ -103,6 +124,9 @@ class SubscriptionEndpoint {
     std::uint64_t quota;              // messages held at once, per publisher
     std::uint64_t message_bytes = 0;  // sizeof the message object; 0 = any
     std::uint64_t message_alignment = 1;
+    std::function<void()> wake_control = {};      // of the membership; any thread
+    std::shared_ptr<EndpointEvents> events = {};  // of the endpoint that this one continues
+    Context* context = nullptr;                   // its membership
   };
   struct Publisher {
     std::uint64_t index;
@@ -113,13 +137,18 @@ class SubscriptionEndpoint {
     bool from_start;
   };
 
-  SubscriptionEndpoint(const Identity& identity, std::shared_ptr<Sleeper> sleeper) noexcept
-      : self_(identity), sleeper_(std::move(sleeper)) {}
+  SubscriptionEndpoint(const Identity& identity, std::shared_ptr<Sleeper> sleeper)
+      : self_(identity),
+        sleeper_(std::move(sleeper)),
+        events_(identity.events != nullptr ? identity.events : std::make_shared<EndpointEvents>()) {
+  }
   SubscriptionEndpoint(const SubscriptionEndpoint&) = delete;
   SubscriptionEndpoint& operator=(const SubscriptionEndpoint&) = delete;
 
   const Identity& identity() const noexcept { return self_; }
   const Sleeper& sleeper() const noexcept { return *sleeper_; }
+  const std::shared_ptr<Sleeper>& shared_sleeper() const noexcept { return sleeper_; }
+  Context* context() const noexcept { return self_.context; }
 
   // --- control thread
   // ------------------------------------------------------------------------------------------------------------
@@ -156,10 +185,57 @@ class SubscriptionEndpoint {
   std::size_t publisher_count() const noexcept;
   /// Those that are gone and still have something here count as well.
   std::size_t link_count() const noexcept;
-  EndpointEvents& events() noexcept { return events_; }
+  const std::shared_ptr<EndpointEvents>& shared_events() const noexcept { return events_; }
+  EndpointEvents& events() noexcept { return *events_; }
   Departure& departure() noexcept { return departure_; }
 
+  // --- after the daemon's store was lost: docs/decisions/0006. The endpoint that the user has stays,
+  // and takes from its successors in newer memberships what it does not find here any more.
+
+  /// There is no daemon that could say more of this membership.
+  void be_alone() noexcept;
+  /// One of a newer membership; what it gets comes after everything here. False when this is closed.
+  bool add_successor(const std::shared_ptr<SubscriptionEndpoint>& successor);
+  /// The endpoint of that membership: this one, or a successor; null: there is none.
+  std::shared_ptr<SubscriptionEndpoint> in_membership(
+      const Context* context, const std::shared_ptr<SubscriptionEndpoint>& self) const;
+  std::vector<std::shared_ptr<SubscriptionEndpoint>> successors() const;
+  /// In place of collect_unlinked(), when alone: forgets links whose publishers add nothing any more,
+  /// and that are read and released.
+  void collect_alone();
+  /// It is closed or succeeded, and has no link any more.
+  bool is_finished() const noexcept;
+  /// Touches nothing of its membership any more.
+  void finish() noexcept;
+  /// Said of a successor, before add_successor().
+  void continues(const std::shared_ptr<SubscriptionEndpoint>& first) noexcept { first_ = first; }
+  bool is_closed() const noexcept {
+    const std::lock_guard lock(mutex_);
+    return closed_;
+  }
+  void be_succeeded() noexcept { is_succeeded_.store(true, std::memory_order_release); }
+
  private:
+  /// What was taken or lost, so that it is not delivered again as history of the publisher's next queue.
+  struct Handled {
+    std::uint64_t address;
+    std::uint64_t stamp;
+  };
+  struct Successor {
+    std::shared_ptr<SubscriptionEndpoint> endpoint;
+    std::optional<Received> waiting;  // until what is older has been taken
+  };
+  std::optional<Received> take_here() noexcept;
+  std::optional<Received> take_in_order() noexcept;
+  bool has_news_here() const noexcept;
+  bool has_unread() const noexcept;
+  // The deepest history of two publishers. What is beyond may come twice.
+  static constexpr std::size_t handled_count_max = 1024;
+  void remember(const Handled& handled);
+  void absorb(SubscriptionEndpoint& successor) noexcept;
+  bool was_handled(const Received& received) const noexcept;
+  bool has_handled(const Received& received) const noexcept;
+  static void let_go(const Received& received) noexcept;
   bool is_member() const noexcept;
   using Book = journal::AnnouncementBook<SharedMemory>;
   void drop_beyond_depth() noexcept;
@@ -175,7 +251,14 @@ class SubscriptionEndpoint {
   std::uint64_t malformed_before_ = 0;
   std::uint64_t unreachable_before_ = 0;
   bool closed_ = false;
-  EndpointEvents events_;
+  bool is_alone_ = false;
+  bool has_finished_ = false;
+  std::atomic<bool> is_succeeded_{false};
+  std::vector<Successor> successors_;          // oldest first
+  std::weak_ptr<SubscriptionEndpoint> first_;  // of a successor
+  std::vector<Handled> handled_;               // of links that are over; only after a loss
+  std::uint64_t newest_handled_ = 0;
+  const std::shared_ptr<EndpointEvents> events_;
   Departure departure_;
 };
 

@@ -137,6 +137,17 @@ class PublisherCore {
     if (members_[index].attached_generation == generation) members_[index].attached_generation = 0;
   }
 
+  /// Nothing is kept for late joiners any more. The caller makes a pass afterwards.
+  void keep_no_history() noexcept { history_ = 0; }
+  /// The process of a member is gone, and there is no daemon to say so: its holds and what it has not
+  /// read count no more. The caller makes a pass afterwards.
+  void bury(std::uint64_t index, std::uint64_t generation) noexcept {
+    Member& member = members_[index];
+    if (abi::generation_of(member.word) == generation)
+      member.word = abi::pack_member(generation, abi::MemberState::free);
+    detach(index, generation);
+  }
+
   /// True while a message outside the history is allocated: a timer pass may free it.
   bool has_reclaimable() const noexcept {
     const std::uint64_t keep_from = minus_at_least(head_sequence_ + 1, history_, 0);

@@ -198,6 +198,13 @@ class LinkCore {
                                          std::memory_order_release);
   }
 
+  /// Takes no more, and there is no daemon to say so: publishers wait for nothing of it. A sequence has
+  /// 48 bits, so this is beyond every one. No message of this link may be held.
+  void stand_aside() noexcept {
+    cursor_ = std::uint64_t{1} << 62;
+    self_.line.cursor().store(cursor_, std::memory_order_release);
+  }
+
   /// S3: is there anything to take? Called between S2 and the sleep.
   bool has_news() const noexcept { return abi::sequence_of(newest()) >= cursor_; }
 

@@ -39,8 +39,7 @@ Result<void> ExecutorCore::adopt(std::shared_ptr<NodeCallbacks> node) {
     const std::lock_guard lock(mutex_);
     const std::uint64_t tag = ++last_tag_;
     hosted_.reserve(hosted_.size() + 1);
-    if (Result<void> added = node->sleeper()->bells().add_to(epoll_.get(), eventfd_tag, tag);
-        !added)
+    if (Result<void> added = node->sleeper()->add_to(epoll_.get(), eventfd_tag, tag); !added)
       return added;
     hosted_.push_back({node, tag});
   }

@@ -97,7 +97,7 @@ class ExecutorCore {
     const std::lock_guard lock(mutex_);
     std::erase_if(hosted_, [&](const Hosted& hosted) {
       if (!condition(*hosted.node)) return false;
-      hosted.node->sleeper()->bells().remove_from(epoll_.get());
+      hosted.node->sleeper()->remove_from(epoll_.get());
       return true;
     });
   }

@@ -117,7 +117,7 @@ void NodeCallbacks::disarm(Host host) noexcept {
 }
 
 void NodeCallbacks::drain(Host host) noexcept {
-  sleeper_->bells().drain();
+  sleeper_->drain();
   // What a former host takes out of the bell was perhaps meant for the new one.
   const std::lock_guard lock(mutex_);
   if (host_ != host) sleeper_->wake();

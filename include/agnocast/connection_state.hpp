@@ -16,7 +16,7 @@ enum class ConnectionState : std::uint8_t {
   unconnected,   ///< no endpoint was created yet, or this is a forked child
   connected,     ///< as it should be
   reconnecting,  ///< the daemon is away; creations wait for it, for five seconds at most
-  island,        ///< for good: this process reaches only those that it had reached before
+  island,        ///< refused: it reaches those that it had reached before; see island_reason()
 };
 
 /// What a connection callback is told (events.hpp).
@@ -27,9 +27,9 @@ struct ConnectionInfo {
 
 /// Any thread; no system call, no allocation.
 AGNOCAST_PUBLIC ConnectionState connection_state() noexcept;
-/// Why this process is an island: started_anew, revoked, layout_mismatch or permission_denied; ok
-/// as long as it is none. Creations fail with the same code. Any thread; no system call, no
-/// allocation.
+/// Why this process is an island; ok as long as it is none. Revoked, layout_mismatch and
+/// permission_denied are for good, and creations fail with them. Otherwise (started_anew, …) the library
+/// goes to the new daemon by itself, at once or when it has room. Any thread; no system call.
 AGNOCAST_PUBLIC Errc island_reason() noexcept;
 
 }  // namespace agnocast

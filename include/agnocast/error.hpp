@@ -73,7 +73,7 @@ namespace agnocast {
     "raise LimitAS of the unit or ulimit -v, or make [heap] arena_bytes smaller")                  \
   X(switched_off, "agnocast is switched off in this process", "start it without AGNOCAST=off")     \
   X(started_anew, "agnocastd was started anew and does not know this process any more",            \
-    "restart the process; until then its endpoints reach only those that they had reached before") \
+    "nothing: the library goes to it by itself; if that lasts, see island_reason and its log")       \
   X(revoked, "the membership of this process was ended from outside",                              \
     "see the log of agnocastd for who did it and why, then restart the process")
 

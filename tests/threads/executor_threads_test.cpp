@@ -70,12 +70,13 @@ struct Node {
     int pair[2];
     if (::socketpair(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0, pair) != 0) abort();
     datagram.reset(pair[1]);
-    callbacks = std::make_shared<NodeCallbacks>(
-        "/node",
-        std::make_shared<Sleeper>(
-            region.base(), 0, DoorbellReceiver(UniqueFd(::dup(eventfd.get())), UniqueFd(pair[0]))));
+    callbacks = std::make_shared<NodeCallbacks>("/node", std::make_shared<Sleeper>());
+    EXPECT_TRUE(callbacks->sleeper()->add(
+        this, std::make_shared<Sleeper::Place>(
+                  region.base(), 0,
+                  DoorbellReceiver(UniqueFd(::dup(eventfd.get())), UniqueFd(pair[0])))));
     epoll.reset(::epoll_create1(EPOLL_CLOEXEC));
-    EXPECT_TRUE(callbacks->sleeper()->bells().add_to(epoll.get(), 0, 1));
+    EXPECT_TRUE(callbacks->sleeper()->add_to(epoll.get(), 0, 1));
     thread = std::thread([this] { serve(*callbacks, epoll.get()); });
     callbacks->hand_to(callbacks.get());
   }

@@ -169,7 +169,7 @@ class Tool {
       if (!sleeper) return text_of(sleeper.error());
       sleeper_ = *sleeper;
       epoll_.reset(::epoll_create1(EPOLL_CLOEXEC));
-      if (const auto added = sleeper_->bells().add_to(epoll_.get(), 1, 2); !added)
+      if (const auto added = sleeper_->add_to(epoll_.get(), 1, 2); !added)
         return text_of(added.error());
     }
     std::string topic;
@@ -239,7 +239,7 @@ class Tool {
       const int count = ::epoll_wait(epoll_.get(), &event, 1, milliseconds);
       sleeper_->disarm();
       if (count == 0) return "timeout";
-      if (count > 0 && event.data.u64 == 2) sleeper_->bells().drain();
+      if (count > 0 && event.data.u64 == 2) sleeper_->drain();
       if (subscription_->has_news()) return "news";
     }
   }

@@ -34,7 +34,6 @@ using test::eventually;
 using test::ForeignSocket;
 using test::wire_dump;
 
-std::string island(Errc reason) { return "island " + std::to_string(static_cast<int>(reason)); }
 std::string error_of(const std::string& answer) { return answer.substr(0, answer.find(' ', 6)); }
 std::string error(Errc code) { return "error " + std::to_string(static_cast<int>(code)); }
 
@@ -435,36 +434,6 @@ TEST(Rejoin, WhoeverAsksWhileTheDaemonDiesIsAnsweredByTheNext) {
     EXPECT_GT(deaths, 10u);
   }
   test::remove_directory(directory);
-}
-
-TEST(Rejoin, ADaemonThatKnowsNobodyLeavesAnIsland) {
-  auto daemon = std::make_unique<DaemonProcess>();
-  const std::string socket = daemon->socket_path();
-  ClientTool publisher(socket), subscriber(socket);
-  EXPECT_EQ(publisher.ask("state"), "unconnected");
-  ASSERT_EQ(subscriber.ask("sub /t 5"), "ok");
-  ASSERT_EQ(publisher.ask("pub /t 1"), "ok");
-  ASSERT_TRUE(publisher.eventually("matched", "1"));
-  EXPECT_EQ(publisher.ask("state"), "connected");
-  daemon->kill();
-  ASSERT_TRUE(publisher.eventually("state", "reconnecting"));
-  const std::string refused = subscriber.ask("pub /t 1");
-  EXPECT_EQ(error_of(refused), error(Errc::daemon_not_running)) << refused;
-  DaemonProcess other({.socket = socket});
-  for (ClientTool* const client : {&publisher, &subscriber}) {
-    ASSERT_TRUE(client->eventually("state", island(Errc::started_anew)));
-    EXPECT_EQ(error_of(client->ask("sub /u 1")), error(Errc::started_anew));
-  }
-  // More messages than slots: passes are made for ever.
-  for (int number = 1; number <= 500; ++number) {
-    subscriber.tell("wait 10000");
-    ASSERT_EQ(publisher.ask("publish 1 100"), "ok") << number;
-    ASSERT_EQ(subscriber.answer(), "news") << number;
-    ASSERT_EQ(take_all(subscriber), std::to_string(number) + " ");
-  }
-  EXPECT_TRUE(publisher.eventually("allocated", "0"));
-  EXPECT_EQ(subscriber.ask("unsub"), "ok") << "nothing hangs";
-  EXPECT_EQ(publisher.ask("unpub"), "ok");
 }
 
 }  // namespace

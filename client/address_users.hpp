@@ -1,0 +1,50 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// AddressUsers: whose memory lies at which addresses of the arena in this process, and how often.
+//
+// Usually every window is here once. After the daemon's store was lost its owner brings it to the new
+// daemon, and this process has it by two memberships: the same memory at the same place, which must
+// stay until neither needs it. And a daemon that does not know yet who will bring what may give the
+// same addresses to two owners: then the second is not mapped here, because what lies there is in use.
+#pragma once
+
+#include <cstdint>
+#include <mutex>
+#include <vector>
+
+namespace agnocast {
+
+class AddressUsers {
+ public:
+  /// The memory behind a descriptor; all zero if nobody knows.
+  struct File {
+    std::uint64_t device = 0;
+    std::uint64_t inode = 0;
+    friend bool operator==(const File&, const File&) = default;
+  };
+  static File file_of(int fd) noexcept;
+
+  /// Of this process; immortal.
+  static AddressUsers& instance() noexcept;
+
+  /// One more user of [base, base + bytes). False when something else lies in a part of it, or there is
+  /// no memory to note it.
+  [[nodiscard]] bool enter(std::uint64_t base, std::uint64_t bytes, const File& file) noexcept;
+  /// So much of it is mapped now, from its base.
+  void mapped(std::uint64_t base, std::uint64_t bytes) noexcept;
+  /// One user less. The last one's mappings are covered with the reservation.
+  void leave(std::uint64_t base) noexcept;
+
+ private:
+  struct Range {
+    std::uint64_t base;
+    std::uint64_t bytes;
+    File file;
+    std::uint64_t users;
+    std::uint64_t mapped;
+  };
+  std::mutex mutex_;
+  std::vector<Range> ranges_;
+};
+
+}  // namespace agnocast

@@ -1,0 +1,324 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <client/forked_child.hpp>
+#include <client/reregistration.hpp>
+#include <client/user_code.hpp>
+
+#include <algorithm>
+#include <new>
+#include <thread>
+#include <utility>
+
+namespace agnocast {
+namespace {
+
+/// May the same daemon, or the next one, answer otherwise later?
+bool may_change(Errc code) noexcept {
+  switch (code) {
+    case Errc::layout_mismatch:
+    case Errc::permission_denied:
+    case Errc::revoked:
+    case Errc::shut_down:
+    case Errc::protocol_violation:
+    case Errc::invalid_argument:
+      return false;
+    default:  // it is away, has no room, or has given our addresses to somebody else
+      return true;
+  }
+}
+
+template <class Entries, class Gone>
+void forget(Entries& entries, Gone gone) {
+  entries.erase(std::remove_if(entries.begin(), entries.end(), gone), entries.end());
+}
+
+}  // namespace
+
+Reregistration& Reregistration::instance() noexcept {
+  static Reregistration* const all = new Reregistration;
+  return *all;
+}
+
+Reregistration::Request::Request(const EndpointRequest& request)
+    : topic(request.topic), type(request.type), node(request.node), rest(request) {}
+
+EndpointRequest Reregistration::Request::get() const {
+  EndpointRequest request = rest;
+  request.topic = topic;
+  request.type = type;
+  request.node = node;
+  return request;
+}
+
+// --- what there is
+
+void Reregistration::add(const std::shared_ptr<PublisherEndpoint>& publisher,
+                         const EndpointRequest& request, void (*destroy_message)(void*) noexcept) {
+  {
+    const std::lock_guard lock(mutex_);
+    forget(publishers_, [](const Publisher& entry) { return entry.endpoint.expired(); });
+    publishers_.push_back({publisher, Request(request), destroy_message});
+  }
+  check_added(publisher->context());
+}
+
+void Reregistration::add(const std::shared_ptr<SubscriptionEndpoint>& subscription,
+                         const EndpointRequest& request) {
+  {
+    const std::lock_guard lock(mutex_);
+    forget(subscriptions_, [](const Subscription& entry) { return entry.endpoint.expired(); });
+    subscriptions_.push_back({subscription, Request(request)});
+  }
+  check_added(subscription->context());
+}
+
+void Reregistration::add(const std::shared_ptr<Sleeper>& sleeper) {
+  const std::lock_guard lock(mutex_);
+  forget(sleepers_, [](const std::weak_ptr<Sleeper>& entry) { return entry.expired(); });
+  sleepers_.push_back(sleeper);
+}
+
+// It may have been created in a membership that was lost before it was known here.
+void Reregistration::check_added(const Context* context) noexcept {
+  if (context != &Context::instance()) begin();
+}
+
+void Reregistration::release_places(const Context& former) noexcept {
+  const std::lock_guard lock(mutex_);
+  for (const auto& entry : sleepers_) {
+    if (const auto sleeper = entry.lock()) sleeper->remove(&former);
+  }
+}
+
+bool Reregistration::wait_for_next(const Context& lost, Clock::time_point deadline) {
+  std::unique_lock lock(mutex_);
+  return changed_.wait_until(lock, deadline, [&] {
+    return is_hopeless_ || &Context::instance() != &lost;
+  }) && &Context::instance() != &lost;
+}
+
+// --- the thread
+
+void Reregistration::begin() noexcept {
+  const std::lock_guard lock(mutex_);
+  is_wanted_ = true;
+  changed_.notify_all();
+  start();
+}
+
+void Reregistration::go_on() noexcept {
+  const std::lock_guard lock(mutex_);
+  if (is_running_) return;
+  is_wanted_ = true;
+  start();
+}
+
+void Reregistration::start() noexcept {
+  if (is_running_ || is_hopeless_ || exit_has_begun()) return;
+  is_running_ = Context::start_service_thread(
+                    "agnocast-move",
+                    [](void* self) -> void* {
+                      static_cast<Reregistration*>(self)->run();
+                      return nullptr;
+                    },
+                    this) == 0;
+}
+
+void Reregistration::pause(std::chrono::milliseconds duration) {
+  std::unique_lock lock(mutex_);
+  changed_.wait_for(lock, duration, [&] { return is_wanted_; });
+}
+
+void Reregistration::run() noexcept {
+  for (;;) {
+    {
+      const std::lock_guard lock(mutex_);
+      if (!is_wanted_ || is_hopeless_ || exit_has_begun()) {
+        is_running_ = false;
+        return;
+      }
+      is_wanted_ = false;
+    }
+    try {
+      run_once();
+    } catch (const std::bad_alloc&) {
+      begin();
+      std::this_thread::sleep_for(std::chrono::seconds{1});
+    }
+  }
+}
+
+void Reregistration::run_once() {
+  while (Context::instance().is_alone_.load(std::memory_order_acquire) && !exit_has_begun()) {
+    Context& former = Context::instance();
+    const Result<void> began = begin_next(former);
+    if (began) {
+      pause_ = pause_first;
+      break;
+    }
+    const Failure& why = began.error();
+    if (!may_change(why.code)) {
+      former.stay_island(why);
+      const std::lock_guard lock(mutex_);
+      is_hopeless_ = true;
+      changed_.notify_all();
+      return;
+    }
+    if (why.code != Errc::daemon_not_running && why.code != Errc::started_anew)
+      former.tell_reason(why.code);
+    {
+      const std::lock_guard lock(mutex_);
+      is_wanted_ = false;
+    }
+    pause(pause_);
+    pause_ = std::min(pause_ * 2, pause_last);
+  }
+  move_everything(Context::instance());
+}
+
+Result<void> Reregistration::begin_next(Context& former) {
+  std::unique_ptr<Context> next(new Context);
+  next->former_ = &former;
+  next->socket_path_ = former.socket_path_;
+  next->state_.store(ConnectionState::island, std::memory_order_relaxed);
+  next->island_reason_.store(former.island_reason(), std::memory_order_relaxed);
+  next->may_grow_.store(false, std::memory_order_relaxed);
+  {
+    const std::lock_guard lock(former.connecting_);
+    next->scope_ = former.scope_;
+    next->heap_ = former.heap_;
+    next->heap_is_open_.store(former.heap_is_open_.load(std::memory_order_acquire),
+                              std::memory_order_release);
+  }
+  if (Result<void> known = next->become_known(); !known) return known;
+  if (Result<void> brought = next->bring_windows(); !brought) {
+    Heap::leave_region(next->region_.base());
+    Context& dropped = *next.release();  // its thread ends it
+    const auto wake = dropped.wake_;
+    dropped.is_dropped_.store(true, std::memory_order_release);
+    (*wake)();
+    return brought;
+  }
+  next->is_connected_.store(true, std::memory_order_release);
+  Context::present_.store(next.release(), std::memory_order_release);
+  const std::lock_guard lock(mutex_);
+  changed_.notify_all();
+  return {};
+}
+
+// Also what was created meanwhile in a membership that is former by now.
+void Reregistration::move_everything(Context& present) {
+  std::vector<Pending> pending;
+  auto look = std::chrono::milliseconds{1};
+  auto again = std::chrono::milliseconds{1000};  // after a refusal
+  for (bool first = true; !exit_has_begun(); first = false) {
+    if (present.is_alone_.load(std::memory_order_acquire)) {
+      for (const Pending& entry : pending) entry.heir->abandon();
+      return begin();
+    }
+    Result<void> made = make_places(present);
+    if (made) made = make_subscriptions(present);
+    if (made) made = make_publishers(present, pending);
+    if (first) {
+      present.has_begun_.store(true, std::memory_order_release);
+      present.wake_control();
+    }
+    forget(pending, [&](const Pending& entry) { return try_to_move(present, entry); });
+    if (pending.empty()) {
+      // What was refused goes on publishing where it was; the heap does not wait for it.
+      if (!present.may_grow_.exchange(true, std::memory_order_acq_rel)) present.wake_control();
+      if (made) return;
+    }
+    if (!pending.empty()) {
+      pause(look);
+      look = std::min(look * 2, std::chrono::milliseconds{20});
+    } else {
+      pause(again);
+      again = std::min(again * 2, pause_last);
+    }
+    const std::lock_guard lock(mutex_);
+    is_wanted_ = false;
+  }
+}
+
+Result<void> Reregistration::make_places(Context& present) {
+  std::vector<std::shared_ptr<Sleeper>> all;
+  {
+    const std::lock_guard lock(mutex_);
+    for (const auto& entry : sleepers_) {
+      if (auto sleeper = entry.lock()) all.push_back(std::move(sleeper));
+    }
+  }
+  for (const auto& sleeper : all) {
+    if (Result<void> made = present.make_place(*sleeper); !made) return made;
+  }
+  return {};
+}
+
+Result<void> Reregistration::make_subscriptions(Context& present) {
+  std::vector<std::pair<std::shared_ptr<SubscriptionEndpoint>, Request>> all;
+  {
+    const std::lock_guard lock(mutex_);
+    for (const Subscription& entry : subscriptions_) {
+      auto endpoint = entry.endpoint.lock();
+      if (endpoint != nullptr && !endpoint->is_closed() &&
+          endpoint->in_membership(&present, endpoint) == nullptr)
+        all.emplace_back(std::move(endpoint), entry.request);
+    }
+  }
+  Result<void> problem;
+  for (const auto& [endpoint, request] : all) {
+    auto made = present.make_subscription(request.get(), endpoint->shared_sleeper(),
+                                          endpoint->shared_events());
+    if (!made) {
+      problem = tl::unexpected<Failure>(made.error());
+    } else {
+      (*made)->continues(endpoint);
+      if (endpoint->add_successor(*made)) continue;
+      (*made)->close();  // its owner has gone meanwhile
+      present.let_leave(**made);
+    }
+  }
+  return problem;
+}
+
+Result<void> Reregistration::make_publishers(Context& present, std::vector<Pending>& pending) {
+  std::vector<Publisher> all;
+  {
+    const std::lock_guard lock(mutex_);
+    all = publishers_;
+  }
+  Result<void> problem;
+  for (const Publisher& entry : all) {
+    const auto publisher = entry.endpoint.lock();
+    if (publisher == nullptr || publisher->has_ended() ||
+        publisher->present(publisher)->context() == &present ||
+        std::any_of(pending.begin(), pending.end(),
+                    [&](const Pending& other) { return other.publisher == publisher; }))
+      continue;
+    auto made = present.make_publisher(entry.request.get(), entry.destroy_message,
+                                       publisher->shared_events());
+    if (made) {
+      pending.push_back({publisher, *made, Clock::now()});
+    } else {
+      problem = tl::unexpected<Failure>(made.error());
+    }
+  }
+  return problem;
+}
+
+/// True when there is nothing left to do for it.
+bool Reregistration::try_to_move(Context& present, const Pending& pending) {
+  const auto& [publisher, heir, since] = pending;
+  const auto before = publisher->present(publisher);
+  if (!publisher->has_ended()) {
+    if (heir->subscription_count() < before->living_count() && Clock::now() - since < move_patience)
+      return false;
+    if (before->move_to(heir) && before != publisher) publisher->redirect_to(heir);
+    before->context()->wake_control();
+  }
+  if (publisher->has_ended()) present.let_leave(*heir);  // also if that came in between
+  return true;
+}
+
+}  // namespace agnocast

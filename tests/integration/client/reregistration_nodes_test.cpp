@@ -1,0 +1,191 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: a program that knows nothing of daemons goes on when the daemon's store is lost: callbacks in
+// the library's thread and in executors are woken, loans and held messages stay what they are, a
+// stream from another process arrives whole and in order.
+// Method: the public interface, real daemons that are killed with their supervisors and begun anew at
+// the same socket, a second process that publishes.
+
+#include <agnocast/agnocast.hpp>
+#include <tests/integration/client/second_process.hpp>
+#include <tests/support/daemon_process.hpp>
+
+#include <gtest/gtest.h>
+
+#include <chrono>
+#include <cstdint>
+#include <cstdlib>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <thread>
+#include <vector>
+
+namespace agnocast {
+namespace {
+
+using test::eventually;
+using test::Number;
+using test::SecondProcess;
+
+class ReregistrationOfNodes : public testing::Test {
+ protected:
+  // The library is in one process, so all tests here have one place for their daemons.
+  static void SetUpTestSuite() {
+    directory = new std::string(test::make_directory());
+    ::setenv("AGNOCAST_SOCKET", (*directory + "/agnocastd.sock").c_str(), 1);
+    begin();
+  }
+  static void TearDownTestSuite() {
+    delete daemon;
+    test::remove_directory(*directory);
+  }
+  static void begin() {
+    test::DaemonOptions options;
+    options.socket = *directory + "/agnocastd.sock";
+    daemon = new test::DaemonProcess(options);
+  }
+  static void end() {
+    daemon->kill();
+    delete daemon;
+    daemon = nullptr;
+  }
+  static void lose() {
+    end();
+    begin();
+    ASSERT_TRUE(eventually([] { return connection_state() != ConnectionState::connected; }));
+    ASSERT_TRUE(eventually([] { return connection_state() == ConnectionState::connected; }));
+  }
+  static void publish(Publisher<Number>& publisher, std::uint64_t value) {
+    auto number = publisher.borrow_loaned_message();
+    number->value = value;
+    ASSERT_TRUE(publisher.publish(std::move(number)));
+  }
+  static std::string* directory;
+  static test::DaemonProcess* daemon;
+};
+std::string* ReregistrationOfNodes::directory = nullptr;
+test::DaemonProcess* ReregistrationOfNodes::daemon = nullptr;
+
+/// What a callback saw, in the thread that it ran in.
+struct Seen {
+  std::mutex mutex;
+  std::vector<std::uint64_t> values;
+  void add(std::uint64_t value) {
+    const std::lock_guard lock(mutex);
+    values.push_back(value);
+  }
+  std::size_t count() {
+    const std::lock_guard lock(mutex);
+    return values.size();
+  }
+};
+
+std::vector<std::uint64_t> up_to(std::uint64_t last) {
+  std::vector<std::uint64_t> values;
+  for (std::uint64_t value = 1; value <= last; ++value) values.push_back(value);
+  return values;
+}
+
+TEST_F(ReregistrationOfNodes, CallbacksAreWokenWhereverTheySleep) {
+  Node library_node("by_library"), executor_node("by_executor"), talker("talker");
+  Seen by_library, by_executor;
+  const auto one = library_node.create_subscription<Number>(
+      "/woken", 10, [&](ipc_shared_ptr<const Number> number) { by_library.add(number->value); });
+  const auto two = executor_node.create_subscription<Number>(
+      "/woken", 10, [&](ipc_shared_ptr<const Number> number) { by_executor.add(number->value); });
+  const auto polled = talker.create_subscription<Number>("/woken", 1);
+  const auto publisher = talker.create_publisher<Number>("/woken", 10);
+  SingleThreadedExecutor executor;
+  executor.add_node(executor_node);
+  std::thread spins([&] { executor.spin(); });
+  std::uint64_t value = 0;
+  for (int round = 0; round < 4; ++round) {
+    for (int i = 0; i < 3; ++i) {
+      publish(*publisher, ++value);
+      // Each sleeps again before the next one.
+      EXPECT_TRUE(eventually([&] { return by_library.count() == value; })) << value;
+      EXPECT_TRUE(eventually([&] { return by_executor.count() == value; })) << value;
+    }
+    const auto newest = polled->take_data();
+    ASSERT_TRUE(newest);
+    EXPECT_EQ(newest->value, value);
+    lose();
+    EXPECT_TRUE(eventually([&] { return publisher->get_subscription_count() == 3; }));
+  }
+  executor.cancel();
+  spins.join();
+  EXPECT_EQ(by_library.values, up_to(value));
+  EXPECT_EQ(by_executor.values, up_to(value));
+  EXPECT_EQ(one->get_lost_count(), 0u);
+  EXPECT_TRUE(eventually([&] { return one->get_publisher_count() == 1; }));
+}
+
+TEST_F(ReregistrationOfNodes, LoansAndHeldMessagesStayWhatTheyAre) {
+  Node node("holder");
+  const auto subscription = node.create_subscription<Number>("/held", 10);
+  const auto publisher = node.create_publisher<Number>("/held", 10);
+  ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 1; }));
+  publish(*publisher, 1);
+  auto held = subscription->take();
+  ASSERT_TRUE(held);
+  auto loan = publisher->borrow_loaned_message();
+  loan->value = 2;
+  for (int round = 0; round < 2; ++round) {
+    lose();
+    ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 1; }));
+    EXPECT_EQ(held->value, 1u);
+  }
+  const PublishResult published = publisher->publish(std::move(loan));
+  EXPECT_TRUE(published);
+  EXPECT_EQ(published.adopted_bytes, 0u) << "its memory is shared as before";
+  const auto next = subscription->take();
+  ASSERT_TRUE(next);
+  EXPECT_EQ(next->value, 2u);
+  EXPECT_EQ(held->value, 1u);
+  held.reset();
+  publish(*publisher, 3);
+  const auto last = subscription->take();
+  ASSERT_TRUE(last);
+  EXPECT_EQ(last->value, 3u);
+}
+
+TEST_F(ReregistrationOfNodes, AStreamOfAnotherProcessArrivesWhole) {
+  constexpr std::uint64_t count = 200'000;
+  Node node("listener");
+  Seen seen;
+  const auto subscription = node.create_subscription<Number>(
+      "/stream", test::qos_of("20rva"),
+      [&](ipc_shared_ptr<const Number> number) { seen.add(number->value); });
+  SecondProcess other({"publish", "/stream", "20rva", std::to_string(count)});
+  for (int round = 1; round <= 3; ++round) {
+    ASSERT_TRUE(
+        eventually([&] { return seen.count() >= count / 10 * static_cast<unsigned>(round); }));
+    lose();
+  }
+  EXPECT_TRUE(eventually([&] { return seen.count() >= count; }));
+  EXPECT_EQ(seen.values, up_to(count));
+  EXPECT_EQ(subscription->get_lost_count(), 0u);
+}
+
+TEST_F(ReregistrationOfNodes, WhoWantsToKnowIsTold) {
+  Node node("asks");
+  std::mutex mutex;
+  std::vector<ConnectionState> told;
+  SubscriptionOptions options;
+  options.connection_callback([&](ConnectionInfo& info) {
+    const std::lock_guard lock(mutex);
+    told.push_back(info.state);
+  });
+  const auto subscription = node.create_subscription<Number>("/told", 1, options);
+  lose();
+  // What changes again before it was told is told once.
+  EXPECT_TRUE(eventually([&] {
+    const std::lock_guard lock(mutex);
+    return !told.empty() && told.back() == ConnectionState::connected;
+  }));
+  EXPECT_EQ(island_reason(), Errc::ok);
+}
+
+}  // namespace
+}  // namespace agnocast
