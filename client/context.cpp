@@ -324,8 +324,8 @@ Result<void> Context::open_heap() {
         if (!packet.read(window) || packet.packet.descriptor_count != 2)
           return fail(Errc::protocol_violation, "a heap window");
         const auto fds = packet.packet.fds();
-        return found->attach(region_.base(), window.base, window.bytes, fds[0].get(),
-                             std::move(fds[1]), *scope,
+        return found->attach(region_.base(), window.base, window.bytes, std::move(fds[0]),
+                             fds[1].get(), *scope,
                              []() noexcept { Context::instance().wake_control(); });
       });
   if (!opened) return opened;
@@ -349,7 +349,7 @@ Result<void> Context::bring_windows() {
     body.first = window.first;
     Result<void> brought = connection_->request(
         Opcode::bring_window, body, [](Incoming&) { return Result<void>(); }, nullptr, false,
-        window.read_fd);
+        window.write_fd);
     if (!brought) return brought;
   }
   window_count_ = Heap::window_count();
@@ -391,8 +391,8 @@ bool Context::add_window(Incoming& answer) noexcept {
                         UniqueFd());
   const auto fds = answer.packet.fds();
   return heap_
-      ->add_window(region_.base(), opened.window, opened.base, opened.bytes, fds[0].get(),
-                   std::move(fds[1]), opened.first == opened.window)
+      ->add_window(region_.base(), opened.window, opened.base, opened.bytes, std::move(fds[0]),
+                   fds[1].get(), opened.first == opened.window)
       .has_value();
 }
 

@@ -37,7 +37,7 @@ struct Attached {
   std::uint64_t base[abi::window_count_max] = {};
   std::uint64_t length[abi::window_count_max] = {};
   std::uint64_t first[abi::window_count_max] = {};
-  int read_fd[abi::window_count_max] = {};  // never closed, like all of this
+  int write_fd[abi::window_count_max] = {};  // never closed, like all of this
   std::atomic<std::uint64_t> count{0};
   std::atomic<bool> is_last{false};  // the newest window stays the newest
   const agnocast_heaphook_table* hook = nullptr;
@@ -139,14 +139,14 @@ void describe_window(std::byte* client_region, std::uint64_t window, std::uint64
 }
 
 void remember(std::uint64_t window, std::uint64_t base, std::uint64_t length, std::uint64_t first,
-              UniqueFd read_fd) {
+              UniqueFd write_fd) {
   attached.base[window] = base;
   attached.length[window] = length;
   attached.first[window] = first;
   // For as long as the process lives: whatever else a daemon gives there is not mapped here.
   [[maybe_unused]] const bool entered =
-      AddressUsers::instance().enter(base, length, AddressUsers::file_of(read_fd.get()));
-  attached.read_fd[window] = read_fd.release();
+      AddressUsers::instance().enter(base, length, AddressUsers::file_of(write_fd.get()));
+  attached.write_fd[window] = write_fd.release();
 }
 
 template <class Pointer>
@@ -203,14 +203,14 @@ Result<Heap> Heap::find() {
 }
 
 Result<void> Heap::attach(std::byte* client_region, std::uint64_t base, std::uint64_t length,
-                          int write_fd, UniqueFd read_fd, HeapScope scope,
+                          UniqueFd write_fd, int read_fd, HeapScope scope,
                           void (*grown)() noexcept) {
   attached.client_region[0] = client_region;
   attached.grown = grown;
   attached.hook = hook_;
   describe_window(client_region, 0, base, length);
   const agnocast_heaphook_window window{
-      reinterpret_cast<void*>(base),     length, write_fd, read_fd.get(),
+      reinterpret_cast<void*>(base),     length, write_fd.get(), read_fd,
       AGNOCAST_HEAPHOOK_WINDOW_RESERVED, 0};
   const agnocast_heaphook_options options{
       static_cast<std::uint32_t>(scope == HeapScope::all ? AGNOCAST_HEAPHOOK_SCOPE_ALL
@@ -221,7 +221,7 @@ Result<void> Heap::attach(std::byte* client_region, std::uint64_t base, std::uin
     AGNOCAST_CRASH_POINT(C_window_open);
     if (Result<void> opened = result_of(hook_->attach(&window, &options)); !opened) return opened;
     AGNOCAST_CRASH_POINT(C_window_opened);
-    remember(0, base, length, 0, std::move(read_fd));
+    remember(0, base, length, 0, std::move(write_fd));
     attached.count.store(1, std::memory_order_release);
   }
 
@@ -245,25 +245,25 @@ Result<void> Heap::check_interposition() const {
 }
 
 Result<void> Heap::add_window(std::byte* client_region, std::uint64_t window, std::uint64_t base,
-                              std::uint64_t length, int write_fd, UniqueFd read_fd,
+                              std::uint64_t length, UniqueFd write_fd, int read_fd,
                               bool fresh) noexcept {
   describe_window(client_region, window, base, length);
   const agnocast_heaphook_window next{
       reinterpret_cast<void*>(base),
       length,
-      write_fd,
-      read_fd.get(),
+      write_fd.get(),
+      read_fd,
       AGNOCAST_HEAPHOOK_WINDOW_RESERVED | (fresh ? AGNOCAST_HEAPHOOK_WINDOW_FRESH : 0u),
       0};
   // Known before the hook hands out its first address: a message that lies there is resident.
-  remember(window, base, length, fresh ? window : attached.first[window - 1], std::move(read_fd));
+  remember(window, base, length, fresh ? window : attached.first[window - 1], std::move(write_fd));
   attached.count.store(window + 1, std::memory_order_release);
   AGNOCAST_CRASH_POINT(C_window_open);
   Result<void> opened = result_of(hook_->add_window(&next));
   AGNOCAST_CRASH_POINT(C_window_opened);
   if (!opened) {
     attached.count.store(window, std::memory_order_release);
-    UniqueFd gone(attached.read_fd[window]);
+    UniqueFd gone(attached.write_fd[window]);
     AddressUsers::instance().leave(base);
   }
   return opened;
@@ -275,7 +275,7 @@ std::uint64_t Heap::window_count() noexcept {
 
 Heap::Window Heap::window(std::uint64_t number) noexcept {
   return {attached.base[number], attached.length[number], attached.first[number],
-          attached.read_fd[number]};
+          attached.write_fd[number]};
 }
 
 bool Heap::follow(std::byte* client_region) noexcept {

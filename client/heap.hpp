@@ -24,7 +24,7 @@ class Heap {
   /// without locks of ours, must not allocate. Errors: hook_missing, arena_occupied, lock_limit,
   /// os_failure.
   [[nodiscard]] Result<void> attach(std::byte* client_region, std::uint64_t base,
-                                    std::uint64_t length, int write_fd, UniqueFd read_fd,
+                                    std::uint64_t length, UniqueFd write_fd, int read_fd,
                                     HeapScope scope, void (*grown)() noexcept);
   /// Whether ordinary allocations in a scope come from this heap; found out by attach. Errors:
   /// hook_ineffective (malloc or new are not the hook's: somebody else replaced them).
@@ -32,15 +32,15 @@ class Heap {
   /// The next window; a `fresh` one is the only one to allocate from, and to publish from, from now
   /// on, until others are added.
   [[nodiscard]] Result<void> add_window(std::byte* client_region, std::uint64_t window,
-                                        std::uint64_t base, std::uint64_t length, int write_fd,
-                                        UniqueFd read_fd, bool fresh) noexcept;
+                                        std::uint64_t base, std::uint64_t length, UniqueFd write_fd,
+                                        int read_fd, bool fresh) noexcept;
 
   /// A window as another daemon is told of it.
   struct Window {
     std::uint64_t base;
     std::uint64_t length;
     std::uint64_t first;  // of its group
-    int read_fd;          // the heap's
+    int write_fd;         // the heap's
   };
   static std::uint64_t window_count() noexcept;
   static Window window(std::uint64_t number) noexcept;

@@ -132,7 +132,7 @@ class Broker final : private Post {
   [[nodiscard]] Result<Peer*> lost_peer(const Peer& peer, const wire::Rejoin& request);
   [[nodiscard]] Result<void> open_window(Peer& peer, const wire::WindowRequest& request);
   [[nodiscard]] Result<void> bring_window(Peer& peer, const wire::BringWindow& request,
-                                          UniqueFd window);
+                                          const UniqueFd& window);
   [[nodiscard]] Result<WindowRecord> choose_window(ClientIndex client);
   [[nodiscard]] Result<void> open_executor(Peer& peer, const ExecutorRequest& request);
   [[nodiscard]] Result<void> admit_executor(ClientIndex client, const ExecutorRequest& request);

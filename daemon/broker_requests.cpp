@@ -96,7 +96,7 @@ void Broker::serve(Peer& peer, const Request& request, std::span<UniqueFd> fds) 
       served = open_window(peer, body);
     } else if constexpr (std::is_same_v<Body, wire::BringWindow>) {
       id = body.header.request;
-      served = bring_window(peer, body, std::move(fds[0]));  // decode() has counted them
+      served = bring_window(peer, body, fds[0]);  // decode() has counted them
     } else if constexpr (std::is_same_v<Body, ExecutorRequest>) {
       id = body.request;
       served = open_executor(peer, body);
@@ -281,7 +281,8 @@ Result<void> Broker::rejoin(Peer& peer, const wire::Rejoin& request) {
 
 // What lies in a window outlives the daemon that gave it: its owner, which knows nobody here yet, keeps
 // it where it is, and its readers find the same memory at the same place.
-Result<void> Broker::bring_window(Peer& peer, const wire::BringWindow& request, UniqueFd window) {
+Result<void> Broker::bring_window(Peer& peer, const wire::BringWindow& request,
+                                  const UniqueFd& window) {
   const ClientIndex client = *peer.session.client();
   const ClientRecord& record = registry_.client(client);
   const auto done = [&] {
@@ -313,7 +314,7 @@ Result<void> Broker::bring_window(Peer& peer, const wire::BringWindow& request, 
     return refusal(Errc::arena_occupied,
                    "the window at " + hexadecimal(request.base) +
                        " is another process's, or outside [heap] arena_base and arena_bytes");
-  if (auto kept = regions_.bring_window(client, std::move(window)); !kept) {
+  if (auto kept = regions_.bring_window(client, window); !kept) {
     plan_.give_back(request.base);
     return kept;
   }

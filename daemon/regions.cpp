@@ -192,16 +192,19 @@ Result<void> Regions::check_window(int window, std::uint64_t bytes) noexcept {
                        file.st_uid == ::geteuid() &&
                        static_cast<std::uint64_t>(file.st_size) == bytes &&
                        (::fcntl(window, F_GET_SEALS) & seals) == seals &&
-                       (::fcntl(window, F_GETFL) & (O_ACCMODE | O_PATH)) == O_RDONLY;
+                       (::fcntl(window, F_GETFL) & (O_ACCMODE | O_PATH)) == O_RDWR;
   if (is_ours) return {};
   return fail_with(Errc::permission_denied, "this is no window that an agnocastd has made");
 }
 
-Result<void> Regions::bring_window(ClientIndex client, UniqueFd window) {
+Result<void> Regions::bring_window(ClientIndex client, const UniqueFd& window) {
+  auto reader = reopen_read_only(window.get());
+  if (!reader) return tl::unexpected(reader.error());
   std::vector<SharedFd>& readers = clients_[number(client)].window_readers;
-  if (auto kept = store_->put(DescriptorStore::window(client, readers.size()), window.get()); !kept)
+  if (auto kept = store_->put(DescriptorStore::window(client, readers.size()), reader->get());
+      !kept)
     return kept;
-  readers.push_back(share(std::move(window)));
+  readers.push_back(share(std::move(*reader)));
   return {};
 }
 

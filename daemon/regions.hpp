@@ -77,10 +77,11 @@ class Regions {
   /// alone. Errors: os_failure.
   [[nodiscard]] Result<SharedFd> open_window(ClientIndex client, std::uint64_t bytes);
   /// Whether this is what an earlier agnocastd of this user made as a window: sealed memory of that
-  /// size, open for reading alone. Nobody else can make such a thing. Errors: permission_denied.
+  /// size, which nobody else can make; open for writing, as its owner alone was given it. Errors:
+  /// permission_denied.
   [[nodiscard]] static Result<void> check_window(int window, std::uint64_t bytes) noexcept;
   /// A window that its owner has brought and that was checked goes into the store. Errors: os_failure.
-  [[nodiscard]] Result<void> bring_window(ClientIndex client, UniqueFd window);
+  [[nodiscard]] Result<void> bring_window(ClientIndex client, const UniqueFd& window);
   /// The writable descriptor once more: its owner did not get the answer. The same as long as an
   /// answer with it is on its way: who asks without end costs one descriptor. Errors: os_failure.
   [[nodiscard]] Result<SharedFd> window_writer(ClientIndex client, std::uint64_t window);

@@ -257,8 +257,8 @@ constexpr std::uint64_t fingerprint() noexcept {
           Opcode::done, Opcode::refused, Opcode::announce, Opcode::window_announced, Opcode::forget,
           Opcode::orphaned, Opcode::kick, Opcode::notice);
   sum.add(Opcode::rejoin, Opcode::rejoined, Opcode::own, Opcode::region, Opcode::revoked,
-          Opcode::revoke, Opcode::blocked, Opcode::bring_window, Opcode::move_heap, Opcode::read_journal,
-          Opcode::journal_record, Opcode::journal_end);
+          Opcode::revoke, Opcode::blocked, Opcode::bring_window, Opcode::move_heap,
+          Opcode::read_journal, Opcode::journal_record, Opcode::journal_end);
   sum.add(Opcode::observe, Opcode::dump, Opcode::observed, Opcode::dump_daemon,
           Opcode::dump_process, Opcode::dump_topic, Opcode::dump_endpoint, Opcode::dump_user,
           Opcode::dump_end, wire::ProcessState::connected, wire::ProcessState::orphaned,

@@ -16,7 +16,7 @@
 //   hello                 Hello              welcome             board (read), region (write)
 //   rejoin                Rejoin             rejoined            after the connection was lost
 //   open_window           WindowRequest      window_opened       window (write), window (read)
-//   bring_window          BringWindow        done                (comes with: window (read))
+//   bring_window          BringWindow        done                (comes with: window (write))
 //   open_executor         ExecutorRequest    executor_opened     eventfd, datagram socket
 //   create_publisher      CreateEndpoint     endpoint_created
 //   create_subscription   CreateEndpoint     endpoint_created
@@ -198,7 +198,8 @@ struct WindowOpened {
   std::uint64_t first;
 };
 /// A window that a former agnocastd gave this process, with all that lies in it: it keeps its place and
-/// its number. The only request that comes with a descriptor: the window, for reading.
+/// its number. The only request that comes with a descriptor: the window, for writing, which others were
+/// never given.
 struct BringWindow {
   Header header;
   std::uint64_t window;
