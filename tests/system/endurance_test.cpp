@@ -44,8 +44,9 @@ constexpr std::int64_t private_growth_least = 32 << 10;
 // Tables and regions keep the pages of the busiest moment so far: how far the control thread of a
 // client lagged behind, which is the machine's affair. A page left behind by each step would be 360 MiB.
 constexpr std::int64_t shared_growth_max = 64 << 20;
-// Blocks in the caches of the publisher's threads count as live.
-constexpr std::int64_t live_tolerance = 64 << 10;
+// Blocks in the caches of the publisher's threads count as live: 0 to 122 KiB of them were seen. A block
+// left behind by each message would be 16 MB, in the short form 1.6 MB.
+constexpr std::int64_t live_tolerance = 256 << 10;
 // Extents and topics that were open once stay mapped, next to each other or with a gap: how many at
 // once is the lag again. A mapping left behind by each step would be 10,000 at least.
 constexpr std::size_t mapping_tolerance = 32;
