@@ -59,8 +59,10 @@ struct Window {
                       load_frontier<M>(region->base(), 0, window_bytes) & ~(abi::page_bytes - 1));
     require(opened <= window_bytes);
   }
-  bool contains(std::uint64_t address, std::uint64_t size) const {
-    return address >= window_base && size <= opened && address - window_base <= opened - size;
+  dataplane::Place place_of(std::uint64_t address, std::uint64_t size) const {
+    const bool inside =
+        address >= window_base && size <= opened && address - window_base <= opened - size;
+    return inside ? dataplane::Place::readable : dataplane::Place::outside;
   }
 };
 
@@ -148,7 +150,7 @@ void read_from_a_liar(FuzzedDataProvider& input) {
       case 4: {
         const std::uint64_t cursor = link.cursor();
         if (const auto taken = link.take(window)) {
-          require(window.contains(taken->address, taken->size));
+          require(window.place_of(taken->address, taken->size) == dataplane::Place::readable);
           require(taken->slot < abi::slot_count_max && taken->sequence >= cursor);
           require(link.cursor() > cursor);
           held.push_back(taken->slot);
