@@ -206,11 +206,19 @@ std::optional<Received> SubscriptionEndpoint::take_here() noexcept {
 bool SubscriptionEndpoint::has_news() const noexcept {
   if (!is_served()) return false;
   const std::lock_guard lock(mutex_);
-  return has_news_here() ||
-         (!successors_.empty() &&
-          std::any_of(successors_.begin(), successors_.end(), [](const Successor& successor) {
-            return successor.waiting || successor.endpoint->has_news();
-          }));
+  if (has_news_here()) return true;
+  if (successors_.empty()) [[likely]]
+    return false;
+  // What take_in_order() holds back is no news: whoever asks would turn in circles.
+  if (has_unread()) return false;
+  for (std::size_t i = 0; i < successors_.size(); ++i) {
+    const SubscriptionEndpoint& endpoint = *successors_[i].endpoint;
+    if (successors_[i].waiting || endpoint.has_news()) return true;
+    if (i + 1 == successors_.size()) break;
+    const std::lock_guard its_lock(endpoint.mutex_);
+    if (endpoint.has_unread()) return false;
+  }
+  return false;
 }
 
 bool SubscriptionEndpoint::has_news_here() const noexcept {
