@@ -27,6 +27,16 @@ bool may_change(Errc code) noexcept {
   }
 }
 
+/// There is nobody to ask for anything else either.
+bool is_away(const Result<void>& result) noexcept {
+  return !result && (result.error().code == Errc::daemon_not_running ||
+                     result.error().code == Errc::started_anew);
+}
+
+void keep_first(Result<void>& problem, Result<void> next) {
+  if (problem || is_away(next)) problem = std::move(next);
+}
+
 template <class Entries, class Gone>
 void forget(Entries& entries, Gone gone) {
   entries.erase(std::remove_if(entries.begin(), entries.end(), gone), entries.end());
@@ -217,8 +227,9 @@ void Reregistration::move_everything(Context& present) {
       return begin();
     }
     Result<void> made = make_places(present);
-    if (made) made = make_subscriptions(present);
-    if (made) made = make_publishers(present, pending);
+    // What is refused to one endpoint does not keep the others from moving.
+    if (!is_away(made)) keep_first(made, make_subscriptions(present));
+    if (!is_away(made)) keep_first(made, make_publishers(present, pending));
     if (first) {
       present.has_begun_.store(true, std::memory_order_release);
       present.wake_control();
@@ -249,10 +260,12 @@ Result<void> Reregistration::make_places(Context& present) {
       if (auto sleeper = entry.lock()) all.push_back(std::move(sleeper));
     }
   }
+  Result<void> problem;
   for (const auto& sleeper : all) {
-    if (Result<void> made = present.make_place(*sleeper); !made) return made;
+    keep_first(problem, present.make_place(*sleeper));
+    if (is_away(problem)) break;
   }
-  return {};
+  return problem;
 }
 
 Result<void> Reregistration::make_subscriptions(Context& present) {
@@ -272,6 +285,7 @@ Result<void> Reregistration::make_subscriptions(Context& present) {
                                           endpoint->shared_events());
     if (!made) {
       problem = tl::unexpected<Failure>(made.error());
+      if (is_away(problem)) break;
     } else {
       (*made)->continues(endpoint);
       if (endpoint->add_successor(*made)) continue;
@@ -302,6 +316,7 @@ Result<void> Reregistration::make_publishers(Context& present, std::vector<Pendi
       pending.push_back({publisher, *made, Clock::now()});
     } else {
       problem = tl::unexpected<Failure>(made.error());
+      if (is_away(problem)) break;
     }
   }
   return problem;
