@@ -94,6 +94,7 @@ Context& Context::first() noexcept {
   static Context* const context =
       new Context;  // immortal: messages in statics outlive every static of ours
   Context* none = nullptr;
+  context->was_present_.store(true, std::memory_order_release);
   present_.compare_exchange_strong(none, context, std::memory_order_acq_rel);
   return *context;
 }

@@ -190,7 +190,8 @@ class Context {
   void become_island(const Failure& why) noexcept;
   // control thread: a former membership
   bool is_former() const noexcept {
-    return is_alone_.load(std::memory_order_acquire) && present_.load() != this;
+    return was_present_.load(std::memory_order_acquire) &&
+           is_alone_.load(std::memory_order_acquire) && present_.load() != this;
   }
   void run_former_errands();
   bool is_unused();
@@ -228,6 +229,7 @@ class Context {
   bool is_attached(std::uint32_t topic, std::uint64_t subscription, std::uint64_t generation) const;
 
   static std::atomic<Context*> present_;
+  std::atomic<bool> was_present_{false};  // until then whoever begins it ends it
 
   const Context* former_ = nullptr;      // while this membership begins
   std::atomic<bool> is_alone_{false};    // an island whose daemon will not come back

@@ -210,7 +210,9 @@ Result<void> Reregistration::begin_next(Context& former) {
     return brought;
   }
   next->is_connected_.store(true, std::memory_order_release);
-  Context::present_.store(next.release(), std::memory_order_release);
+  Context* const begun = next.release();
+  Context::present_.store(begun, std::memory_order_release);
+  begun->was_present_.store(true, std::memory_order_release);
   const std::lock_guard lock(mutex_);
   changed_.notify_all();
   return {};
