@@ -1,25 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <base/clock.hpp>
 #include <base/step.hpp>
 #include <client/forked_child.hpp>
 #include <client/publisher_endpoint.hpp>
 #include <client/twice_owned.hpp>
 #include <client/user_code.hpp>
 
-#include <time.h>
-
 #include <algorithm>
 #include <utility>
 
 namespace agnocast {
 namespace {
-
-std::uint64_t monotonic_ns() noexcept {
-  timespec now{};
-  ::clock_gettime(CLOCK_MONOTONIC, &now);
-  return static_cast<std::uint64_t>(now.tv_sec) * 1'000'000'000 +
-         static_cast<std::uint64_t>(now.tv_nsec);
-}
 
 constexpr std::uint64_t armed_offset(std::uint64_t executor) noexcept {
   return offsetof(abi::ClientRegionHeader, executor) + executor * sizeof(abi::ExecutorLine);
