@@ -6,13 +6,19 @@
 // with this.
 #pragma once
 
+#include <base/standard_error.hpp>
+
+#include <algorithm>
 #include <cstdio>
 #include <cstdlib>
 
 namespace agnocast {
 
 [[noreturn]] inline void check_failed(const char* what, const char* file, int line) noexcept {
-  std::fprintf(stderr, "agnocast: broken invariant: %s (%s:%d)\n", what, file, line);
+  char text[1024];
+  const int bytes = std::snprintf(text, sizeof text, "agnocast: broken invariant: %s (%s:%d)\n",
+                                  what, file, line);
+  say_on_stderr({text, std::min(sizeof text - 1, static_cast<std::size_t>(bytes))});
   std::abort();
 }
 

@@ -35,10 +35,17 @@ Result<UnixAddress> address_in(const std::string& directory, std::string_view na
   return unix_address({path, bytes});
 }
 
-Result<UniqueFd> connect_to(const UnixAddress& address, socklen_t address_bytes) noexcept {
+Result<UniqueFd> make_socket() noexcept {
   UniqueFd fd(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
   if (!fd) return fail(Errc::os_failure, "making a socket", errno);
-  if (::connect(fd.get(), address.get(), address_bytes) == 0) return fd;
+  return fd;
+}
+
+Result<UniqueFd> connect_to(const UnixAddress& address, socklen_t address_bytes) noexcept {
+  Result<UniqueFd> made = make_socket();
+  if (!made) return made;
+  UniqueFd& fd = *made;
+  if (::connect(fd.get(), address.get(), address_bytes) == 0) return made;
   if (errno == ENOENT || errno == ECONNREFUSED)
     return fail(Errc::endpoint_gone, "connecting to a doorbell", errno);
   return fail(Errc::os_failure, "connecting to a doorbell", errno);
@@ -133,5 +140,7 @@ Result<UniqueFd> connect_doorbell(int receiver) noexcept {
     return fail(Errc::os_failure, "asking a doorbell for its name", errno);
   return connect_to(address, bytes);
 }
+
+Result<UniqueFd> make_mute_doorbell() noexcept { return make_socket(); }
 
 }  // namespace agnocast

@@ -96,5 +96,7 @@ class DoorbellReceiver {
                                                 std::string_view name) noexcept;
 /// Daemon: the same, for a receiver whose name is only known to its socket.
 [[nodiscard]] Result<UniqueFd> connect_doorbell(int receiver) noexcept;
+/// Daemon: one that reaches nobody, for a publisher that rings the eventfd. Errors: os_failure.
+[[nodiscard]] Result<UniqueFd> make_mute_doorbell() noexcept;
 
 }  // namespace agnocast

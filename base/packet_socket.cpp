@@ -183,24 +183,27 @@ Result<void> PacketSocket::want_credentials(bool wanted) const noexcept {
   return pass_credentials(fd_.get(), wanted);
 }
 
-Result<PacketListener> PacketListener::listen(std::string_view path) noexcept {
+Result<PacketListener> PacketListener::bind(std::string_view path) noexcept {
   const auto address = unix_address(path);
   if (!address) return tl::unexpected(address.error());
   UniqueFd fd(::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
   if (!fd) return fail(Errc::os_failure, "making a socket", errno);
-  // bind() gives the entry the mode of the socket's own inode, less the umask: never open to more
-  // people than the caller says, not even for a moment.
-  if (::fchmod(fd.get(), 0600) != 0)
-    return fail(Errc::os_failure, "restricting a socket to its owner", errno);
-  if (::bind(fd.get(), address->get(), UnixAddress::size()) != 0) {
-    if (errno == EADDRINUSE) return fail(Errc::already_running, "binding a socket", errno);
-    if (errno == EACCES || errno == EPERM)
-      return fail(Errc::permission_denied, "binding a socket", errno);
-    return fail(Errc::os_failure, "binding a socket", errno);
-  }
-  if (::listen(fd.get(), SOMAXCONN) != 0)
-    return fail(Errc::os_failure, "listening at a socket", errno);
-  return PacketListener(std::move(fd));
+  // bind() gives the entry the mode of the socket's own inode, which is 0777, less the umask. connect() looks at
+  // the mode first and at whether somebody listens afterwards.
+  const mode_t mask = ::umask(0);
+  const int status = ::bind(fd.get(), address->get(), UnixAddress::size());
+  const int error = errno;
+  ::umask(mask);
+  if (status == 0) return PacketListener(std::move(fd));
+  if (error == EADDRINUSE) return fail(Errc::already_running, "binding a socket", error);
+  if (error == EACCES || error == EPERM)
+    return fail(Errc::permission_denied, "binding a socket", error);
+  return fail(Errc::os_failure, "binding a socket", error);
+}
+
+Result<void> PacketListener::listen() const noexcept {
+  if (::listen(fd_.get(), SOMAXCONN) == 0) return {};
+  return fail(Errc::os_failure, "listening at a socket", errno);
 }
 
 Result<std::optional<PacketSocket>> PacketListener::accept() const noexcept {

@@ -102,10 +102,14 @@ class PacketListener {
   /// Takes over a listening socket (socket activation, or a descriptor store).
   explicit PacketListener(UniqueFd fd) noexcept : fd_(std::move(fd)) {}
 
-  /// Binds and listens at `path`, non-blocking. The entry is made with mode 0600; who else may
-  /// connect is the caller's to widen, as is the removal of a stale entry. Errors: already_running
-  /// (the entry exists), permission_denied, invalid_argument (path), os_failure with errno.
-  [[nodiscard]] static Result<PacketListener> listen(std::string_view path) noexcept;
+  /// Makes a non-blocking socket and its entry at `path`, which is open to everybody and where everybody
+  /// is told that nobody listens. So who comes while the caller says who may connect (chown, chmod)
+  /// hears that it is too early, never that he may not. Removing a stale entry is the caller's.
+  /// The process has umask 0 for a moment. Errors: already_running (the entry exists),
+  /// permission_denied, invalid_argument (path), os_failure with errno.
+  [[nodiscard]] static Result<PacketListener> bind(std::string_view path) noexcept;
+  /// From now on whoever may connect does. Errors: os_failure with errno.
+  [[nodiscard]] Result<void> listen() const noexcept;
   /// The next connection, non-blocking and CLOEXEC; empty when nobody waits. A peer that gave up
   /// meanwhile is passed over. Errors: os_failure with errno (EMFILE, ENFILE: the connection keeps
   /// waiting).

@@ -149,6 +149,23 @@ namespace agnocast {
   X(C_rejoin, "say who this was")                                           \
   X(C_rejoined, "the connection may be used again")                         \
   X(C_revoked, "the membership is over")                                    \
+  X(C_alone, "the daemon's store is lost")                                  \
+  X(C_next, "begin another membership")                                     \
+  X(C_follow, "the heap follows another region")                            \
+  X(C_bring, "bring a window along")                                        \
+  X(C_brought, "a window is brought along")                                 \
+  X(C_present, "another membership becomes the present one")                \
+  X(C_place, "a sleeper gets a place in another membership")                \
+  X(C_successor, "a subscription's successor is made")                      \
+  X(C_succeeded, "a subscription has a successor")                          \
+  X(C_heir, "a publisher's heir is made")                                   \
+  X(C_inherit, "an heir inherits a message")                                \
+  X(C_move, "a publisher moves to its heir")                                \
+  X(C_moved, "a publisher has moved")                                       \
+  X(C_redirect, "a publisher that had moved before hands on to the newest") \
+  X(C_heir_leaves, "the heir of a publisher that has ended leaves")         \
+  X(C_finish, "an endpoint of a former membership is over")                 \
+  X(C_former_end, "a former membership ends")                               \
   /* daemon, between its journaled changes */                               \
   X(B_accepted, "a connection is accepted")                                 \
   X(B_request, "a request is read")                                         \
@@ -156,6 +173,7 @@ namespace agnocast {
   X(B_sent, "a packet is handed over")                                      \
   X(B_ended, "a connection has ended")                                      \
   X(B_reap, "a process has died")                                           \
+  X(B_reaped, "a process's death is dealt with")                            \
   X(B_revoke, "end the membership of a process that lives")                 \
   X(B_recover, "repair a dead publisher's queue")                           \
   X(B_region_made, "a client region exists, without memory")                \

@@ -68,7 +68,7 @@ bool Connection::is_open() const noexcept {
 // A failure is made in the control thread and told in the thread that waits; the detail goes with
 // it.
 tl::unexpected<Failure> Connection::refused() const noexcept {
-  return tl::unexpected(failure_with(refused_, refused_detail_.c_str()));
+  return tl::unexpected(failure_with(refused_, refused_detail_.text));
 }
 
 void Connection::enter(std::span<const std::byte> bytes, const std::shared_ptr<Request>& request) {
@@ -79,7 +79,13 @@ void Connection::enter(std::span<const std::byte> bytes, const std::shared_ptr<R
   put_id(request->bytes, id | abi::wire::asked_again);
   requests_.emplace(id, request);
   AGNOCAST_CRASH_POINT(C_ask);
-  if (is_open_) send(first, request->fd);
+  if (!is_open_) return;
+  try {
+    send(first, request->fd);
+  } catch (const std::bad_alloc&) {
+    requests_.erase(id);  // it refers to a caller who has gone
+    throw;
+  }
 }
 
 Result<void> Connection::request_bytes(std::span<const std::byte> bytes, OnAnswer on_answer,
@@ -107,9 +113,9 @@ Result<void> Connection::request_bytes(std::span<const std::byte> bytes, OnAnswe
     // The control thread is at it in this moment.
     answered_.wait(lock, [&] { return request->done; });
   }
-  if (request->result || request->detail.empty()) return request->result;
+  if (request->result || *request->detail.text == '\0') return request->result;
   const Failure& why = request->result.error();
-  return tl::unexpected(failure_with(why.code, request->detail.c_str(), why.os_errno));
+  return tl::unexpected(failure_with(why.code, request->detail.text, why.os_errno));
 }
 
 void Connection::request_bytes_later(std::span<const std::byte> bytes, OnLater on_answer) {
@@ -132,8 +138,10 @@ void Connection::send(std::span<const std::byte> bytes, int fd) {
       return;  // a peer that is gone: the control thread notices
   }
   // Who asks may have given up when it is sent.
-  unsent_.push_back(
-      {{bytes.begin(), bytes.end()}, UniqueFd(fd >= 0 ? ::fcntl(fd, F_DUPFD_CLOEXEC, 0) : -1)});
+  UniqueFd copy(fd >= 0 ? ::fcntl(fd, F_DUPFD_CLOEXEC, 0) : -1);
+  if (fd >= 0 && !copy)
+    throw std::bad_alloc();  // no descriptor is free: as if there were no memory
+  unsent_.push_back({{bytes.begin(), bytes.end()}, std::move(copy)});
   wake_();
 }
 
@@ -164,6 +172,7 @@ Result<void> Connection::introduce_bytes(std::span<const std::byte> bytes) noexc
 
 void Connection::open() {
   const std::lock_guard lock(mutex_);
+  refused_ = Errc::ok;
   for (const auto& [id, request] : requests_) send(request->bytes, request->fd);
   is_open_ = true;
 }
@@ -184,7 +193,7 @@ void Connection::refuse(const Failure& why) noexcept {
   {
     const std::lock_guard lock(mutex_);
     refused_ = why.code;
-    refused_detail_ = detail_of(why);
+    refused_detail_.keep(why);
     requests.swap(requests_);
   }
   for (const auto& [id, request] : requests) {
@@ -204,9 +213,9 @@ bool Connection::is_waiting(std::uint64_t id) const noexcept {
 
 // --- being answered
 
-void Connection::finish(Request& request, Result<void> result) {
+void Connection::finish(Request& request, Result<void> result) noexcept {
   const std::lock_guard lock(mutex_);
-  if (!result) request.detail = detail_of(result.error());
+  if (!result) request.detail.keep(result.error());
   request.result = std::move(result);
   request.done = true;
   answered_.notify_all();

@@ -8,7 +8,7 @@
 // is registered before it can be announced anything.
 //
 //            begin()               open()                end()
-//   no socket ──────▶ introducing ────────▶ open ──────────────▶ no socket …      refuse(): for good
+//   no socket ──────▶ introducing ────────▶ open ──────────────▶ no socket …      refuse(): until open()
 //
 // A request outlives the socket it was sent on: open() sends what has no answer yet once more, in
 // the order of the ids, marked as asked again; so does it what was asked while there was no socket.
@@ -22,6 +22,7 @@
 #include <base/step.hpp>
 
 #include <array>
+#include <cerrno>
 #include <chrono>
 #include <condition_variable>
 #include <cstddef>
@@ -60,6 +61,12 @@ struct Incoming {
     std::memcpy(&body, bytes.data(), sizeof body);
     return true;
   }
+  /// Why an answer is of no use that has not the body or the descriptors that `what` should have:
+  /// broken, unless this process had no room for the descriptors that came with it.
+  Failure unlike(const char* what) const noexcept {
+    if (packet.descriptors_lost) return {Errc::os_failure, EMFILE, what};
+    return {Errc::protocol_violation, 0, what};
+  }
 };
 
 /// What the daemon refused, in its words: of a packet that is shaped like `refused`.
@@ -75,7 +82,7 @@ class Connection {
 
   /// `wake`: asks the control thread to call flush(); any thread. `path`: of the daemon's socket,
   /// for people.
-  Connection(std::function<void()> wake, std::string path) noexcept
+  Connection(std::function<void()> wake, std::string path)
       : wake_(std::move(wake)), path_(std::move(path)) {}
 
   // --- any thread but the control thread
@@ -145,7 +152,7 @@ class Connection {
   void end() noexcept;
   /// The descriptor is not ours any more: somebody else in this process has closed it.
   void disown_socket() noexcept { (void)socket_.release().release(); }
-  /// Nobody will answer any more, ever: every request fails with `code`, those to come as well.
+  /// Nobody answers any more: every request fails with `why`, those to come as well, until open().
   void refuse(const Failure& why) noexcept;
   /// Whether somebody waits for the answer to this request.
   bool is_waiting(std::uint64_t id) const noexcept;
@@ -165,6 +172,13 @@ class Connection {
  private:
   static constexpr std::uint64_t introduction_id = 1;
 
+  /// Of a failure, for another thread. No allocation: a failure is told also when there is no memory.
+  struct Detail {
+    char text[detail_bytes_max] = "";
+    void keep(const Failure& failure) noexcept {
+      std::strncpy(text, detail_of(failure), sizeof text - 1);
+    }
+  };
   struct Request {
     std::vector<std::byte> bytes;  // as it is sent when it is asked again
     OnAnswer on_answer;            // of request()
@@ -174,7 +188,7 @@ class Connection {
     bool given_up = false;
     bool done = false;
     Result<void> result;
-    std::string detail;
+    Detail detail;
   };
 
   [[nodiscard]] Result<void> request_bytes(std::span<const std::byte> bytes, OnAnswer on_answer,
@@ -185,7 +199,7 @@ class Connection {
   void send(std::span<const std::byte> bytes, int fd = -1);
   Result<void> give_up(Request& request);
   void answer(std::uint64_t id, Incoming& packet);
-  void finish(Request& request, Result<void> result);
+  void finish(Request& request, Result<void> result) noexcept;
   tl::unexpected<Failure> refused() const noexcept;
 
   std::function<void()> wake_;
@@ -199,7 +213,7 @@ class Connection {
   std::uint64_t next_id_ = introduction_id + 1;
   bool is_open_ = false;
   Errc refused_ = Errc::ok;
-  std::string refused_detail_;
+  Detail refused_detail_;
   struct Unsent {
     std::vector<std::byte> bytes;
     UniqueFd fd;

@@ -1,28 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
+//
+// Context: what a process asks for once it is a member: its heap, sleepers and endpoints, and their end.
+// How it becomes a member: joining.cpp; coming back: rejoining.cpp; what it is told: control_thread.cpp.
 
 #include <client/context.hpp>
 
-#include <agnocast/abi/fingerprint.hpp>
-#include <base/signals.hpp>
 #include <base/step.hpp>
 #include <base/text.hpp>
 #include <client/forked_child.hpp>
 #include <client/reregistration.hpp>
-#include <client/user_code.hpp>
-
-#include <pthread.h>
-#include <sys/epoll.h>
-#include <sys/eventfd.h>
-#include <unistd.h>
 
 #include <algorithm>
-#include <cerrno>
-#include <charconv>
 #include <chrono>
-#include <cstdio>
 #include <cstdlib>
 #include <cstring>
-#include <thread>
 #include <utility>
 
 namespace agnocast {
@@ -32,29 +23,6 @@ using wire::Kind;
 using wire::Opcode;
 
 namespace {
-
-std::string socket_path() {
-  if (const char* named = std::getenv("AGNOCAST_SOCKET"); named != nullptr && *named != '\0')
-    return named;
-  constexpr const char* system_socket = "/run/agnocast/agnocastd.sock";
-  if (::access(system_socket, F_OK) == 0) return system_socket;
-  if (const char* runtime = std::getenv("XDG_RUNTIME_DIR"); runtime != nullptr && *runtime == '/') {
-    return std::string(runtime) + "/agnocast/agnocastd.sock";
-  }
-  return system_socket;
-}
-
-// A misspelt domain must not silently be domain 0: its node would meet nobody.
-Result<std::uint64_t> domain_id() {
-  const char* const text = std::getenv("ROS_DOMAIN_ID");
-  if (text == nullptr || *text == '\0') return std::uint64_t{0};
-  std::uint64_t domain = 0;
-  const char* const end = text + std::strlen(text);
-  const auto [stop, problem] = std::from_chars(text, end, domain);
-  if (problem == std::errc() && stop == end) return domain;
-  return fail_with(Errc::invalid_argument,
-                   "ROS_DOMAIN_ID is " + in_quotes(text) + ", which is not a number");
-}
 
 /// The environment may come from whoever starts a setuid program; such a program does not listen.
 Result<HeapScope> scope_from_environment(HeapScope otherwise) {
@@ -66,15 +34,6 @@ Result<HeapScope> scope_from_environment(HeapScope otherwise) {
   return fail_with(Errc::invalid_argument,
                    "AGNOCAST_SCOPE is " + in_quotes(text) + ", which is neither loan nor all");
 }
-
-std::string process_name() {
-  char name[16] = "";
-  ::pthread_getname_np(::pthread_self(), name, sizeof name);
-  return name;
-}
-
-// Destructors of messages run on it. Under mlockall all of it is memory: not the default of 8 MiB.
-constexpr std::size_t control_stack_bytes = std::size_t{1} << 20;
 
 constexpr std::chrono::seconds window_pause_last{60};
 
@@ -110,197 +69,6 @@ ConnectionState Context::state() const noexcept {
 ConnectionState connection_state() noexcept { return Context::instance().state(); }
 Errc island_reason() noexcept { return Context::instance().island_reason(); }
 
-// --- connecting ---
-
-Result<void> Context::connect() {
-  if (Result<void> refused = refuse_forked_child(); !refused) return refused;
-  if (Result<void> refused = refuse_after_exit(); !refused) return refused;
-  const std::lock_guard lock(connecting_);
-  if (is_connected_.load(std::memory_order_relaxed)) return {};
-  if (Result<void> known = recognise_forked_children(); !known) return known;
-  if (Result<void> ends = end_user_code_at_exit(); !ends) return ends;
-  socket_path_ = socket_path();
-  if (Result<void> known = become_known(); !known) return known;
-  is_connected_.store(true, std::memory_order_release);
-  return {};
-}
-
-// A daemon that was there and has died meanwhile comes back: hello has the time of every request.
-Result<void> Context::become_known() {
-  const auto deadline = Reconnection::Clock::now() + Connection::answer_timeout;
-  auto pause = Reconnection::pause_first;
-  for (bool was_there = false;; pause = std::min(pause * 2, Reconnection::pause_last)) {
-    Result<void> done = say_hello(deadline);
-    AGNOCAST_CRASH_POINT(C_thread);
-    if (done) done = start_control_thread();
-    if (done) return done;
-    was_there = was_there || connection_ != nullptr;
-    connection_.reset();
-    region_ = {};
-    arena_.reset();
-    board_ = {};
-    if (done.error().code != Errc::daemon_not_running || !was_there ||
-        Reconnection::Clock::now() + pause >= deadline)
-      return done;
-    std::this_thread::sleep_for(pause);
-  }
-}
-
-Result<void> Context::say_hello(Reconnection::Clock::time_point deadline) {
-  const Result<std::uint64_t> domain = domain_id();
-  if (!domain) return tl::unexpected<Failure>(domain.error());
-  const auto left =
-      std::chrono::ceil<std::chrono::milliseconds>(deadline - Reconnection::Clock::now());
-  Result<PacketSocket> socket =
-      PacketSocket::connect(socket_path_, std::max(left, std::chrono::milliseconds{0}));
-  if (!socket) {
-    const Failure& why = socket.error();
-    return fail_with(why.code, "connecting to " + socket_path_, why.os_errno);
-  }
-  AGNOCAST_CRASH_POINT(C_connect);
-  if (wake_ == nullptr) {
-    auto wake = ControlWake::make();
-    if (!wake) return tl::unexpected<Failure>(wake.error());
-    wake_ = std::move(*wake);
-  }
-  connection_ = std::make_unique<Connection>(waker(), socket_path_);
-  connection_->begin(std::move(*socket));
-
-  wire::Hello hello{};
-  hello.fingerprint = abi::fingerprint();
-  hello.domain = *domain;
-  write_name(hello.process_name, process_name());
-  AGNOCAST_CRASH_POINT(C_hello);
-  if (Result<void> said = connection_->introduce(Opcode::hello, hello); !said) return said;
-  Incoming packet;
-  if (Result<void> first = connection_->receive_first(packet, deadline); !first) {
-    if (first.error().code != Errc::daemon_not_running) return first;
-    return fail_with(Errc::daemon_not_running, socket_path_ + ": " + first.error().what);
-  }
-  wire::Welcome welcome{};
-  if (packet.header().opcode != Opcode::welcome || !packet.read(welcome) ||
-      packet.packet.descriptor_count != 2) {
-    return fail(Errc::protocol_violation, "the welcome of agnocastd");
-  }
-  if (welcome.fingerprint != abi::fingerprint())
-    return fail(Errc::layout_mismatch, "the welcome of agnocastd");
-  incarnation_ = welcome.incarnation;
-  client_ = welcome.client;
-  client_generation_ = welcome.client_generation;
-  if (Result<void> mapped = map_regions(welcome, packet.packet.fds()); !mapped) return mapped;
-  // A connection that ends keeps the place of those who map their region. If it has ended before
-  // now, the daemon may have looked before; if not, it will find the region mapped.
-  return connection_->check_alive();
-}
-
-Result<void> Context::map_regions(const wire::Welcome& welcome, std::span<UniqueFd> fds) {
-  AGNOCAST_CRASH_POINT(C_arena);
-  if (Result<void> reserved = reserve_arena(welcome.arena_base, welcome.arena_bytes); !reserved)
-    return reserved;
-  say_blocked();
-  AGNOCAST_CRASH_POINT(C_regions);
-  Result<SparseRegion> board =
-      SparseRegion::make(std::move(fds[0]), abi::board_bytes, Mapping::Access::read);
-  if (!board) return tl::unexpected<Failure>(board.error());
-  board_ = std::move(*board);
-  if (Result<void> opened = board_.open(0, abi::page_bytes); !opened) return opened;
-  Result<SparseRegion> region = SparseRegion::make(std::move(fds[1]), welcome.client_region_bytes,
-                                                   Mapping::Access::read_write);
-  if (!region) return tl::unexpected<Failure>(region.error());
-  region_ = std::move(*region);
-  region_.claim();
-  return region_.open(0, abi::page_bytes);
-}
-
-Result<void> Context::reserve_arena(std::uint64_t base, std::uint64_t bytes) {
-  const Arena* const before = former_ != nullptr ? former_->arena_.get() : nullptr;
-  if (before != nullptr && before->base() == base && before->bytes() == bytes) {
-    arena_ = former_->arena_;
-    return {};
-  }
-  // What this process has published lies in the former one, and its readers find it nowhere else.
-  if (before != nullptr &&
-      (heap_is_open_.load(std::memory_order_relaxed) ||
-       (base < before->base() + before->bytes() && before->base() < base + bytes)))
-    return fail(Errc::arena_occupied, "agnocastd has another arena than the one before");
-  Result<Arena> arena = Arena::reserve(base, bytes);
-  if (!arena) return tl::unexpected<Failure>(arena.error());
-  arena_ = std::make_shared<const Arena>(std::move(*arena));
-  return {};
-}
-
-Result<void> Context::start_control_thread() {
-  epoll_.reset(::epoll_create1(EPOLL_CLOEXEC));
-  if (!epoll_) return fail(Errc::os_failure, "preparing the control thread", errno);
-  for (const int fd : {connection_->fd(), wake_->fd()}) {
-    if (Result<void> watched = watch(fd); !watched) return watched;
-  }
-  connection_->open();
-  // A further membership is told of when the endpoints are in it.
-  const ConnectionState before = state_.load(std::memory_order_relaxed);
-  if (former_ == nullptr) state_.store(ConnectionState::connected, std::memory_order_release);
-  if (Result<void> started = start_thread(); !started) {
-    state_.store(before, std::memory_order_release);
-    return started;
-  }
-  return {};
-}
-
-Result<void> Context::watch(int fd) noexcept {
-  epoll_event event{};
-  event.events = EPOLLIN;
-  event.data.fd = fd;
-  if (::epoll_ctl(epoll_.get(), EPOLL_CTL_ADD, fd, &event) != 0)
-    return fail(Errc::os_failure, "preparing the control thread", errno);
-  return {};
-}
-
-int Context::start_service_thread(const char* name, void* (*body)(void*), void* argument) noexcept {
-  pthread_attr_t attributes;
-  ::pthread_attr_init(&attributes);
-  ::pthread_attr_setstacksize(&attributes, control_stack_bytes);
-  pthread_t thread{};
-  const int refused = [&] {
-    const SignalsBlocked blocked;
-    return ::pthread_create(&thread, &attributes, body, argument);
-  }();
-  ::pthread_attr_destroy(&attributes);
-  if (refused != 0) return refused;
-  ::pthread_setname_np(thread, name);
-  ::pthread_detach(thread);
-  return 0;
-}
-
-Result<void> Context::start_thread() {
-  const int refused = start_service_thread(
-      "agnocast-ctl",
-      [](void* context) -> void* {
-        auto* const self = static_cast<Context*>(context);
-        self->serve();
-        if (self->is_dropped_.load(std::memory_order_acquire)) delete self;
-        return nullptr;
-      },
-      this);
-  if (refused == 0) return {};
-  // Too many threads, or no room for its stack? Both are EAGAIN.
-  if (const Result<Mapping> stack = Mapping::map_private(control_stack_bytes); !stack)
-    return tl::unexpected<Failure>(stack.error());
-  return fail(Errc::os_failure, "starting the control thread", refused);
-}
-
-// Ahead of all requests: what the daemon gives must not lie there.
-void Context::say_blocked() {
-  for (const Arena::Blocked& range : arena_->blocked()) {
-    wire::Blocked body{};
-    body.base = range.base;
-    body.bytes = range.bytes;
-    write_name(body.what, std::string_view(range.what).substr(0, sizeof body.what.text - 1));
-    connection_->state(Opcode::blocked, body);
-  }
-}
-
-// --- creating and destroying ---
-
 Result<void> Context::set_heap_scope(HeapScope scope) noexcept {
   if (Result<void> refused = refuse_forked_child(); !refused) return refused;
   const std::lock_guard lock(connecting_);
@@ -323,7 +91,7 @@ Result<void> Context::open_heap() {
       connection_->request(Opcode::open_window, request, [&](Incoming& packet) -> Result<void> {
         wire::WindowOpened window{};
         if (!packet.read(window) || packet.packet.descriptor_count != 2)
-          return fail(Errc::protocol_violation, "a heap window");
+          return tl::unexpected(packet.unlike("a heap window"));
         const auto fds = packet.packet.fds();
         return found->attach(region_.base(), window.base, window.bytes, std::move(fds[0]),
                              fds[1].get(), *scope,
@@ -348,9 +116,11 @@ Result<void> Context::bring_windows() {
     body.base = window.base;
     body.bytes = window.length;
     body.first = window.first;
+    AGNOCAST_CRASH_POINT(C_bring);
     Result<void> brought = connection_->request(
         Opcode::bring_window, body, [](Incoming&) { return Result<void>(); }, nullptr, false,
         window.write_fd);
+    AGNOCAST_CRASH_POINT(C_brought);
     if (!brought) return brought;
   }
   window_count_ = Heap::window_count();
@@ -363,10 +133,9 @@ void Context::ask_for_window() {
   if (!heap_is_open_.load(std::memory_order_acquire) || window_asked_ || !may_grow_.load()) return;
   if (move_to_ != window_count_ && !heap_->wants_window()) return;
   if (std::chrono::steady_clock::now() < window_again_) return;
-  window_asked_ = true;
   wire::WindowRequest request{};
   request.window = window_count_;
-  connection_->request_later(Opcode::open_window, request, [this](Result<Incoming*> answer) {
+  const auto on_answer = [this](Result<Incoming*> answer) {
     // All windows that this process may have: no other answer will come.
     if (!answer && answer.error().code == Errc::window_exhausted) return heap_->no_more_windows();
     window_asked_ = false;
@@ -379,7 +148,14 @@ void Context::ask_for_window() {
     // full heap would ask at every errand.
     window_again_ = std::chrono::steady_clock::now() + window_pause_;
     window_pause_ = std::min(window_pause_ * 2, window_pause_last);
-  });
+  };
+  window_asked_ = true;
+  try {
+    connection_->request_later(Opcode::open_window, request, on_answer);
+  } catch (const std::bad_alloc&) {
+    window_asked_ = false;
+    throw;
+  }
 }
 
 bool Context::add_window(Incoming& answer) noexcept {
@@ -436,27 +212,39 @@ auto Context::in_present(Work work) -> decltype(work(instance())) {
   }
 }
 
+/// Also in those to come. Otherwise it is not there.
+template <class Endpoint, class... More>
+void Context::in_all_memberships(const std::shared_ptr<Endpoint>& endpoint, const More&... more) {
+  try {
+    Reregistration::instance().add(endpoint, more...);
+  } catch (const std::bad_alloc&) {
+    destroy(endpoint);
+    throw;
+  }
+}
+
 Result<std::shared_ptr<PublisherEndpoint>> Context::create_publisher(
     const EndpointRequest& request, void (*destroy_message)(void*) noexcept) {
   auto made = in_present(
-      [&](Context& present) { return present.make_publisher(request, destroy_message, nullptr); });
-  if (made) Reregistration::instance().add(*made, request, destroy_message);
+      [&](Context& present) { return present.make_publisher(request, destroy_message, {}); });
+  if (made) in_all_memberships(*made, request, destroy_message);
   return made;
 }
 
 Result<std::shared_ptr<SubscriptionEndpoint>> Context::create_subscription(
     const EndpointRequest& request, std::shared_ptr<Sleeper> sleeper) {
-  auto made = in_present(
-      [&](Context& present) { return present.make_subscription(request, sleeper, nullptr); });
-  if (made) Reregistration::instance().add(*made, request);
+  auto made =
+      in_present([&](Context& present) { return present.make_subscription(request, sleeper, {}); });
+  if (made) in_all_memberships(*made, request);
   return made;
 }
 
 Result<std::shared_ptr<Sleeper>> Context::create_sleeper() {
-  auto sleeper = std::make_shared<Sleeper>();
-  Result<void> made = in_present([&](Context& present) { return present.make_place(*sleeper); });
+  auto sleeper = Sleeper::make();
+  if (!sleeper) return sleeper;
+  Result<void> made = in_present([&](Context& present) { return present.make_place(**sleeper); });
   if (!made) return tl::unexpected<Failure>(made.error());
-  Reregistration::instance().add(sleeper);
+  Reregistration::instance().add(*sleeper);
   return sleeper;
 }
 
@@ -477,9 +265,22 @@ Result<std::shared_ptr<Sleeper>> Context::idle_sleeper() {
   return idle->sleeper;
 }
 
+/// Of one that continues none: nobody else has the same, in whatever membership.
+std::uint64_t Context::lineage_of(const Continued& continued, const wire::EndpointCreated& made,
+                                  Kind kind) const noexcept {
+  std::uint64_t sum = continued.lineage;
+  if (sum == 0) {
+    for (const std::uint64_t part : {incarnation_, client_, std::uint64_t{made.topic}, made.index,
+                                     made.generation, static_cast<std::uint64_t>(kind)}) {
+      sum = (sum ^ part) * 0x9e3779b97f4a7c15;
+      sum ^= sum >> 29;
+    }
+  }
+  return sum != 0 ? sum : 1;
+}
+
 Result<std::shared_ptr<PublisherEndpoint>> Context::make_publisher(
-    const EndpointRequest& request, void (*destroy_message)(void*) noexcept,
-    std::shared_ptr<EndpointEvents> events) {
+    const EndpointRequest& request, void (*destroy_message)(void*) noexcept, Continued continued) {
   if (Result<void> connected = connect(); !connected)
     return tl::unexpected<Failure>(connected.error());
   if (Result<void> heap = open_heap(); !heap) return tl::unexpected<Failure>(heap.error());
@@ -508,8 +309,9 @@ Result<std::shared_ptr<PublisherEndpoint>> Context::make_publisher(
                                                      request.qos,
                                                      made.slot_count,
                                                      0};
-        publisher = std::make_shared<PublisherEndpoint>(
-            PublisherEndpoint::Identity{core, made.topic, destroy_message, waker(), events, this});
+        publisher = std::make_shared<PublisherEndpoint>(PublisherEndpoint::Identity{
+            core, made.topic, destroy_message, waker(), continued.events, this,
+            lineage_of(continued, made, Kind::publisher)});
         const std::lock_guard lock(endpoints_);
         AGNOCAST_CRASH_POINT(C_registered);
         publishers_[{made.topic, made.index}] = publisher;
@@ -521,8 +323,7 @@ Result<std::shared_ptr<PublisherEndpoint>> Context::make_publisher(
 }
 
 Result<std::shared_ptr<SubscriptionEndpoint>> Context::make_subscription(
-    const EndpointRequest& request, const std::shared_ptr<Sleeper>& sleeper,
-    std::shared_ptr<EndpointEvents> events) {
+    const EndpointRequest& request, const std::shared_ptr<Sleeper>& sleeper, Continued continued) {
   if (Result<void> connected = connect(); !connected)
     return tl::unexpected<Failure>(connected.error());
   // The sleeper may be older than this membership.
@@ -553,8 +354,9 @@ Result<std::shared_ptr<SubscriptionEndpoint>> Context::make_subscription(
                                            request.message_bytes,
                                            request.message_alignment,
                                            waker(),
-                                           events,
-                                           this},
+                                           continued.events,
+                                           this,
+                                           lineage_of(continued, made, Kind::subscription)},
             sleeper);
         const std::lock_guard lock(endpoints_);
         AGNOCAST_CRASH_POINT(C_registered);
@@ -581,6 +383,8 @@ Result<void> Context::make_place(Sleeper& sleeper) {
   if (Result<void> connected = connect(); !connected) return connected;
   const std::lock_guard making(places_making_);
   if (sleeper.index_in(this)) return {};
+  if (is_alone_.load(std::memory_order_acquire))
+    return fail(Errc::started_anew, "agnocastd has lost what it knew");
   wire::ExecutorRequest request{};
   bool again = false;
   std::unique_ptr<Sleeper::Place> place;
@@ -612,7 +416,7 @@ Result<void> Context::make_place(Sleeper& sleeper) {
       [&](Incoming& packet) -> Result<void> {
         if (packet.header().opcode != Opcode::executor_opened ||
             packet.packet.descriptor_count != 2) {
-          return fail(Errc::protocol_violation, "a new executor");
+          return tl::unexpected(packet.unlike("a new executor"));
         }
         const auto fds = packet.packet.fds();
         AGNOCAST_CRASH_POINT(C_sleeper);
@@ -665,8 +469,11 @@ void Context::destroy(const std::shared_ptr<PublisherEndpoint>& publisher) noexc
 void Context::destroy(const std::shared_ptr<SubscriptionEndpoint>& subscription) noexcept {
   if (!is_connected()) return;
   subscription->close();
-  for (const auto& successor : subscription->successors())
-    successor->context()->let_leave(*successor);
+  // The newest first: an old one that ends meanwhile makes none be skipped.
+  for (std::size_t i = subscription->successor_count(); i-- > 0;) {
+    if (const auto successor = subscription->successor(i); successor != nullptr)
+      successor->context()->let_leave(*successor);
+  }
   subscription->context()->let_leave(*subscription);
 }
 

@@ -65,6 +65,12 @@ struct EndpointRequest {
 /// and hook. Errors: invalid_argument: it is neither on nor off.
 [[nodiscard]] Result<bool> is_switched_off() noexcept;
 
+/// What an endpoint of a further membership has from the one that it continues.
+struct Continued {
+  std::uint64_t lineage = 0;  // 0: it continues none
+  std::shared_ptr<EndpointEvents> events;
+};
+
 class Context {
  public:
   /// The present one of this process. Any thread.
@@ -74,7 +80,7 @@ class Context {
   }
 
   /// Any of the following connects first if need be. Errors of all: daemon_not_running,
-  /// layout_mismatch, arena_occupied, lock_limit, address_limit, permission_denied, quota_exceeded,
+  /// layout_mismatch, store_damaged, arena_occupied, lock_limit, address_limit, permission_denied, quota_exceeded,
   /// limit_reached, shut_down (forked child, exit handlers), invalid_argument (ROS_DOMAIN_ID), os_failure,
   /// started_anew and revoked (an island), and what is named. While a new membership begins they wait
   /// for it, as for a daemon that is away.
@@ -107,6 +113,9 @@ class Context {
   }
   /// How publish adopts foreign memory. Only after a publisher was created.
   SharedHeap shared_heap() const noexcept { return heap_->shared_heap(); }
+  /// Of a former membership: how many of the heap's windows its daemon has told others of. Readers in
+  /// it have these and no more.
+  std::uint64_t announced_windows() const noexcept { return window_count_; }
   /// False in a forked child, and before the first endpoint.
   bool is_connected() const noexcept;
   ConnectionState state() const noexcept;
@@ -132,17 +141,25 @@ class Context {
   };
   using StrangerKey = std::pair<abi::wire::Kind, EndpointKey>;
 
+  /// Ends a membership that has not become the present one.
+  struct Drop {
+    void operator()(Context* context) const noexcept;
+  };
+
   Context() = default;
   static Context& first() noexcept;
   /// Does `work` with the present membership, and once more with the next one if it is lost.
   template <class Work>
   static auto in_present(Work work) -> decltype(work(instance()));
+  template <class Endpoint, class... More>
+  void in_all_memberships(const std::shared_ptr<Endpoint>& endpoint, const More&... more);
   Result<std::shared_ptr<PublisherEndpoint>> make_publisher(const EndpointRequest& request,
                                                             void (*destroy_message)(void*) noexcept,
-                                                            std::shared_ptr<EndpointEvents> events);
+                                                            Continued continued);
   Result<std::shared_ptr<SubscriptionEndpoint>> make_subscription(
-      const EndpointRequest& request, const std::shared_ptr<Sleeper>& sleeper,
-      std::shared_ptr<EndpointEvents> events);
+      const EndpointRequest& request, const std::shared_ptr<Sleeper>& sleeper, Continued continued);
+  std::uint64_t lineage_of(const Continued& continued, const abi::wire::EndpointCreated& made,
+                           abi::wire::Kind kind) const noexcept;
   Result<void> make_place(Sleeper& sleeper);
   void let_leave(PublisherEndpoint& publisher) noexcept;
   void let_leave(SubscriptionEndpoint& subscription) noexcept;
@@ -234,11 +251,15 @@ class Context {
   const Context* former_ = nullptr;      // while this membership begins
   std::atomic<bool> is_alone_{false};    // an island whose daemon will not come back
   std::atomic<bool> has_begun_{false};   // a further one: what moves here is here
+  std::atomic<bool> tells_{true};        // its state; a further one does not before it has begun
   std::atomic<bool> may_grow_{true};     // its heap: not before all publishers have moved here
   std::atomic<bool> is_dropped_{false};  // it never became the present one: gone with its thread
+  bool has_thread_ = false;
   mutable std::mutex connecting_;
   std::atomic<bool> is_connected_{false};  // a forked child inherits it
-  std::string socket_path_;
+  // As found by the first membership.
+  std::string socket_path_, process_name_;
+  std::uint64_t domain_ = 0;
   std::unique_ptr<Connection> connection_;
   std::shared_ptr<const Arena> arena_;  // several memberships may have the same
   SparseRegion board_, region_;

@@ -33,6 +33,8 @@ constexpr int timer_last_ms = 1000;
 constexpr int link_look_first_ms = 1;
 // Looks at a socket that the daemon has not read empty.
 constexpr int output_look_ms = 10;
+// Before the next turn when there is no memory.
+constexpr int memory_pause_ms = 10;
 // Looks at what is left of a membership without a daemon.
 constexpr int former_look_ms = 20;
 
@@ -47,6 +49,7 @@ void Context::serve() noexcept {
     } catch (const std::bad_alloc&) {
       // A packet may be half done. After a new connection the daemon says again what counts.
       lose_connection();
+      ::poll(nullptr, 0, memory_pause_ms);
     }
   }
 }
@@ -188,23 +191,24 @@ std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
                                        std::span<UniqueFd> fds, std::size_t& used) {
   used = 1 + announcement.window_count;
   if (announcement.window_count > abi::window_count_max || fds.size() < used) return nullptr;
-  KnownPeer& known = peers_[{announcement.client, announcement.client_generation}];
-  if (known.peer == nullptr) {
+  const std::pair key{announcement.client, announcement.client_generation};
+  auto found = peers_.find(key);
+  if (found == peers_.end()) {
+    KnownPeer known;
+    known.users = std::make_shared<std::atomic<std::uint64_t>>(0);
     if (is_self(announcement.client, announcement.client_generation)) {
       known.peer = std::make_unique<Peer>(client_, client_generation_, region_.base());
     } else {
       AGNOCAST_CRASH_POINT(C_peer_map);
       Result<SparseRegion> region =
           SparseRegion::make(std::move(fds[0]), std::uint64_t{1} << 30, Mapping::Access::read);
-      if (!region || !region->open(0, abi::page_bytes)) {
-        peers_.erase({announcement.client, announcement.client_generation});
-        return nullptr;
-      }
+      if (!region || !region->open(0, abi::page_bytes)) return nullptr;
       known.peer = std::make_unique<Peer>(announcement.client, announcement.client_generation,
                                           std::move(*region));
     }
-    known.users = std::make_shared<std::atomic<std::uint64_t>>(0);
+    found = peers_.emplace(key, std::move(known)).first;
   }
+  KnownPeer& known = found->second;
   for (std::uint32_t i = 0; i < announcement.window_count; ++i) {
     const auto& window = announcement.window[i];
     if (!add_window_of(known, {i, window.base, window.bytes, window.first}, std::move(fds[1 + i])))
@@ -423,6 +427,7 @@ void Context::run_errands() {
   if (has_begun_.load(std::memory_order_acquire) &&
       reconnection_.state() == Reconnection::State::connected) {
     has_begun_.store(false, std::memory_order_relaxed);
+    tells_.store(true, std::memory_order_release);
     island_reason_.store(Errc::ok, std::memory_order_release);
     tell_state(ConnectionState::connected);
   }
@@ -505,7 +510,9 @@ void Context::run_former_errands() {
   for (const auto& publisher : publishers()) {
     publisher->bury_dead();
     if (!publisher->is_finished()) continue;
+    AGNOCAST_CRASH_POINT(C_finish);
     publisher->finish();
+    AGNOCAST_CRASH_POINT(C_finish);
     const std::lock_guard lock(endpoints_);
     publishers_.erase({publisher->topic_index(), publisher->identity().index});
   }
@@ -517,7 +524,9 @@ void Context::run_former_errands() {
   for (const auto& subscription : subscriptions) {
     subscription->collect_alone();
     if (!subscription->is_finished()) continue;
+    AGNOCAST_CRASH_POINT(C_finish);
     subscription->finish();
+    AGNOCAST_CRASH_POINT(C_finish);
     const std::lock_guard lock(endpoints_);
     subscriptions_.erase({subscription->identity().topic_index, subscription->identity().index});
   }
@@ -538,11 +547,14 @@ bool Context::let_go_of_everything() {
     if (lent_places_ != 0) return false;  // in a moment
     unused_places_.clear();
   }
+  AGNOCAST_CRASH_POINT(C_former_end);
   Heap::leave_region(region_.base());
+  AGNOCAST_CRASH_POINT(C_former_end);
   strangers_.clear();
   region_ = {};
   board_ = {};
   arena_.reset();
+  AGNOCAST_CRASH_POINT(C_former_end);
   epoll_.reset();
   ControlWake::give_back(wake_);
   return true;

@@ -5,7 +5,6 @@
 #pragma once
 
 #include <atomic>
-#include <utility>
 
 namespace agnocast {
 
@@ -19,8 +18,15 @@ class Departure {
   // --- control thread
   bool is_wanted() const noexcept { return wanted_.load(std::memory_order_acquire); }
   void known() noexcept { known_.store(true, std::memory_order_release); }
-  /// Is it to be said now? True once.
-  bool is_due() noexcept { return is_wanted() && !is_known() && !std::exchange(is_said_, true); }
+  /// It does not: it was somebody else who refused to hear of it. To be said again.
+  void forgotten() noexcept {
+    known_.store(false, std::memory_order_release);
+    is_said_ = false;
+  }
+  /// Is it to be said now?
+  bool is_due() const noexcept { return is_wanted() && !is_known() && !is_said_; }
+  /// The connection has it.
+  void said() noexcept { is_said_ = true; }
 
  private:
   std::atomic<bool> wanted_{false}, known_{false};

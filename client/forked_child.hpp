@@ -10,6 +10,9 @@
 // nothing, destructors let go of nothing but memory. The answer comes from a page that the kernel
 // wipes at fork, so children of _Fork and clone are known too; it costs two loads.
 //
+// A descriptor that says something of this process by being open is closed in the child before fork
+// returns there (pthread_atfork). Children of _Fork and clone keep it until they call exec or end.
+//
 // The same page says that the membership was revoked, so nobody on the data path looks twice:
 // publish says revoked, take finds nothing; what is held stays, and is let go of as always.
 #pragma once
@@ -24,6 +27,12 @@ namespace agnocast {
 /// From now on children of this process are known. Once, before anything that a child could harm.
 /// Errors: os_failure.
 [[nodiscard]] Result<void> recognise_forked_children() noexcept;
+
+/// Children of fork close this descriptor from now on. After recognise_forked_children(). Any thread.
+/// Errors: limit_reached.
+[[nodiscard]] Result<void> close_in_forked_children(int fd) noexcept;
+/// No longer; to be said before it is closed here. Any thread.
+void leave_to_forked_children(int fd) noexcept;
 
 namespace detail {
 // Before that: a word that always says `served`.

@@ -11,12 +11,16 @@
 
 #include <dlfcn.h>
 
+#include <algorithm>
 #include <atomic>
 #include <cerrno>
+#include <chrono>
 #include <cstdlib>
+#include <iterator>
 #include <memory>
 #include <new>
 #include <string>
+#include <thread>
 #include <utility>
 
 namespace agnocast {
@@ -31,8 +35,9 @@ constexpr std::size_t regions_max = 8;
 // One heap per process, for its whole life; the hook keeps pointers to these.
 struct Attached {
   // Of each membership that readers may still look at; more than one after the daemon's store was lost.
-  std::byte* client_region[regions_max] = {};
-  std::atomic_flag regions_changing = ATOMIC_FLAG_INIT;
+  // A growth takes no lock: it runs in whatever thread allocates, and waits for nobody.
+  std::atomic<std::byte*> client_region[regions_max] = {};
+  std::atomic<std::uint64_t> growths{0};  // begun and ended; odd: one is under way
   void (*grown)() noexcept = nullptr;
   std::uint64_t base[abi::window_count_max] = {};
   std::uint64_t length[abi::window_count_max] = {};
@@ -48,27 +53,18 @@ Attached attached;
 // For SharedAllocator, in any thread: the hook, once its heap is open.
 std::atomic<const agnocast_heaphook_table*> open_hook{nullptr};
 
-// Held for a few stores: growth is rare, and followed regions change once in a daemon's life.
-class ChangingRegions {
- public:
-  ChangingRegions() noexcept {
-    while (attached.regions_changing.test_and_set(std::memory_order_acquire)) {
-    }
-  }
-  ~ChangingRegions() { attached.regions_changing.clear(std::memory_order_release); }
-  ChangingRegions(const ChangingRegions&) = delete;
-  ChangingRegions& operator=(const ChangingRegions&) = delete;
-};
-
-// In whatever thread allocates, under the allocator's locks.
+// In whatever thread allocates, under the allocator's locks, one call at a time.
 void store_grown(void* context, std::uint32_t window, std::uint64_t bytes) {
-  const auto& heap = *static_cast<Attached*>(context);
-  {
-    const ChangingRegions changing;
-    for (std::byte* const region : heap.client_region) {
-      if (region != nullptr) dataplane::store_frontier<SharedMemory>(region, window, bytes);
-    }
+  auto& heap = *static_cast<Attached*>(context);
+  // [sync:growth] seq_cst, as what follow() and leave_region() do in the other order. A region that is not seen here
+  // belongs to a follow() that sees this growth, and gets the frontier from the hook; one that is seen
+  // belongs to a leave_region() that waits.
+  heap.growths.fetch_add(1, std::memory_order_seq_cst);
+  for (const auto& entry : heap.client_region) {
+    std::byte* const region = entry.load(std::memory_order_seq_cst);
+    if (region != nullptr) dataplane::store_frontier<SharedMemory>(region, window, bytes);
   }
+  heap.growths.fetch_add(1, std::memory_order_release);
   if (heap.grown != nullptr) heap.grown();
 }
 
@@ -157,17 +153,21 @@ bool lies_in_heap(const agnocast_heaphook_table& hook, Pointer block) noexcept {
 // LoanPauses of the calling thread. Adoption lifts them: publish works during a pause as well.
 thread_local std::uint64_t pause_count = 0;
 
+/// Grows by each allocation that came from elsewhere, and by each move of the heap: what was allocated
+/// before it lies where readers of what comes after it may not look.
+std::uint64_t strays() noexcept { return attached.hook->spilled() + attached.hook->first_window(); }
+
 std::uint64_t begin_adoption(void*) noexcept {
   AGNOCAST_CRASH_POINT(C_adopt);
   for (std::uint64_t i = 0; i < pause_count; ++i) attached.hook->resume();
   attached.hook->enter();
-  return attached.hook->spilled();
+  return strays();
 }
 std::uint64_t end_adoption(void*) noexcept {
   AGNOCAST_CRASH_POINT(C_adopted);
   attached.hook->leave();
   for (std::uint64_t i = 0; i < pause_count; ++i) attached.hook->pause();
-  return attached.hook->spilled();
+  return strays();
 }
 WindowSet windows(void*) noexcept {
   // What lies in windows that were given up is foreign: a reader of the message may not have them.
@@ -205,7 +205,7 @@ Result<Heap> Heap::find() {
 Result<void> Heap::attach(std::byte* client_region, std::uint64_t base, std::uint64_t length,
                           UniqueFd write_fd, int read_fd, HeapScope scope,
                           void (*grown)() noexcept) {
-  attached.client_region[0] = client_region;
+  attached.client_region[0].store(client_region, std::memory_order_seq_cst);
   attached.grown = grown;
   attached.hook = hook_;
   describe_window(client_region, 0, base, length);
@@ -279,24 +279,36 @@ Heap::Window Heap::window(std::uint64_t number) noexcept {
 }
 
 bool Heap::follow(std::byte* client_region) noexcept {
-  const ChangingRegions changing;
-  for (std::byte*& region : attached.client_region) {
-    if (region != nullptr) continue;
-    for (std::uint64_t i = 0; i < window_count(); ++i) {
-      describe_window(client_region, i, attached.base[i], attached.length[i]);
-      dataplane::store_frontier<SharedMemory>(
-          client_region, i, attached.hook->frontier(static_cast<std::uint32_t>(i)));
-    }
-    region = client_region;
-    return true;
+  const std::uint64_t count = window_count();
+  for (std::uint64_t i = 0; i < count; ++i)
+    describe_window(client_region, i, attached.base[i], attached.length[i]);
+  AGNOCAST_CRASH_POINT(C_follow);
+  const bool is_followed = std::any_of(
+      std::begin(attached.client_region), std::end(attached.client_region), [&](auto& entry) {
+        std::byte* none = nullptr;
+        return entry.compare_exchange_strong(none, client_region, std::memory_order_seq_cst);
+      });
+  if (!is_followed) return false;
+  AGNOCAST_CRASH_POINT(C_follow);
+  // [sync:growth] Who did not see the region has stored the frontier in the hook before.
+  attached.growths.load(std::memory_order_seq_cst);
+  for (std::uint64_t i = 0; i < count; ++i) {
+    std::uint64_t none = 0;  // or a growth has stored a newer one
+    dataplane::frontier_word<SharedMemory>(client_region, i)
+        .compare_exchange_strong(none, attached.hook->frontier(static_cast<std::uint32_t>(i)),
+                                 std::memory_order_release, std::memory_order_relaxed);
   }
-  return false;
+  return true;
 }
 
 void Heap::leave_region(std::byte* client_region) noexcept {
-  const ChangingRegions changing;
-  for (std::byte*& region : attached.client_region) {
-    if (region == client_region) region = nullptr;
+  for (auto& entry : attached.client_region) {
+    std::byte* left = client_region;
+    if (!entry.compare_exchange_strong(left, nullptr, std::memory_order_seq_cst)) continue;
+    // [sync:growth] One that is under way may have seen it. Asleep: whoever grows the heap may be less urgent.
+    const std::uint64_t now = attached.growths.load(std::memory_order_seq_cst);
+    while (now % 2 != 0 && attached.growths.load(std::memory_order_acquire) == now)
+      std::this_thread::sleep_for(std::chrono::microseconds{100});
   }
 }
 

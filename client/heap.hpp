@@ -47,7 +47,8 @@ class Heap {
   /// The windows are described in one more client region, and frontiers are stored there from now on.
   /// False: in too many already.
   [[nodiscard]] static bool follow(std::byte* client_region) noexcept;
-  /// No longer: afterwards nothing of it is touched. Nothing happens if it is not followed.
+  /// No longer: afterwards nothing of it is touched. Waits for a growth that is under way. Nothing
+  /// happens if it is not followed. For threads of the library.
   static void leave_region(std::byte* client_region) noexcept;
 
   /// Whoever finds the heap full from now on is told that it will not grow.

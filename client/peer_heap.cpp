@@ -94,7 +94,7 @@ bool PeerHeap::shows(std::uint64_t window) const noexcept {
 }
 
 dataplane::Place PeerHeap::place_of(std::uint64_t address, std::uint64_t size, std::uint64_t count,
-                                    bool all_announced) const noexcept {
+                                    Unannounced others) const noexcept {
   using dataplane::Place;
   const auto opened = [](const Window& window) {
     return window.opened.load(std::memory_order_acquire);
@@ -103,7 +103,8 @@ dataplane::Place PeerHeap::place_of(std::uint64_t address, std::uint64_t size, s
   while (found < count && address - windows_[found].base >= windows_[found].length) ++found;
   // The message, or what it points to, may lie in the next one.
   const bool group_may_grow = found == count || windows_[found].first == windows_[count - 1].first;
-  if (group_may_grow && !all_announced && shows(count)) return Place::awaited;
+  if (group_may_grow && others != Unannounced::ignored && shows(count))
+    return others == Unannounced::awaited ? Place::awaited : Place::unreachable;
   if (found == count) return Place::outside;
   const Window& window = windows_[found];
   for (std::uint64_t i = window.first; i < count && windows_[i].first == window.first; ++i) {

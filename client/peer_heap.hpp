@@ -22,6 +22,13 @@
 
 namespace agnocast {
 
+/// A window that the owner's header shows and that was not announced.
+enum class Unannounced : std::uint8_t {
+  awaited,  // its announcement is on its way: what may lie there, or point there, is left unread
+  ignored,  // everything that these messages can lie in was announced, so the header lies
+  lost,     // nobody announces any more: what may lie there, or point there, cannot be read
+};
+
 /// Any thread may call anything. open() takes a lock only after the owner's heap has grown.
 class PeerHeap {
  public:
@@ -53,10 +60,13 @@ class PeerHeap {
   /// looked at: one that is added meanwhile has not been opened. A system call only after growth.
   std::uint64_t open() noexcept;
   /// Whether a message at [address, address + size) can be read, with all it points to, when `count`
-  /// windows have been opened. Any values. A window that the owner's header shows beyond these is
-  /// waited for, unless `all_announced`.
+  /// windows have been opened. Any values.
   dataplane::Place place_of(std::uint64_t address, std::uint64_t size, std::uint64_t count,
-                            bool all_announced) const noexcept;
+                            Unannounced others) const noexcept;
+  /// Of the first window; 0: it has none.
+  std::uint64_t first_address() const noexcept {
+    return window_count() != 0 ? windows_[0].base : 0;
+  }
   std::uint64_t window_count() const noexcept { return count_.load(std::memory_order_acquire); }
 
  private:
@@ -80,20 +90,18 @@ class PeerHeap {
 
 /// One take's look at a heap (the Windows of dataplane::LinkCore). A message is handed out only when
 /// everything that it may point to is open; until then it stays unread. A header that lies about
-/// windows delays only the liar's own messages, and those not after its end: `all_announced` says
-/// that every window these messages can lie in has been added.
+/// windows delays only the liar's own messages, and those not after its end.
 class HeapLook {
  public:
-  HeapLook(PeerHeap& heap, bool all_announced) noexcept
-      : heap_(heap), all_announced_(all_announced) {}
+  HeapLook(PeerHeap& heap, Unannounced others) noexcept : heap_(heap), others_(others) {}
   void open() noexcept { count_ = heap_.open(); }
   dataplane::Place place_of(std::uint64_t address, std::uint64_t size) const noexcept {
-    return heap_.place_of(address, size, count_, all_announced_);
+    return heap_.place_of(address, size, count_, others_);
   }
 
  private:
   PeerHeap& heap_;
-  const bool all_announced_;
+  const Unannounced others_;
   std::uint64_t count_ = 0;
 };
 

@@ -27,6 +27,28 @@ void pin_object_of(void (*code)(void*) noexcept) noexcept {
   (void)::dlopen(where.dli_fname, RTLD_LAZY | RTLD_NOLOAD | RTLD_NODELETE);
 }
 
+// For a publisher that the present daemon refuses, and that goes on in a former membership: what lies
+// in a further window is foreign there, because nobody in it will ever have that window.
+WindowSet windows_of_former(void* membership) noexcept {
+  const std::uint64_t count = static_cast<const Context*>(membership)->announced_windows();
+  const WindowSet all = Context::instance().shared_heap().windows(nullptr);
+  WindowSet known;
+  for (std::size_t i = 0; i < all.count(); ++i) {
+    for (std::uint64_t w = 0; w < count; ++w) {
+      if (Heap::window(w).base == all[i].begin) (void)known.add(all[i].begin, all[i].end);
+    }
+  }
+  return known;
+}
+std::uint64_t leave_of_former(void* membership) noexcept {
+  const SharedHeap heap = Context::instance().shared_heap();
+  const std::uint64_t strays = heap.leave(heap.context);
+  // A part that nobody can look at may lie in a further window.
+  const bool has_further =
+      windows_of_former(membership).count() != heap.windows(heap.context).count();
+  return strays + (has_further ? 1 : 0);
+}
+
 class PublisherSource final : public CallbackSource {
  public:
   PublisherSource(std::shared_ptr<PublisherEndpoint> endpoint, EventCallbacks events) noexcept
@@ -107,7 +129,18 @@ void UntypedPublisher::count_adoption(const Result<std::uint64_t>& adopted) noex
   }
 }
 
-SharedHeap UntypedPublisher::heap() const noexcept { return Context::instance().shared_heap(); }
+SharedHeap UntypedPublisher::heap() const noexcept {
+  Context& present = Context::instance();
+  SharedHeap heap = present.shared_heap();
+  if (endpoint_ == nullptr || endpoint_->context() == &present) [[likely]]
+    return heap;
+  Context* const publishes_in = endpoint_->present(endpoint_)->context();
+  if (publishes_in == &present) return heap;
+  heap.context = publishes_in;
+  heap.windows = windows_of_former;
+  heap.leave = leave_of_former;
+  return heap;
+}
 std::size_t UntypedPublisher::subscription_count() const noexcept {
   return endpoint_ != nullptr ? endpoint_->subscription_count() : 0;
 }

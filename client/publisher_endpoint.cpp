@@ -13,6 +13,11 @@
 namespace agnocast {
 namespace {
 
+template <class Entry>
+void reserve_one_more(std::vector<Entry>& entries) {
+  if (entries.size() == entries.capacity()) entries.reserve(2 * entries.size() + 1);
+}
+
 constexpr std::uint64_t armed_offset(std::uint64_t executor) noexcept {
   return offsetof(abi::ClientRegionHeader, executor) + executor * sizeof(abi::ExecutorLine);
 }
@@ -27,6 +32,7 @@ struct PublisherEndpoint::Work {
   std::size_t destroy_count = 0;
   std::uint64_t rung = 0;
   bool wake_control = false;
+  bool destroys_later = false;
 
   void ring(std::uint64_t executor, std::uint64_t armed) noexcept {
     Executor& sleeper = endpoint.executors_[executor];
@@ -40,7 +46,7 @@ struct PublisherEndpoint::Work {
   void freed(std::uint64_t, std::uint64_t address) noexcept {
     if (!may_destroy) return;
     void* const message = reinterpret_cast<void*>(address);
-    if (destroy_count < destroy.size()) {
+    if (!destroys_later && destroy_count < destroy.size()) {
       destroy[destroy_count++] = message;
     } else if (endpoint.doomed_.size() == endpoint.doomed_.capacity()) {
       endpoint.destroy(message);  // the control thread is far behind: rather here, under the mutex,
@@ -63,6 +69,8 @@ PublisherEndpoint::PublisherEndpoint(const Identity& identity)
       core_(std::make_unique<Core>(identity.core)),
       events_(identity.events != nullptr ? identity.events : std::make_shared<EndpointEvents>()) {
   doomed_.reserve(abi::slot_count_max);
+  // Ahead of everything: who sees a message or a link of it sees this.
+  identity_.core.words.lineage().store(identity_.lineage, std::memory_order_relaxed);
 }
 
 template <class Do>
@@ -148,9 +156,13 @@ std::size_t PublisherEndpoint::executor_of(const Peer& peer, std::uint64_t execu
 void PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr<Peer> peer,
                                Doorbell bell) {
   if (is_attached(subscription.index, subscription.generation)) return;
+  {
+    const std::lock_guard lock(mutex_);
+    reserve_one_more(attached_);
+    reserve_one_more(executors_);
+  }
   in_control_thread([&](Work& work) {
     AGNOCAST_CRASH_POINT(C_attach);
-    attached_.reserve(attached_.size() + 1);
     const std::size_t executor = executor_of(*peer, subscription.executor, std::move(bell));
     core_->attach(subscription.index, subscription.generation, peer->region(), subscription.extent,
                   armed_offset(subscription.executor), executor, work);
@@ -301,6 +313,10 @@ bool PublisherEndpoint::move_to(const std::shared_ptr<PublisherEndpoint>& heir) 
     if (moved_) return;
     moves = true;
     const auto& words = identity_.core.words;
+    // Behind the last commit, ahead of the first one of the heir: who sees it sees the whole queue, and
+    // who sees anything of the heir sees it.
+    words.intent_op().store(abi::intent_moved, std::memory_order_release);
+    AGNOCAST_CRASH_POINT(C_move);
     const std::uint64_t head = core_->head_sequence();
     const std::uint64_t kept = identity_.core.qos.transient_local ? identity_.core.qos.depth : 0;
     const std::uint64_t begin =
@@ -311,15 +327,17 @@ bool PublisherEndpoint::move_to(const std::shared_ptr<PublisherEndpoint>& heir) 
       if (slot >= abi::slot_count_max ||
           words.slot_id(slot).load(std::memory_order_relaxed) != sequence)
         continue;
+      AGNOCAST_CRASH_POINT(C_inherit);
       heir->inherit({words.slot_address(slot).load(std::memory_order_relaxed),
                      words.slot_size(slot).load(std::memory_order_relaxed),
                      words.slot_stamp(slot).load(std::memory_order_relaxed)});
     }
+    AGNOCAST_CRASH_POINT(C_move);
     moved_ = true;
     heir_ = heir;
+    AGNOCAST_CRASH_POINT(C_move);
     core_->keep_no_history();
-    // Behind the last commit: who sees it sees the whole queue.
-    words.intent_op().store(abi::intent_moved, std::memory_order_release);
+    AGNOCAST_CRASH_POINT(C_moved);
     core_->pass(work);
   });
   if (moves) revoke();  // its subscriptions are the heir's now
@@ -334,12 +352,23 @@ void PublisherEndpoint::inherit(const dataplane::Entry& entry) noexcept {
     return;  // late joiners miss it
   }
   dataplane::PublishOutcome outcome = dataplane::PublishOutcome::no_slot;
-  with_queue([&](Work& work) { outcome = core_->publish(entry, work); });
+  AGNOCAST_CRASH_POINT(C_inherit);
+  with_queue([&](Work& work) {
+    work.destroys_later = true;  // the caller has the former one's mutex
+    const std::uint64_t before = core_->head_sequence();
+    auto&& inherited = identity_.core.words.inherited();
+    // [sync:publish] relaxed, ahead of the commit; pairs with the look at it behind T1.
+    inherited.store(before + 1, std::memory_order_relaxed);
+    outcome = core_->publish(entry, work, true);
+    if (outcome == dataplane::PublishOutcome::published) return;
+    inherited.store(before, std::memory_order_relaxed);
+  });
   if (outcome != dataplane::PublishOutcome::published) TwiceOwned::instance().let_go(message);
 }
 
 void PublisherEndpoint::redirect_to(const std::shared_ptr<PublisherEndpoint>& heir) noexcept {
   const std::lock_guard lock(mutex_);
+  AGNOCAST_CRASH_POINT(C_redirect);
   if (moved_ && heir.get() != this) heir_ = heir;
 }
 
@@ -355,15 +384,35 @@ std::shared_ptr<PublisherEndpoint> PublisherEndpoint::present(
 
 void PublisherEndpoint::abandon() noexcept {
   const std::lock_guard lock(mutex_);
+  if (!moved_) identity_.core.words.intent_op().store(abi::intent_moved, std::memory_order_release);
   moved_ = true;
 }
 
-std::size_t PublisherEndpoint::living_count() const noexcept {
+std::vector<std::uint64_t> PublisherEndpoint::linked_lineages(bool living) const {
+  std::vector<std::uint64_t> all;
   const std::lock_guard lock(mutex_);
-  return static_cast<std::size_t>(
-      std::count_if(attached_.begin(), attached_.end(), [this](const Attached& attached) {
-        return is_linked(attached) && attached.peer->is_alive();
-      }));
+  for (const Attached& attached : attached_) {
+    if (!is_linked(attached)) continue;
+    if (living) {
+      const dataplane::LinkWords<SharedMemory> link{attached.peer->region(), attached.extent,
+                                                    identity_.core.index};
+      if (link.cursor().load(std::memory_order_relaxed) == abi::cursor_aside ||
+          !attached.peer->is_alive())
+        continue;
+    }
+    all.push_back(
+        dataplane::SubscriptionWords<SharedMemory>{attached.peer->region(), attached.extent}
+            .lineage()
+            .load(std::memory_order_relaxed));
+  }
+  std::sort(all.begin(), all.end());
+  return all;
+}
+
+bool PublisherEndpoint::is_succeeded_by(const PublisherEndpoint& heir) const {
+  const std::vector<std::uint64_t> here = linked_lineages(true),
+                                   there = heir.linked_lineages(false);
+  return std::includes(there.begin(), there.end(), here.begin(), here.end());
 }
 
 void PublisherEndpoint::bury_dead() {

@@ -39,6 +39,7 @@ class PublisherEndpoint {
                                          // thread, no allocation
     std::shared_ptr<EndpointEvents> events = {};  // of the endpoint that this one continues
     Context* context = nullptr;                   // its membership
+    std::uint64_t lineage = 0;
   };
   struct Subscription {
     std::uint64_t index;
@@ -56,6 +57,7 @@ class PublisherEndpoint {
 
   const Core::Identity& identity() const noexcept { return identity_.core; }
   Context* context() const noexcept { return identity_.context; }
+  std::uint64_t lineage() const noexcept { return identity_.lineage; }
   std::uint32_t topic_index() const noexcept { return identity_.topic_index; }
 
   // --- user threads
@@ -118,8 +120,9 @@ class PublisherEndpoint {
   bool has_ended() const noexcept { return has_ended_.load(std::memory_order_acquire); }
   /// Its membership will not be used after all: nothing was published.
   void abandon() noexcept;
-  /// Linked subscriptions whose processes live.
-  std::size_t living_count() const noexcept;
+  /// Every linked subscription of this one that is not closed, and whose process lives, is linked to
+  /// `heir` as well.
+  bool is_succeeded_by(const PublisherEndpoint& heir) const;
   /// What a daemon would have said: members whose processes are gone count no more.
   void bury_dead();
   /// It has moved or ended, and nobody reads anything of it any more.
@@ -163,6 +166,7 @@ class PublisherEndpoint {
   bool is_linked(const Attached& attached) const noexcept;
   void note_links() noexcept;
   std::size_t linked_count() const noexcept;  // under the mutex
+  std::vector<std::uint64_t> linked_lineages(bool living) const;
 
   Identity identity_;
   mutable std::mutex mutex_;

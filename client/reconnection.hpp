@@ -3,11 +3,15 @@
 // Reconnection: when to try to reach the daemon again. Pure; time is told.
 //
 //   connected ──end──▶ waiting ──due──▶ rejoining ──▶ connected
-//                         ▲───────end──────┘└──refused──▶ island (for good)
+//                         ▲───────end──────┘├──refused──▶ island (for good)
+//                         └──────later──────┘
 //
+// Some refusals are mended by an administrator: it is asked again, seldom, and `is_refused` meanwhile.
 // The pause doubles from try to try. A connection that has lasted is what makes it short again: a
 // daemon that dies of what we say does so at once, and is not asked a thousand times a second.
 #pragma once
+
+#include <agnocast/error.hpp>
 
 #include <algorithm>
 #include <chrono>
@@ -15,11 +19,19 @@
 
 namespace agnocast {
 
+/// It is answered otherwise only when somebody has put another daemon, another rule or whole memory
+/// there: nobody waits for it.
+constexpr bool is_mended_by_people(Errc code) noexcept {
+  return code == Errc::layout_mismatch || code == Errc::store_damaged ||
+         code == Errc::permission_denied;
+}
+
 class Reconnection {
  public:
   enum class State : std::uint8_t { connected, waiting, rejoining, island };
   using Clock = std::chrono::steady_clock;
-  static constexpr std::chrono::milliseconds pause_first{1}, pause_last{250}, lasting{100};
+  static constexpr std::chrono::milliseconds pause_first{1}, pause_last{250}, lasting{100},
+      pause_refused{5'000};
 
   State state() const noexcept { return state_; }
   /// Until when to wait; only while waiting.
@@ -31,19 +43,26 @@ class Reconnection {
   void ended(Clock::time_point now) noexcept {
     if (state_ == State::island) return;
     if (state_ == State::connected && now - since_ >= lasting) pause_ = pause_first;
-    next_try_ = now + pause_;
+    next_try_ = now + (is_refused_ ? pause_refused : pause_);
     pause_ = std::min(pause_ * 2, pause_last);
     state_ = State::waiting;
   }
   void asked() noexcept { state_ = State::rejoining; }
   void succeeded(Clock::time_point now) noexcept {
     since_ = now;
+    is_refused_ = false;
     state_ = State::connected;
   }
   void refused() noexcept { state_ = State::island; }
+  void refused_until_mended(Clock::time_point now) noexcept {
+    is_refused_ = true;
+    ended(now);
+  }
+  bool is_refused() const noexcept { return is_refused_; }
 
  private:
   State state_ = State::connected;
+  bool is_refused_ = false;
   Clock::time_point since_{}, next_try_{};
   std::chrono::milliseconds pause_ = pause_first;
 };

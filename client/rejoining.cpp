@@ -30,7 +30,8 @@ using wire::Kind;
 using wire::Opcode;
 
 void Context::tell_state(ConnectionState state) noexcept {
-  if (state_.exchange(state, std::memory_order_acq_rel) != state) {
+  if (tells_.load(std::memory_order_acquire) &&
+      state_.exchange(state, std::memory_order_acq_rel) != state) {
     const ConnectionInfo info{state, island_reason()};
     const std::lock_guard lock(endpoints_);
     for (const auto& [key, publisher] : publishers_) publisher->events().connection(info);
@@ -46,13 +47,17 @@ void Context::lose_connection() noexcept {
   if (connection_->fd() >= 0) ::epoll_ctl(epoll_.get(), EPOLL_CTL_DEL, connection_->fd(), nullptr);
   connection_->end();
   reconnection_.ended(Reconnection::Clock::now());
-  tell_state(ConnectionState::reconnecting);
+  tell_state(reconnection_.is_refused() ? ConnectionState::island : ConnectionState::reconnecting);
 }
 
 void Context::become_island(const Failure& why) noexcept {
   if (reconnection_.state() == Reconnection::State::island) return;
   lose_connection();
-  reconnection_.refused();
+  if (is_mended_by_people(why.code)) {
+    reconnection_.refused_until_mended(Reconnection::Clock::now());
+  } else {
+    reconnection_.refused();
+  }
   island_reason_.store(why.code, std::memory_order_release);
   connection_->refuse(why);
   if (why.code == Errc::revoked) {
@@ -66,6 +71,7 @@ void Context::become_island(const Failure& why) noexcept {
   tell_state(ConnectionState::island);
   if (why.code != Errc::started_anew) return;
   is_alone_.store(true, std::memory_order_release);
+  AGNOCAST_CRASH_POINT(C_alone);
   {
     const std::lock_guard lock(endpoints_);
     for (const auto& [key, subscription] : subscriptions_) subscription->be_alone();
@@ -116,6 +122,8 @@ void Context::on_rejoined(Incoming& packet) {
   AGNOCAST_CRASH_POINT(C_rejoined);
   connection_->open();
   reconnection_.succeeded(Reconnection::Clock::now());
+  if (tells_.load(std::memory_order_acquire))
+    island_reason_.store(Errc::ok, std::memory_order_release);
   tell_state(ConnectionState::connected);
 }
 
@@ -126,6 +134,7 @@ void Context::on_refused(Incoming& packet) {
     case Errc::started_anew:
     case Errc::revoked:
     case Errc::layout_mismatch:
+    case Errc::store_damaged:
     case Errc::permission_denied:
       return become_island(why);
     default:  // it has no room for one more connection now, or no descriptor
@@ -156,6 +165,8 @@ void Context::on_own(Incoming& packet) {
     adopt_stranger(own.kind, key, own.generation, own.active == 0);
   } else if (own.active == 0 && departure->is_wanted()) {
     departure->known();
+  } else if (own.active != 0 && departure->is_known()) {
+    departure->forgotten();  // as an island this process took every refusal for an answer to it
   }
 }
 
@@ -175,9 +186,12 @@ Result<void> Context::adopt_late(Kind kind, Incoming& packet) {
 
 void Context::adopt_stranger(Kind kind, const EndpointKey& key, std::uint64_t generation,
                              bool has_left) {
-  std::shared_ptr<Stranger>& stranger = strangers_[{kind, key}];
-  if (stranger == nullptr || stranger->generation != generation)
+  const auto found = strangers_.find({kind, key});
+  std::shared_ptr<Stranger> stranger = found != strangers_.end() ? found->second : nullptr;
+  if (stranger == nullptr || stranger->generation != generation) {
     stranger = std::make_shared<Stranger>(generation);
+    strangers_.insert_or_assign({kind, key}, stranger);
+  }
   stranger->departure.want();
   if (has_left) stranger->departure.known();
 }
@@ -196,6 +210,7 @@ void Context::say_departure(Departure& departure, const wire::Reference& who,
     departed_.notify_all();
   };
   connection_->request_later(Opcode::leave, who, on_answer);
+  departure.said();  // not before: there may be no memory for it
 }
 
 void Context::say_departures() {

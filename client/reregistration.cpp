@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <base/step.hpp>
 #include <client/forked_child.hpp>
 #include <client/reregistration.hpp>
 #include <client/user_code.hpp>
@@ -12,19 +13,13 @@
 namespace agnocast {
 namespace {
 
-/// May the same daemon, or the next one, answer otherwise later?
-bool may_change(Errc code) noexcept {
-  switch (code) {
-    case Errc::layout_mismatch:
-    case Errc::permission_denied:
-    case Errc::revoked:
-    case Errc::shut_down:
-    case Errc::protocol_violation:
-    case Errc::invalid_argument:
-      return false;
-    default:  // it is away, has no room, or has given our addresses to somebody else
-      return true;
-  }
+/// Whatever a daemon answers, it will be the same.
+bool is_final(Errc code) noexcept {
+  return code == Errc::revoked || code == Errc::shut_down || code == Errc::invalid_argument;
+}
+
+bool is_refusal(Errc code) noexcept {
+  return is_mended_by_people(code) || code == Errc::protocol_violation;
 }
 
 /// There is nobody to ask for anything else either.
@@ -83,9 +78,12 @@ void Reregistration::add(const std::shared_ptr<SubscriptionEndpoint>& subscripti
 }
 
 void Reregistration::add(const std::shared_ptr<Sleeper>& sleeper) {
-  const std::lock_guard lock(mutex_);
-  forget(sleepers_, [](const std::weak_ptr<Sleeper>& entry) { return entry.expired(); });
-  sleepers_.push_back(sleeper);
+  {
+    const std::lock_guard lock(mutex_);
+    forget(sleepers_, [](const std::weak_ptr<Sleeper>& entry) { return entry.expired(); });
+    sleepers_.push_back(sleeper);
+  }
+  if (!sleeper->index_in(&Context::instance())) begin();
 }
 
 // It may have been created in a membership that was lost before it was known here.
@@ -103,7 +101,7 @@ void Reregistration::release_places(const Context& former) noexcept {
 bool Reregistration::wait_for_next(const Context& lost, Clock::time_point deadline) {
   std::unique_lock lock(mutex_);
   return changed_.wait_until(lock, deadline, [&] {
-    return is_hopeless_ || &Context::instance() != &lost;
+    return is_refused_ || &Context::instance() != &lost;
   }) && &Context::instance() != &lost;
 }
 
@@ -153,7 +151,7 @@ void Reregistration::run() noexcept {
       run_once();
     } catch (const std::bad_alloc&) {
       begin();
-      std::this_thread::sleep_for(std::chrono::seconds{1});
+      std::this_thread::sleep_for(pause_without_memory);
     }
   }
 }
@@ -164,18 +162,22 @@ void Reregistration::run_once() {
     const Result<void> began = begin_next(former);
     if (began) {
       pause_ = pause_first;
+      const std::lock_guard lock(mutex_);
+      is_refused_ = false;
       break;
     }
     const Failure& why = began.error();
-    if (!may_change(why.code)) {
+    if (is_final(why.code) || is_refusal(why.code)) {
       former.stay_island(why);
       const std::lock_guard lock(mutex_);
-      is_hopeless_ = true;
+      is_refused_ = true;
+      is_hopeless_ = is_final(why.code);
       changed_.notify_all();
-      return;
-    }
-    if (why.code != Errc::daemon_not_running && why.code != Errc::started_anew)
+      if (is_hopeless_) return;
+      pause_ = Reconnection::pause_refused;
+    } else if (why.code != Errc::daemon_not_running && why.code != Errc::started_anew) {
       former.tell_reason(why.code);
+    }
     {
       const std::lock_guard lock(mutex_);
       is_wanted_ = false;
@@ -187,10 +189,13 @@ void Reregistration::run_once() {
 }
 
 Result<void> Reregistration::begin_next(Context& former) {
-  std::unique_ptr<Context> next(new Context);
+  std::unique_ptr<Context, Context::Drop> next(new Context);
   next->former_ = &former;
   next->socket_path_ = former.socket_path_;
+  next->process_name_ = former.process_name_;
+  next->domain_ = former.domain_;
   next->state_.store(ConnectionState::island, std::memory_order_relaxed);
+  next->tells_.store(false, std::memory_order_relaxed);
   next->island_reason_.store(former.island_reason(), std::memory_order_relaxed);
   next->may_grow_.store(false, std::memory_order_relaxed);
   {
@@ -200,49 +205,57 @@ Result<void> Reregistration::begin_next(Context& former) {
     next->heap_is_open_.store(former.heap_is_open_.load(std::memory_order_acquire),
                               std::memory_order_release);
   }
+  AGNOCAST_CRASH_POINT(C_next);
   if (Result<void> known = next->become_known(); !known) return known;
-  if (Result<void> brought = next->bring_windows(); !brought) {
-    Heap::leave_region(next->region_.base());
-    Context& dropped = *next.release();  // its thread ends it
-    const auto wake = dropped.wake_;
-    dropped.is_dropped_.store(true, std::memory_order_release);
-    (*wake)();
-    return brought;
-  }
+  if (Result<void> brought = next->bring_windows(); !brought) return brought;
   next->is_connected_.store(true, std::memory_order_release);
   Context* const begun = next.release();
+  AGNOCAST_CRASH_POINT(C_present);
   Context::present_.store(begun, std::memory_order_release);
+  AGNOCAST_CRASH_POINT(C_present);
   begun->was_present_.store(true, std::memory_order_release);
   const std::lock_guard lock(mutex_);
   changed_.notify_all();
   return {};
 }
 
+template <class Which>
+void Reregistration::abandon_pending(Which which) noexcept {
+  forget(pending_, [&](const Pending& entry) {
+    const bool found = which(entry);
+    if (found) entry.heir->abandon();
+    return found;
+  });
+}
+
 // Also what was created meanwhile in a membership that is former by now.
 void Reregistration::move_everything(Context& present) {
-  std::vector<Pending> pending;
+  // An earlier turn had no memory, and may have been for another membership.
+  abandon_pending([&](const Pending& entry) { return entry.heir->context() != &present; });
   auto look = std::chrono::milliseconds{1};
   auto again = std::chrono::milliseconds{1000};  // after a refusal
   for (bool first = true; !exit_has_begun(); first = false) {
     if (present.is_alone_.load(std::memory_order_acquire)) {
-      for (const Pending& entry : pending) entry.heir->abandon();
+      abandon_pending([](const Pending&) { return true; });
       return begin();
     }
     Result<void> made = make_places(present);
     // What is refused to one endpoint does not keep the others from moving.
     if (!is_away(made)) keep_first(made, make_subscriptions(present));
-    if (!is_away(made)) keep_first(made, make_publishers(present, pending));
+    if (!is_away(made)) keep_first(made, make_publishers(present));
     if (first) {
       present.has_begun_.store(true, std::memory_order_release);
       present.wake_control();
     }
-    forget(pending, [&](const Pending& entry) { return try_to_move(present, entry); });
-    if (pending.empty()) {
+    for (auto entry = pending_.begin(); entry != pending_.end();)
+      entry = try_to_move(present, *entry) ? pending_.erase(entry) : entry + 1;
+    if (pending_.empty()) {
       // What was refused goes on publishing where it was; the heap does not wait for it.
-      if (!present.may_grow_.exchange(true, std::memory_order_acq_rel)) present.wake_control();
+      if (!is_away(made) && !present.may_grow_.exchange(true, std::memory_order_acq_rel))
+        present.wake_control();
       if (made) return;
     }
-    if (!pending.empty()) {
+    if (!pending_.empty()) {
       pause(look);
       look = std::min(look * 2, std::chrono::milliseconds{20});
     } else {
@@ -264,7 +277,9 @@ Result<void> Reregistration::make_places(Context& present) {
   }
   Result<void> problem;
   for (const auto& sleeper : all) {
+    AGNOCAST_CRASH_POINT(C_place);
     keep_first(problem, present.make_place(*sleeper));
+    AGNOCAST_CRASH_POINT(C_place);
     if (is_away(problem)) break;
   }
   return problem;
@@ -283,13 +298,17 @@ Result<void> Reregistration::make_subscriptions(Context& present) {
   }
   Result<void> problem;
   for (const auto& [endpoint, request] : all) {
-    auto made = present.make_subscription(request.get(), endpoint->shared_sleeper(),
-                                          endpoint->shared_events());
+    endpoint->expect_successor();
+    auto made =
+        present.make_subscription(request.get(), endpoint->shared_sleeper(),
+                                  {endpoint->identity().lineage, endpoint->shared_events()});
     if (!made) {
       problem = tl::unexpected<Failure>(made.error());
       if (is_away(problem)) break;
     } else {
+      AGNOCAST_CRASH_POINT(C_successor);
       (*made)->continues(endpoint);
+      AGNOCAST_CRASH_POINT(C_successor);
       if (endpoint->add_successor(*made)) continue;
       (*made)->close();  // its owner has gone meanwhile
       present.let_leave(**made);
@@ -298,7 +317,7 @@ Result<void> Reregistration::make_subscriptions(Context& present) {
   return problem;
 }
 
-Result<void> Reregistration::make_publishers(Context& present, std::vector<Pending>& pending) {
+Result<void> Reregistration::make_publishers(Context& present) {
   std::vector<Publisher> all;
   {
     const std::lock_guard lock(mutex_);
@@ -309,13 +328,15 @@ Result<void> Reregistration::make_publishers(Context& present, std::vector<Pendi
     const auto publisher = entry.endpoint.lock();
     if (publisher == nullptr || publisher->has_ended() ||
         publisher->present(publisher)->context() == &present ||
-        std::any_of(pending.begin(), pending.end(),
+        std::any_of(pending_.begin(), pending_.end(),
                     [&](const Pending& other) { return other.publisher == publisher; }))
       continue;
+    pending_.reserve(pending_.size() + 1);  // before anything is there that must not be lost
     auto made = present.make_publisher(entry.request.get(), entry.destroy_message,
-                                       publisher->shared_events());
+                                       {publisher->lineage(), publisher->shared_events()});
     if (made) {
-      pending.push_back({publisher, *made, Clock::now()});
+      AGNOCAST_CRASH_POINT(C_heir);
+      pending_.push_back({publisher, *made, Clock::now()});
     } else {
       problem = tl::unexpected<Failure>(made.error());
       if (is_away(problem)) break;
@@ -329,11 +350,11 @@ bool Reregistration::try_to_move(Context& present, const Pending& pending) {
   const auto& [publisher, heir, since] = pending;
   const auto before = publisher->present(publisher);
   if (!publisher->has_ended()) {
-    if (heir->subscription_count() < before->living_count() && Clock::now() - since < move_patience)
-      return false;
+    if (!before->is_succeeded_by(*heir) && Clock::now() - since < move_patience) return false;
     if (before->move_to(heir) && before != publisher) publisher->redirect_to(heir);
     before->context()->wake_control();
   }
+  if (publisher->has_ended()) AGNOCAST_CRASH_POINT(C_heir_leaves);
   if (publisher->has_ended()) present.let_leave(*heir);  // also if that came in between
   return true;
 }

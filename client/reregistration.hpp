@@ -33,6 +33,8 @@ class Reregistration {
   // Between two attempts to begin: twice as long each time.
   static constexpr std::chrono::milliseconds pause_first{20}, pause_last{30'000};
 
+  static constexpr std::chrono::milliseconds pause_without_memory{100};
+
   /// Of this process; immortal.
   static Reregistration& instance() noexcept;
 
@@ -81,9 +83,11 @@ class Reregistration {
   void run_once();
   Result<void> begin_next(Context& former);
   void move_everything(Context& present);
+  template <class Which>
+  void abandon_pending(Which which) noexcept;
   Result<void> make_places(Context& present);
   Result<void> make_subscriptions(Context& present);
-  Result<void> make_publishers(Context& present, std::vector<Pending>& pending);
+  Result<void> make_publishers(Context& present);
   static bool try_to_move(Context& present, const Pending& pending);
   void check_added(const Context* context) noexcept;
   void pause(std::chrono::milliseconds duration);
@@ -93,8 +97,11 @@ class Reregistration {
   std::vector<Publisher> publishers_;
   std::vector<Subscription> subscriptions_;
   std::vector<std::weak_ptr<Sleeper>> sleepers_;
-  bool is_running_ = false, is_wanted_ = false, is_hopeless_ = false;
-  std::chrono::milliseconds pause_ = pause_first;  // of the thread
+  bool is_running_ = false, is_wanted_ = false;
+  bool is_refused_ = false;                        // nobody waits for it
+  bool is_hopeless_ = false;                       // nor tries
+  std::chrono::milliseconds pause_ = pause_first;  // of the thread, as the next
+  std::vector<Pending> pending_;
 };
 
 }  // namespace agnocast

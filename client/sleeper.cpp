@@ -1,18 +1,33 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <client/forked_child.hpp>
 #include <client/sleeper.hpp>
 
+#include <sys/epoll.h>
+#include <sys/eventfd.h>
 #include <unistd.h>
 
 #include <algorithm>
+#include <cerrno>
 
 namespace agnocast {
 
+Result<std::shared_ptr<Sleeper>> Sleeper::make() {
+  UniqueFd eventfd(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
+  if (!eventfd) return fail(Errc::os_failure, "making an eventfd", errno);
+  return std::make_shared<Sleeper>(std::move(eventfd));
+}
+
 Sleeper::~Sleeper() {
+  // Sleep words and epoll sets are the parent's, and the mutex may be held for ever.
+  if (is_forked_child()) return;
   disarm();  // the next user of a place begins awake
-  for (const auto& [membership, place] : places_) {
-    for (const Set& set : sets_) place->bells.remove_from(set.epoll);
-  }
+  for (const Set& set : sets_) leave(set.epoll);
+}
+
+void Sleeper::leave(int epoll) const noexcept {
+  ::epoll_ctl(epoll, EPOLL_CTL_DEL, eventfd_.get(), nullptr);
+  for (const auto& [membership, place] : places_) place->bells.remove_from(epoll);
 }
 
 Result<void> Sleeper::add(Membership membership, std::shared_ptr<Place> place) {
@@ -25,7 +40,7 @@ Result<void> Sleeper::add(Membership membership, std::shared_ptr<Place> place) {
     return added;
   }
   places_.emplace_back(membership, std::move(place));
-  wake_locked();  // who sleeps has not armed this one
+  wake();  // who sleeps has not armed this one
   return {};
 }
 
@@ -38,7 +53,7 @@ void Sleeper::remove(Membership membership) noexcept {
   gone = std::move(found->second);
   places_.erase(found);
   for (const Set& set : sets_) gone->bells.remove_from(set.epoll);
-  wake_locked();  // a ring that nobody has noticed yet goes with the bell
+  wake();  // a ring that nobody has noticed yet goes with the bell
 }
 
 std::optional<std::uint64_t> Sleeper::index_in(Membership membership) const noexcept {
@@ -52,10 +67,15 @@ std::optional<std::uint64_t> Sleeper::index_in(Membership membership) const noex
 Result<void> Sleeper::add_to(int epoll, std::uint64_t eventfd_tag, std::uint64_t datagram_tag) {
   const std::lock_guard lock(mutex_);
   sets_.reserve(sets_.size() + 1);
+  epoll_event event{};
+  event.events = EPOLLIN | EPOLLET;
+  event.data.u64 = eventfd_tag;
+  if (::epoll_ctl(epoll, EPOLL_CTL_ADD, eventfd_.get(), &event) != 0)
+    return fail(Errc::os_failure, "adding an eventfd to an epoll set", errno);
   for (const auto& [membership, place] : places_) {
     Result<void> added = place->bells.add_to(epoll, eventfd_tag, datagram_tag);
     if (added) continue;
-    for (const auto& [other, before] : places_) before->bells.remove_from(epoll);
+    leave(epoll);
     return added;
   }
   sets_.push_back({epoll, eventfd_tag, datagram_tag});
@@ -65,7 +85,7 @@ Result<void> Sleeper::add_to(int epoll, std::uint64_t eventfd_tag, std::uint64_t
 void Sleeper::remove_from(int epoll) noexcept {
   const std::lock_guard lock(mutex_);
   std::erase_if(sets_, [&](const Set& set) { return set.epoll == epoll; });
-  for (const auto& [membership, place] : places_) place->bells.remove_from(epoll);
+  leave(epoll);
 }
 
 void Sleeper::drain() noexcept {
@@ -73,16 +93,9 @@ void Sleeper::drain() noexcept {
   for (const auto& [membership, place] : places_) place->bells.drain();
 }
 
-void Sleeper::wake_locked() const noexcept {
-  if (places_.empty()) return;
-  const std::uint64_t one = 1;
-  [[maybe_unused]] const ssize_t written =
-      ::write(places_.front().second->bells.eventfd(), &one, sizeof one);
-}
-
 void Sleeper::wake() const noexcept {
-  const std::lock_guard lock(mutex_);
-  wake_locked();
+  const std::uint64_t one = 1;
+  [[maybe_unused]] const ssize_t written = ::write(eventfd_.get(), &one, sizeof one);
 }
 
 void Sleeper::arm() noexcept {

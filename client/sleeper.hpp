@@ -5,10 +5,12 @@
 // It has a *place* in each membership of the process: a sleep word in the client region and two
 // bells. Usually that is one. After the daemon's store was lost it is two for a while, and a sleep is
 // ended by whoever rings in either. A place that comes or goes ends the sleep as well, so nobody
-// sleeps on half of the bells.
+// sleeps on half of the bells. It may be none for a moment: what the process itself has to say comes through
+// an eventfd of its own, which no other process has.
 #pragma once
 
 #include <base/doorbell.hpp>
+#include <base/unique_fd.hpp>
 #include <client/dataplane/subscription_core.hpp>
 
 #include <cstddef>
@@ -38,7 +40,9 @@ class Sleeper {
   /// A membership is known by an address.
   using Membership = const void*;
 
-  Sleeper() = default;
+  /// Errors: os_failure.
+  [[nodiscard]] static Result<std::shared_ptr<Sleeper>> make();
+  explicit Sleeper(UniqueFd eventfd) noexcept : eventfd_(std::move(eventfd)) {}
   Sleeper(const Sleeper&) = delete;
   Sleeper& operator=(const Sleeper&) = delete;
   ~Sleeper();
@@ -70,8 +74,9 @@ class Sleeper {
     int epoll;
     std::uint64_t eventfd_tag, datagram_tag;
   };
-  void wake_locked() const noexcept;
+  void leave(int epoll) const noexcept;  // under the mutex
 
+  const UniqueFd eventfd_;    // in every set, edge-triggered, never read
   mutable std::mutex mutex_;  // innermost
   std::vector<std::pair<Membership, std::shared_ptr<Place>>> places_;
   std::vector<Set> sets_;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <client/forked_child.hpp>
 #include <client/sparse_region.hpp>
 
 #include <fcntl.h>
@@ -24,7 +25,10 @@ Result<SparseRegion> SparseRegion::make(UniqueFd fd, std::uint64_t bytes,
 
 namespace {
 
-// Nobody else locks a client region.
+// A lock of the open file description ("OFD"). It goes with the last descriptor and mapping that came from it,
+// so with the process, if no child has inherited one. Record locks are the process's alone, but are lost when it
+// closes any descriptor of the file, also the one for reading that it is sent as a peer of its own:
+// it would count as dead while it reads.
 struct flock whole(short type) noexcept {
   struct flock lock {};
   lock.l_type = type;
@@ -34,13 +38,31 @@ struct flock whole(short type) noexcept {
 
 }  // namespace
 
-void SparseRegion::claim() const noexcept {
-  struct flock lock = whole(F_WRLCK);
+SparseRegion::~SparseRegion() {
+  if (!is_ours_) return;
+  struct flock lock = whole(F_UNLCK);
   ::fcntl(fd_.get(), F_OFD_SETLK, &lock);
+  leave_to_forked_children(fd_.get());
+}
+
+void SparseRegion::swap(SparseRegion& other) noexcept {
+  std::swap(fd_, other.fd_);
+  std::swap(reservation_, other.reservation_);
+  std::swap(access_, other.access_);
+  std::swap(is_ours_, other.is_ours_);
+}
+
+Result<void> SparseRegion::claim() noexcept {
+  if (Result<void> closed = close_in_forked_children(fd_.get()); !closed) return closed;
+  is_ours_ = true;
+  struct flock lock = whole(F_WRLCK);
+  if (::fcntl(fd_.get(), F_OFD_SETLK, &lock) == 0) return {};
+  return fail(Errc::os_failure, "locking a client region", errno);
 }
 
 bool SparseRegion::is_claimed() const noexcept {
-  struct flock lock = whole(F_WRLCK);
+  // Would a lock for reading be refused? Readers cannot lock for writing, and so cannot say this.
+  struct flock lock = whole(F_RDLCK);
   return ::fcntl(fd_.get(), F_OFD_GETLK, &lock) != 0 || lock.l_type != F_UNLCK;
 }
 

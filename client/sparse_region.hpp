@@ -13,6 +13,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <utility>
 
 namespace agnocast {
 
@@ -20,6 +21,13 @@ namespace agnocast {
 class SparseRegion {
  public:
   SparseRegion() = default;
+  SparseRegion(SparseRegion&& other) noexcept { swap(other); }
+  SparseRegion& operator=(SparseRegion&& other) noexcept {
+    SparseRegion gone(std::move(*this));
+    swap(other);
+    return *this;
+  }
+  ~SparseRegion();
   /// Reserves `bytes` of addresses for the region behind `fd`. Errors: os_failure,
   /// address_limit, lock_limit.
   [[nodiscard]] static Result<SparseRegion> make(UniqueFd fd, std::uint64_t bytes,
@@ -28,17 +36,21 @@ class SparseRegion {
   /// Makes [offset, offset + bytes) accessible, whole pages. Repeating it is harmless. Errors:
   /// invalid_argument (outside the region), os_failure, lock_limit.
   [[nodiscard]] Result<void> open(std::uint64_t offset, std::uint64_t bytes) noexcept;
-  /// Says to everybody who has this region that this process lives; the kernel takes it back when it
-  /// ends. Where it cannot be said, the process counts as gone for those who ask.
-  void claim() const noexcept;
+  /// Says to everybody who has this region that this process lives, for as long as it does and has the
+  /// region; children of fork do not go on saying so. Only who may write can say it. Once. Errors:
+  /// limit_reached, os_failure (as from a kernel, or a filter, without such locks).
+  [[nodiscard]] Result<void> claim() noexcept;
   /// Whether the process that claimed it lives. One system call.
   bool is_claimed() const noexcept;
   std::byte* base() const noexcept { return reservation_.base(); }
 
  private:
+  void swap(SparseRegion& other) noexcept;
+
   UniqueFd fd_;
   Mapping reservation_;
   Mapping::Access access_ = Mapping::Access::read;
+  bool is_ours_ = false;  // claimed
 };
 
 }  // namespace agnocast

@@ -10,6 +10,16 @@
 
 namespace agnocast {
 
+SubscriptionEndpoint::SubscriptionEndpoint(const Identity& identity,
+                                           std::shared_ptr<Sleeper> sleeper)
+    : self_(identity),
+      sleeper_(std::move(sleeper)),
+      events_(identity.events != nullptr ? identity.events : std::make_shared<EndpointEvents>()) {
+  // Before any link: publishers that see one see this.
+  dataplane::SubscriptionWords<SharedMemory>{self_.region, self_.extent}.lineage().store(
+      self_.lineage, std::memory_order_relaxed);
+}
+
 bool SubscriptionEndpoint::add_publisher(const Publisher& publisher, std::shared_ptr<Peer> peer) {
   if (publisher.index >= abi::publisher_count_max) return false;
   const std::lock_guard lock(mutex_);
@@ -52,6 +62,7 @@ void SubscriptionEndpoint::orphan(std::uint64_t publisher, std::uint64_t generat
     if (link->publisher() != publisher || link->generation() != generation) continue;
     AGNOCAST_CRASH_POINT(C_orphaned);
     link->core_.observe_publisher();
+    link->is_orphaned_ = true;
     if (!std::exchange(link->ceased_, true)) events_->ceased();
     if (!give_up) continue;
     while (link->core_.unread() > 0) link->core_.skip();
@@ -73,12 +84,11 @@ void SubscriptionEndpoint::revoke() noexcept {
 void SubscriptionEndpoint::close() noexcept {
   const std::lock_guard lock(mutex_);
   closed_ = true;
-  for (const auto& link : links_) link->closing_.store(true, std::memory_order_release);
-  for (Successor& successor : successors_) {
-    successor.endpoint->close();
-    if (successor.waiting) let_go(*successor.waiting);
-    successor.waiting.reset();
+  for (const auto& link : links_) {
+    link->closing_.store(true, std::memory_order_release);
+    if (is_alone_) link->core_.stand_aside();
   }
+  for (const auto& successor : successors_) successor->close();
 }
 
 std::vector<std::shared_ptr<Link>> SubscriptionEndpoint::collect_unlinked() {
@@ -120,7 +130,7 @@ std::shared_ptr<Link> SubscriptionEndpoint::oldest() const noexcept {
   const std::shared_ptr<Link>* best = nullptr;
   std::uint64_t best_stamp = 0;
   for (const auto& link : links_) {
-    if (!link->is_ready()) continue;
+    if (!can_take(*link)) continue;
     const auto stamp = link->core_.next_stamp();
     if (!stamp || (best != nullptr && *stamp >= best_stamp)) continue;
     best = &link;
@@ -180,52 +190,54 @@ std::optional<Received> SubscriptionEndpoint::take() noexcept {
   return take_here();
 }
 
+bool SubscriptionEndpoint::may_take() const noexcept {
+  return !closed_ && !has_finished_ && is_member();
+}
+
+/// False at the quota, and until a missing window is there: asking again would only turn in circles.
+bool SubscriptionEndpoint::can_take(const Link& link) const noexcept {
+  return link.held_count() < self_.quota &&
+         (!link.core_.is_awaiting_window() || link.is_orphaned_ || is_alone_ ||
+          link.peer().heap().window_count() != link.windows_seen_);
+}
+
 std::optional<Received> SubscriptionEndpoint::take_here() noexcept {
-  if (closed_ || has_finished_ || !is_member()) return std::nullopt;
+  if (!may_take()) return std::nullopt;
   drop_beyond_depth();
   // A link whose candidate was gone when looked at closely is asked again; each round loses or
   // takes something.
   for (std::size_t round = 0; round <= links_.size(); ++round) {
-    const std::shared_ptr<Link> link = oldest();
+    std::shared_ptr<Link> link = oldest();
     if (link == nullptr) return std::nullopt;
-    link->windows_seen_ = link->peer().heap().window_count();
-    HeapLook windows(link->peer().heap(), link->ceased_ || is_alone_);
-    const auto taken = link->core_.take(windows);
-    note_losses(*link);
-    if (taken) {
-      link->held_.fetch_add(1, std::memory_order_relaxed);
-      // The last message of a publisher that is gone: its release is what the control thread waits
-      // for.
-      if (link->core_.drained()) link->closing_.store(true, std::memory_order_release);
-      return Received{*taken, link};
-    }
+    if (auto taken = take_from(std::move(link))) return taken;
   }
   return std::nullopt;
+}
+
+std::optional<Received> SubscriptionEndpoint::take_from(std::shared_ptr<Link> link) noexcept {
+  link->windows_seen_ = link->peer().heap().window_count();
+  HeapLook windows(link->peer().heap(), link->is_orphaned_ ? Unannounced::ignored
+                                        : is_alone_        ? Unannounced::lost
+                                                           : Unannounced::awaited);
+  const auto taken = link->core_.take(windows);
+  note_losses(*link);
+  if (!taken) return std::nullopt;
+  link->held_.fetch_add(1, std::memory_order_relaxed);
+  // The last message of a publisher that is gone: its release is what the control thread waits for.
+  if (link->core_.drained()) link->closing_.store(true, std::memory_order_release);
+  return Received{*taken, std::move(link)};
 }
 
 bool SubscriptionEndpoint::has_news() const noexcept {
   if (!is_served()) return false;
   const std::lock_guard lock(mutex_);
-  if (has_news_here()) return true;
-  if (successors_.empty()) [[likely]]
-    return false;
-  // What take_in_order() holds back is no news: whoever asks would turn in circles.
-  if (has_unread()) return false;
-  for (std::size_t i = 0; i < successors_.size(); ++i) {
-    const SubscriptionEndpoint& endpoint = *successors_[i].endpoint;
-    if (successors_[i].waiting || endpoint.has_news()) return true;
-    if (i + 1 == successors_.size()) break;
-    const std::lock_guard its_lock(endpoint.mutex_);
-    if (endpoint.has_unread()) return false;
-  }
-  return false;
+  return successors_.empty() ? has_news_here() : has_news_in_order();
 }
 
 bool SubscriptionEndpoint::has_news_here() const noexcept {
-  return !closed_ && std::any_of(links_.begin(), links_.end(), [this](const auto& link) {
-    return (link->is_ready() || (is_alone_ && link->held_count() < self_.quota)) &&
-           link->core_.has_news();
-  });
+  return may_take() && std::any_of(links_.begin(), links_.end(), [this](const auto& link) {
+           return can_take(*link) && link->core_.has_news();
+         });
 }
 
 std::uint64_t SubscriptionEndpoint::lost() const noexcept {
@@ -233,7 +245,7 @@ std::uint64_t SubscriptionEndpoint::lost() const noexcept {
   const std::lock_guard lock(mutex_);
   std::uint64_t sum = lost_before_;
   for (const auto& link : links_) sum += link->core_.lost();
-  for (const Successor& successor : successors_) sum += successor.endpoint->lost();
+  for (const auto& successor : successors_) sum += successor->lost();
   return sum;
 }
 
@@ -242,7 +254,7 @@ std::uint64_t SubscriptionEndpoint::malformed() const noexcept {
   const std::lock_guard lock(mutex_);
   std::uint64_t sum = malformed_before_;
   for (const auto& link : links_) sum += link->core_.malformed();
-  for (const Successor& successor : successors_) sum += successor.endpoint->malformed();
+  for (const auto& successor : successors_) sum += successor->malformed();
   return sum;
 }
 
@@ -251,131 +263,156 @@ std::uint64_t SubscriptionEndpoint::unreachable() const noexcept {
   const std::lock_guard lock(mutex_);
   std::uint64_t sum = unreachable_before_;
   for (const auto& link : links_) sum += link->core_.unreachable();
-  for (const Successor& successor : successors_) sum += successor.endpoint->unreachable();
+  for (const auto& successor : successors_) sum += successor->unreachable();
   return sum;
 }
 
 std::size_t SubscriptionEndpoint::publisher_count() const noexcept {
   if (is_forked_child()) return 0;
   const std::lock_guard lock(mutex_);
-  std::size_t most = static_cast<std::size_t>(
-      std::count_if(links_.begin(), links_.end(), [](const auto& link) { return !link->ceased_; }));
-  // While publishers move, one may be in two memberships.
-  for (const Successor& successor : successors_)
-    most = std::max(most, successor.endpoint->publisher_count());
-  return most;
+  return with_successors_locked([this] {
+    std::size_t count = 0;
+    for (std::size_t age = 0; age <= successors_.size(); ++age) {
+      for (const auto& link : in_age(age).links_) count += !link->ceased_ && !has_next(*link, age);
+    }
+    return count;
+  });
+}
+
+/// A queue of the same publisher is in a newer membership: while publishers move, one may be in two.
+bool SubscriptionEndpoint::has_next(const Link& link, std::size_t age) const noexcept {
+  for (std::size_t i = age + 1; i <= successors_.size(); ++i) {
+    const auto& links = in_age(i).links_;
+    if (std::any_of(links.begin(), links.end(), [&](const auto& other) {
+          return !other->ceased_ && other->origin() == link.origin();
+        }))
+      return true;
+  }
+  return false;
 }
 
 std::size_t SubscriptionEndpoint::link_count() const noexcept {
   if (is_forked_child()) return 0;
   const std::lock_guard lock(mutex_);
   std::size_t sum = links_.size();
-  for (const Successor& successor : successors_) sum += successor.endpoint->link_count();
+  for (const auto& successor : successors_) sum += successor->link_count();
   return sum;
 }
 
 // --- after the daemon's store was lost
 
-template <class Function>
-void Link::for_each_handled(Function function) const {
-  const std::uint64_t cursor = core_.cursor();
-  const std::uint64_t begin =
-      std::max(identity_.first_sequence,
-               cursor - std::min<std::uint64_t>(cursor, identity_.offered.depth + 1));
-  for (std::uint64_t sequence = begin + 1; sequence < cursor; ++sequence) {
-    const std::uint64_t entry = identity_.publisher.order(sequence).load(std::memory_order_acquire);
-    const std::uint64_t slot = abi::slot_of(entry);
-    if (abi::sequence_of(entry) != sequence || slot >= abi::slot_count_max) continue;
-    function(identity_.publisher.slot_address(slot).load(std::memory_order_relaxed),
-             identity_.publisher.slot_stamp(slot).load(std::memory_order_relaxed));
-  }
+template <class Do>
+auto SubscriptionEndpoint::with_successors_locked(Do work, std::size_t locked) const
+    -> decltype(work()) {
+  if (locked == successors_.size()) return work();
+  const std::lock_guard lock(successors_[locked]->mutex_);
+  return with_successors_locked(work, locked + 1);
 }
 
-void SubscriptionEndpoint::let_go(const Received& received) noexcept {
-  if (received.link->release(received.taken.slot)) received.link->wake_control();
-}
-
-bool SubscriptionEndpoint::has_handled(const Received& received) const noexcept {
-  bool found = false;
-  const auto look = [&](std::uint64_t address, std::uint64_t stamp) {
-    found = found || (address == received.taken.address && stamp == received.taken.stamp_ns);
-  };
-  if (received.taken.stamp_ns <= newest_handled_) {
-    for (const Handled& handled : handled_) look(handled.address, handled.stamp);
-  }
-  for (const auto& link : links_) {
-    if (link->keeps_history()) link->for_each_handled(look);
-  }
-  return found;
-}
-
-bool SubscriptionEndpoint::was_handled(const Received& received) const noexcept {
-  if (!received.link->keeps_history()) return false;
-  if (has_handled(received)) return true;
-  for (const Successor& successor : successors_) {
-    const SubscriptionEndpoint& other = *successor.endpoint;
-    const std::lock_guard lock(other.mutex_);
-    if (std::find(other.links_.begin(), other.links_.end(), received.link) != other.links_.end())
-      return false;  // it and those after it
-    if (other.has_handled(received)) return true;
+/// A queue of the same publisher was here in an older membership, with what goes along as history: it
+/// is, or was, read to its end. One that its publisher never moved to had nothing.
+bool SubscriptionEndpoint::has_former(const Link& link, std::size_t age) const noexcept {
+  const Link::Origin origin = link.origin();
+  for (std::size_t i = 0; i < age; ++i) {
+    const SubscriptionEndpoint& former = in_age(i);
+    if (std::find(former.followed_.begin(), former.followed_.end(), origin) !=
+            former.followed_.end() ||
+        std::any_of(former.links_.begin(), former.links_.end(), [&](const auto& other) {
+          return other->origin() == origin && other->core_.has_begun();
+        }))
+      return true;
   }
   return false;
 }
 
-/// Something is there that must be taken before anything newer, whether it can be taken now or not.
-bool SubscriptionEndpoint::has_unread() const noexcept {
-  return !closed_ && std::any_of(links_.begin(), links_.end(),
-                                 [](const auto& link) { return link->core_.has_news(); });
-}
-
-// A publisher commits to its former queue, then moves, then commits to the next. So the newest
-// membership is looked at first: whatever was committed before what is found there is found by the
-// looks that follow, and is delivered before it.
-std::optional<Received> SubscriptionEndpoint::take_in_order() noexcept {
-  for (;;) {
-    for (auto successor = successors_.rbegin(); successor != successors_.rend(); ++successor) {
-      if (!successor->waiting) successor->waiting = successor->endpoint->take();
-    }
-    if (auto taken = take_here()) return taken;
-    if (has_unread()) return std::nullopt;  // until something is released
-    bool again = false;
-    for (std::size_t i = 0; i < successors_.size() && !again; ++i) {
-      Successor& successor = successors_[i];
-      if (successor.waiting) {
-        const Received taken = *std::exchange(successor.waiting, std::nullopt);
-        if (!was_handled(taken)) return taken;
-        let_go(taken);
-        again = true;
-      } else if (i + 1 < successors_.size()) {
-        const std::lock_guard lock(successor.endpoint->mutex_);
-        if (successor.endpoint->has_unread()) return std::nullopt;
-      }
-    }
-    if (!again) return std::nullopt;
+// A publisher commits to its former queue, marks it, and then commits to the next one. So whoever sees
+// something in the next one, and looks at the former afterwards, sees the mark and all that is there.
+// Other publishers' queues hold nothing back.
+bool SubscriptionEndpoint::is_held_back(const Link& link, std::size_t age) const noexcept {
+  for (std::size_t i = 0; i < age; ++i) {
+    const SubscriptionEndpoint& former = in_age(i);
+    if (former.may_take() &&
+        std::any_of(former.links_.begin(), former.links_.end(), [&](const auto& other) {
+          return other->origin() == link.origin() && other->has_moved() && other->core_.has_news();
+        }))
+      return true;
   }
+  return false;
 }
 
-void SubscriptionEndpoint::remember(const Handled& handled) {
-  if (handled_.size() == handled_count_max) handled_.erase(handled_.begin());
-  handled_.push_back(handled);
-  newest_handled_ = std::max(newest_handled_, handled.stamp);
+SubscriptionEndpoint::Candidate SubscriptionEndpoint::oldest_in_order() noexcept {
+  Candidate best;
+  for (std::size_t age = successors_.size() + 1; age-- > 0;) {
+    SubscriptionEndpoint& of = in_age(age);
+    if (!of.may_take()) continue;
+    for (const auto& link : of.links_) {
+      if (link->continues_ || !link->keeps_history() || !has_former(*link, age)) continue;
+      link->continues_ = true;
+      link->core_.want_history(0);
+    }
+    of.drop_beyond_depth();
+    for (const auto& link : of.links_) {
+      if (!of.can_take(*link)) continue;
+      const auto stamp = link->core_.next_stamp();
+      if (!stamp || (best.link != nullptr && *stamp > best.stamp) || is_held_back(*link, age))
+        continue;
+      best = {&of, link, *stamp};
+    }
+  }
+  return best;
+}
+
+std::optional<Received> SubscriptionEndpoint::take_in_order() noexcept {
+  return with_successors_locked([this]() -> std::optional<Received> {
+    // Each round takes, loses or passes over something. Were a publisher faster than that, the next
+    // call would go on.
+    for (std::uint64_t round = 0; round < 2 * abi::ring_count; ++round) {
+      Candidate next = oldest_in_order();
+      if (next.link == nullptr) return std::nullopt;
+      if (auto taken = next.of->take_from(std::move(next.link))) return taken;
+    }
+    return std::nullopt;
+  });
+}
+
+// What is held back is no news: whoever asks would turn in circles.
+bool SubscriptionEndpoint::has_news_in_order() const noexcept {
+  return with_successors_locked([this] {
+    for (std::size_t age = successors_.size() + 1; age-- > 0;) {
+      const SubscriptionEndpoint& of = in_age(age);
+      if (of.may_take() && std::any_of(of.links_.begin(), of.links_.end(), [&](const auto& link) {
+            return of.can_take(*link) && link->core_.has_news() && !is_held_back(*link, age);
+          }))
+        return true;
+    }
+    return false;
+  });
 }
 
 void SubscriptionEndpoint::be_alone() noexcept {
   {
     const std::lock_guard lock(mutex_);
     is_alone_ = true;
+    if (closed_) {
+      for (const auto& link : links_) link->core_.stand_aside();
+    }
   }
   sleeper_->wake();
+}
+
+void SubscriptionEndpoint::expect_successor() {
+  const std::lock_guard lock(mutex_);
+  successors_.reserve(successors_.size() + 1);
 }
 
 bool SubscriptionEndpoint::add_successor(const std::shared_ptr<SubscriptionEndpoint>& successor) {
   {
     const std::lock_guard lock(mutex_);
     if (closed_) return false;
-    if (!successors_.empty()) successors_.back().endpoint->be_succeeded();
-    successors_.push_back({successor, std::nullopt});
+    if (!successors_.empty()) successors_.back()->be_succeeded();
+    successors_.push_back(successor);
   }
+  AGNOCAST_CRASH_POINT(C_succeeded);
   be_succeeded();
   sleeper_->wake();  // what it got meanwhile rang for nobody who knew it
   return true;
@@ -385,18 +422,21 @@ std::shared_ptr<SubscriptionEndpoint> SubscriptionEndpoint::in_membership(
     const Context* context, const std::shared_ptr<SubscriptionEndpoint>& self) const {
   if (self_.context == context) return self;
   const std::lock_guard lock(mutex_);
-  for (const Successor& successor : successors_) {
-    if (successor.endpoint->context() == context) return successor.endpoint;
+  for (const auto& successor : successors_) {
+    if (successor->context() == context) return successor;
   }
   return nullptr;
 }
 
-std::vector<std::shared_ptr<SubscriptionEndpoint>> SubscriptionEndpoint::successors() const {
+std::size_t SubscriptionEndpoint::successor_count() const noexcept {
   const std::lock_guard lock(mutex_);
-  std::vector<std::shared_ptr<SubscriptionEndpoint>> all;
-  all.reserve(successors_.size());
-  for (const Successor& successor : successors_) all.push_back(successor.endpoint);
-  return all;
+  return successors_.size();
+}
+
+std::shared_ptr<SubscriptionEndpoint> SubscriptionEndpoint::successor(
+    std::size_t number) const noexcept {
+  const std::lock_guard lock(mutex_);
+  return number < successors_.size() ? successors_[number] : nullptr;
 }
 
 void SubscriptionEndpoint::collect_alone() {
@@ -405,7 +445,7 @@ void SubscriptionEndpoint::collect_alone() {
     const std::lock_guard lock(mutex_);
     for (auto at = links_.begin(); at != links_.end();) {
       const std::shared_ptr<Link>& link = *at;
-      if (!link->ceased_ && link->has_ceased_alone()) {
+      if (!link->ceased_ && (link->has_moved() || !link->peer().is_alive())) {
         link->ceased_ = true;
         found = true;
         events_->ceased();
@@ -416,12 +456,9 @@ void SubscriptionEndpoint::collect_alone() {
         ++at;
         continue;
       }
-      if (closed_) link->core_.stand_aside();
-      if (link->keeps_history()) {
-        link->for_each_handled([&](std::uint64_t address, std::uint64_t stamp) {
-          remember({address, stamp});
-        });
-      }
+      if (link->keeps_history() && link->has_moved() && link->core_.has_begun() &&
+          std::find(followed_.begin(), followed_.end(), link->origin()) == followed_.end())
+        followed_.push_back(link->origin());
       lost_before_ += link->core_.lost();
       malformed_before_ += link->core_.malformed();
       unreachable_before_ += link->core_.unreachable();
@@ -448,20 +485,19 @@ void SubscriptionEndpoint::finish() noexcept {
 void SubscriptionEndpoint::absorb(SubscriptionEndpoint& successor) noexcept {
   std::shared_ptr<SubscriptionEndpoint> gone;  // after the lock
   const std::lock_guard lock(mutex_);
-  const auto found =
-      std::find_if(successors_.begin(), successors_.end(),
-                   [&](const Successor& entry) { return entry.endpoint.get() == &successor; });
+  const auto found = std::find_if(successors_.begin(), successors_.end(),
+                                  [&](const auto& entry) { return entry.get() == &successor; });
   if (found == successors_.end()) return;
   const std::lock_guard its_lock(successor.mutex_);
   lost_before_ += std::exchange(successor.lost_before_, 0);
   malformed_before_ += std::exchange(successor.malformed_before_, 0);
   unreachable_before_ += std::exchange(successor.unreachable_before_, 0);
   try {
-    for (const Handled& handled : successor.handled_) remember(handled);
+    followed_.insert(followed_.end(), successor.followed_.begin(), successor.followed_.end());
   } catch (const std::bad_alloc&) {
     // History may come twice.
   }
-  gone = std::move(found->endpoint);
+  gone = std::move(*found);
   successors_.erase(found);
 }
 

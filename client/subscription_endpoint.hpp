@@ -46,7 +46,12 @@ class Link {
         peer_(std::move(peer)),
         sleeper_(std::move(sleeper)),
         quota_(quota),
-        wake_control_(std::move(wake_control)) {}
+        wake_control_(std::move(wake_control)) {
+    if (keeps_history())
+      core_.want_history(identity.requested.transient_local
+                             ? std::min(identity.offered.depth, identity.requested.depth)
+                             : 0);
+  }
 
   std::uint64_t publisher() const noexcept { return identity_.index; }
   std::uint64_t generation() const noexcept { return identity_.generation; }
@@ -71,22 +76,22 @@ class Link {
 
  private:
   friend class SubscriptionEndpoint;
-  /// May take() get something from it now? False at the quota, and until a missing window is there: asking again would only turn in circles.
-  bool is_ready() const noexcept {
-    return held_count() < quota_ && (!core_.is_awaiting_window() || ceased_ ||
-                                     peer_->heap().window_count() != windows_seen_);
+  /// The queues by which one publisher is in several memberships have one lineage, and one heap, which
+  /// it brings along and nobody else has.
+  struct Origin {
+    std::uint64_t lineage;
+    std::uint64_t heap;  // address
+    friend bool operator==(const Origin&, const Origin&) = default;
+  };
+  Origin origin() const noexcept {
+    return {identity_.publisher.lineage().load(std::memory_order_relaxed),
+            peer_->heap().first_address()};
   }
-
-  /// Its publisher adds nothing any more: it has moved, or its process is gone.
-  bool has_ceased_alone() const noexcept {
+  /// Its publisher adds nothing here any more, because it does in a newer membership.
+  bool has_moved() const noexcept {
     // acquire; pairs with the store behind the last commit of PublisherEndpoint::move_to.
-    return identity_.publisher.intent_op().load(std::memory_order_acquire) == abi::intent_moved ||
-           !peer_->is_alive();
+    return identity_.publisher.intent_op().load(std::memory_order_acquire) == abi::intent_moved;
   }
-  /// function(address, stamp) of the newest messages that are taken or lost; as far back as the
-  /// publisher's history goes.
-  template <class Function>
-  void for_each_handled(Function function) const;
 
   Core core_;
   Core::Identity identity_;
@@ -98,8 +103,10 @@ class Link {
   std::uint64_t lost_noted_ = 0, malformed_noted_ = 0, unreachable_noted_ = 0;
   std::atomic<std::uint64_t> held_{0};
   std::atomic<bool> closing_{false};
-  // The daemon has said that the publisher is gone, and before that each window it had by then.
-  bool ceased_ = false;
+  bool ceased_ = false;     // the publisher adds nothing any more
+  bool continues_ = false;  // it had a queue of the same publisher before
+  // The daemon has said so, and before that it announced each window that the publisher had by then.
+  bool is_orphaned_ = false;
 };
 
 /// A message in the hands of this process. Whoever drops it calls link->release(taken.slot) exactly
@@ -127,6 +134,7 @@ class SubscriptionEndpoint {
     std::function<void()> wake_control = {};      // of the membership; any thread
     std::shared_ptr<EndpointEvents> events = {};  // of the endpoint that this one continues
     Context* context = nullptr;                   // its membership
+    std::uint64_t lineage = 0;
   };
   struct Publisher {
     std::uint64_t index;
@@ -137,11 +145,7 @@ class SubscriptionEndpoint {
     bool from_start;
   };
 
-  SubscriptionEndpoint(const Identity& identity, std::shared_ptr<Sleeper> sleeper)
-      : self_(identity),
-        sleeper_(std::move(sleeper)),
-        events_(identity.events != nullptr ? identity.events : std::make_shared<EndpointEvents>()) {
-  }
+  SubscriptionEndpoint(const Identity& identity, std::shared_ptr<Sleeper> sleeper);
   SubscriptionEndpoint(const SubscriptionEndpoint&) = delete;
   SubscriptionEndpoint& operator=(const SubscriptionEndpoint&) = delete;
 
@@ -194,12 +198,17 @@ class SubscriptionEndpoint {
 
   /// There is no daemon that could say more of this membership.
   void be_alone() noexcept;
-  /// One of a newer membership; what it gets comes after everything here. False when this is closed.
+  /// Room for one more, so that none is lost that was created. Throws bad_alloc.
+  void expect_successor();
+  /// One of a newer membership. What a publisher has moved there comes after what it left here. False
+  /// when this is closed.
   bool add_successor(const std::shared_ptr<SubscriptionEndpoint>& successor);
   /// The endpoint of that membership: this one, or a successor; null: there is none.
   std::shared_ptr<SubscriptionEndpoint> in_membership(
       const Context* context, const std::shared_ptr<SubscriptionEndpoint>& self) const;
-  std::vector<std::shared_ptr<SubscriptionEndpoint>> successors() const;
+  std::size_t successor_count() const noexcept;
+  /// The one of the given number, oldest first; null: there are not so many.
+  std::shared_ptr<SubscriptionEndpoint> successor(std::size_t number) const noexcept;
   /// In place of collect_unlinked(), when alone: forgets links whose publishers add nothing any more,
   /// and that are read and released.
   void collect_alone();
@@ -216,26 +225,32 @@ class SubscriptionEndpoint {
   void be_succeeded() noexcept { is_succeeded_.store(true, std::memory_order_release); }
 
  private:
-  /// What was taken or lost, so that it is not delivered again as history of the publisher's next queue.
-  struct Handled {
-    std::uint64_t address;
-    std::uint64_t stamp;
-  };
-  struct Successor {
-    std::shared_ptr<SubscriptionEndpoint> endpoint;
-    std::optional<Received> waiting;  // until what is older has been taken
+  struct Candidate {
+    SubscriptionEndpoint* of = nullptr;
+    std::shared_ptr<Link> link;
+    std::uint64_t stamp = 0;
   };
   std::optional<Received> take_here() noexcept;
+  std::optional<Received> take_from(std::shared_ptr<Link> link) noexcept;
   std::optional<Received> take_in_order() noexcept;
+  bool may_take() const noexcept;
+  bool can_take(const Link& link) const noexcept;
   bool has_news_here() const noexcept;
-  bool has_unread() const noexcept;
-  // The deepest history of two publishers. What is beyond may come twice.
-  static constexpr std::size_t handled_count_max = 1024;
-  void remember(const Handled& handled);
+  bool has_news_in_order() const noexcept;
+  // Memberships by age: 0 is this one, its successors follow.
+  template <class Do>
+  auto with_successors_locked(Do work, std::size_t locked = 0) const -> decltype(work());
+  SubscriptionEndpoint& in_age(std::size_t age) noexcept {
+    return age == 0 ? *this : *successors_[age - 1];
+  }
+  const SubscriptionEndpoint& in_age(std::size_t age) const noexcept {
+    return age == 0 ? *this : *successors_[age - 1];
+  }
+  Candidate oldest_in_order() noexcept;
+  bool is_held_back(const Link& link, std::size_t age) const noexcept;
   void absorb(SubscriptionEndpoint& successor) noexcept;
-  bool was_handled(const Received& received) const noexcept;
-  bool has_handled(const Received& received) const noexcept;
-  static void let_go(const Received& received) noexcept;
+  bool has_former(const Link& link, std::size_t age) const noexcept;
+  bool has_next(const Link& link, std::size_t age) const noexcept;
   bool is_member() const noexcept;
   using Book = journal::AnnouncementBook<SharedMemory>;
   void drop_beyond_depth() noexcept;
@@ -254,10 +269,9 @@ class SubscriptionEndpoint {
   bool is_alone_ = false;
   bool has_finished_ = false;
   std::atomic<bool> is_succeeded_{false};
-  std::vector<Successor> successors_;          // oldest first
-  std::weak_ptr<SubscriptionEndpoint> first_;  // of a successor
-  std::vector<Handled> handled_;               // of links that are over; only after a loss
-  std::uint64_t newest_handled_ = 0;
+  std::vector<std::shared_ptr<SubscriptionEndpoint>> successors_;  // oldest first
+  std::weak_ptr<SubscriptionEndpoint> first_;                      // of a successor
+  std::vector<Link::Origin> followed_;  // of queues that are over and have been moved from
   const std::shared_ptr<EndpointEvents> events_;
   Departure departure_;
 };

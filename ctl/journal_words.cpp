@@ -88,11 +88,9 @@ std::string death_words(DeathReason reason) {
 }
 
 std::string recovered_words(const JournalRecord& record) {
-  std::string text = "took over";
-  if (const std::uint64_t away = argument(record, "away_ns"); away != 0)
-    text += " after " + std::to_string(away / 1'000'000) + " ms";
   const std::uint64_t redone = argument(record, "redone_lsn");
-  text += redone == 0 ? ", nothing was under way" : ", completed #" + std::to_string(redone);
+  std::string text = redone == 0 ? "took over, nothing was under way"
+                                 : "took over, completed #" + std::to_string(redone);
   text += ", " + counted(argument(record, "dead_count"), "process", "processes") + " had died, " +
           counted(argument(record, "board_word_count"), "word") + " of the board written again";
   return text;

@@ -74,7 +74,8 @@ std::byte* System::region_of(const Endpoint& endpoint) const {
   const Process* const process = process_of(endpoint);
   if (process == nullptr || !process->region) return nullptr;
   // The mapping reaches as far as the highest extent that fits into the region.
-  if (endpoint.facts.extent > process->region.bytes() ||
+  if (endpoint.facts.extent % abi::page_bytes != 0 ||
+      endpoint.facts.extent > process->region.bytes() ||
       process->region.bytes() - endpoint.facts.extent < extent_bytes(endpoint.facts))
     return nullptr;
   return process->region.base();

@@ -15,18 +15,23 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
+#include <iterator>
 #include <utility>
 
 namespace agnocast::daemon {
 
 using journal::DeathReason;
+using journal::EndDecision;
 
 namespace {
 
-// Packets of one connection handled in a row; the others must not wait for a flood.
+// Packets of one user handled in a row, however many connections they come from, and how long that may
+// take (one packet is always handled); the others must not wait for a flood, nor for what is much work.
 constexpr unsigned packets_per_turn = 32;
+constexpr std::uint64_t turn_budget_ns = 2'000'000;
 // Likewise connections: whoever connects again and again, refused or not, is never done.
 constexpr unsigned connections_per_turn = 8;
 // How often a process without a connection is looked at.
@@ -34,7 +39,7 @@ constexpr int short_interval_ms = 250;
 // How long looking at them may take at a time, and how many times as long the daemon does other things
 // after a look that took longer.
 constexpr std::uint64_t look_budget_ns = 20'000'000, look_rest = 20;
-// How often holds are looked at, and observers.
+// How often holds are looked at, what is let go of, and observers.
 constexpr int watch_interval_ms = 1'000;
 
 // To a connection that is not taken: it is closed afterwards, but not without a word.
@@ -64,6 +69,7 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
       doorbells_(listener.bells_directory(), store),
       membership_(registry_, regions_, doorbells_, *this),
       hold_watch_(registry_, regions_),
+      let_go_watch_(registry_, regions_, membership_, *this),
       by_client_(abi::client_count_max, nullptr),
       spare_(::open("/dev/null", O_RDONLY | O_CLOEXEC)) {
   membership_.on_ended = [this](ClientIndex client) { on_ended(client); };
@@ -90,7 +96,7 @@ Broker::~Broker() {
 
 Result<void> Broker::start() {
   const auto token =
-      dispatcher_.add(listener_.socket().fd(), EPOLLIN, [this](std::uint32_t) { accept_all(); });
+      dispatcher_.add(listener_.socket().fd(), EPOLLIN, [this](std::uint32_t) { knocks_ = true; });
   if (!token) return tl::unexpected(token.error());
   listening_ = *token;
   return {};
@@ -98,7 +104,7 @@ Result<void> Broker::start() {
 
 // --- connections
 
-void Broker::accept_all() {
+void Broker::accept_some() {
   for (unsigned turn = 0; turn < connections_per_turn; ++turn) {
     auto socket = listener_.socket().accept();
     if (!socket) {
@@ -160,11 +166,11 @@ void Broker::accept(PacketSocket socket) {
         agnocast::user_namespace_of(peer->session.identity().pid).value_or(0);
   }
   const auto connection = dispatcher_.add(peer->session.socket().fd(), EPOLLIN,
-                                          [this, id](std::uint32_t) { on_readable(id); });
-  const auto process = !connection
-                           ? connection
-                           : dispatcher_.add(peer->session.identity().process.fd(), EPOLLIN,
-                                             [this, id](std::uint32_t) { on_process_end(id); });
+                                          [this, id](std::uint32_t) { wait_for_turn(id, false); });
+  const auto process =
+      !connection ? connection
+                  : dispatcher_.add(peer->session.identity().process.fd(), EPOLLIN,
+                                    [this, id](std::uint32_t) { wait_for_turn(id, true); });
   if (!process) {
     if (connection) dispatcher_.remove(*connection);
     send_refused(peer->session.socket(), process.error().code, process.error().what);
@@ -177,50 +183,83 @@ void Broker::accept(PacketSocket socket) {
   peers_.emplace(id, std::move(peer));
 }
 
-void Broker::on_readable(PeerId id) {
+void Broker::wait_for_turn(PeerId id, bool ended) {
+  const auto found = peers_.find(id);
+  if (found == peers_.end()) return;
+  Peer& peer = *found->second;
+  peer.ended = peer.ended || ended;
+  if (!std::exchange(peer.waits, true)) waiting_[peer.session.identity().uid].push_back(id);
+}
+
+void Broker::serve_waiting() {
+  for (auto user = waiting_.begin(); user != waiting_.end();) {
+    std::deque<PeerId>& queue = user->second;
+    Turn turn{packets_per_turn, monotonic_ns() + turn_budget_ns};
+    while (turn.left > 0 && !queue.empty()) {
+      const PeerId id = queue.front();
+      queue.pop_front();
+      take_turn(id, turn);
+    }
+    user = queue.empty() ? waiting_.erase(user) : std::next(user);
+  }
+  // Whose connection has just ended may take another one.
+  if (std::exchange(knocks_, false)) accept_some();
+}
+
+// Who has more to say is found by the dispatcher again, and waits behind the others of its user.
+void Broker::take_turn(PeerId id, Turn& turn) {
+  const auto found = peers_.find(id);
+  if (found == peers_.end()) return;
+  found->second->waits = false;
+  const bool ended = found->second->ended;
+  // Once a whole turn: another process may hold the connection, and never be done.
+  const unsigned count = read_packets(id, ended ? Turn{packets_per_turn} : turn);
+  if (const auto still = peers_.find(id); ended && still != peers_.end())
+    reap_peer(*still->second, DeathReason::died, "process ended");
+  const bool late = monotonic_ns() >= turn.until_ns;
+  turn.left = late ? 0 : turn.left - std::clamp(count, 1U, turn.left);
+}
+
+unsigned Broker::read_packets(PeerId id, const Turn& share) {
   std::array<std::byte, wire::packet_bytes_max> buffer;
-  for (unsigned turn = 0; turn < packets_per_turn; ++turn) {
+  for (unsigned turn = 0; turn < share.left; ++turn) {
+    if (turn > 0 && monotonic_ns() >= share.until_ns) return turn;
     const auto found = peers_.find(id);
-    if (found == peers_.end() || found->second->session.closed()) return;
+    if (found == peers_.end() || found->second->session.closed()) return turn;
     Peer& peer = *found->second;
     if (peer.revoked) {
       say_farewell(peer);
-      return;
+      return turn;
     }
     const bool observes = peer.session.role() == Role::observer;
-    if (observes && turn > 0) return;  // a dump is work
+    if (observes && turn > 0) return turn;  // a dump is work
     // A blocked writer is woken here as well: the handler does not tell the events apart.
     if (peer.wants_writable && turn == 0) {
       flush(peer);
-      if (peers_.find(id) == peers_.end() || peer.session.closed()) return;
+      if (peers_.find(id) == peers_.end() || peer.session.closed()) return turn;
     }
     auto packet = peer.session.socket().receive(buffer);
     if (!packet) {
       disconnect(peer, packet.error().what);
-      return;
+      return turn;
     }
-    if (packet->kind == Packet::Kind::nothing) return;
+    if (packet->kind == Packet::Kind::nothing) return turn;
     if (packet->kind == Packet::Kind::end) {
       disconnect(peer, "closed by the process");
-      return;
+      return turn;
     }
     if (packet->credentials && !peer.session.identity().confirmed)
       confirm(peer.session.identity(), *packet->credentials);
     if (observes && peer.session.has_output()) {
       disconnect(peer, "an observer asks before it has read");
-      return;
+      return turn;
     }
     AGNOCAST_CRASH_POINT(B_request);
     const Envelope envelope{packet->descriptor_count, packet->truncated, packet->descriptors_lost};
     serve(peer, decode({buffer.data(), packet->bytes}, envelope, peer.session.role()),
           packet->fds());
   }
-}
-
-void Broker::on_process_end(PeerId id) {
-  const auto found = peers_.find(id);
-  if (found == peers_.end()) return;
-  reap_peer(*found->second, DeathReason::died, "process ended");
+  return share.left;
 }
 
 void Broker::flush(Peer& peer) {
@@ -254,12 +293,19 @@ void Broker::flush(Peer& peer) {
   }
 }
 
+std::uint8_t Broker::whose(const Peer& peer) noexcept {
+  if (!peer.session.greeted()) return journal::end::stranger;
+  return peer.revoked ? journal::end::revoked : journal::end::member;
+}
+
 void Broker::disconnect(Peer& peer, std::string_view why) {
   AGNOCAST_CRASH_POINT(B_ended);
   dispatcher_.remove(peer.connection);
   peer.connection = 0;
   peer.session.close();
-  if (!peer.session.greeted()) {
+  const bool gone = peer.session.greeted() && !peer.ended && has_let_go(peer);
+  const auto decision = journal::decide_end(whose(peer), false, gone);
+  if (decision == EndDecision::drop) {
     if (peer.session.role() == Role::observer)
       log_.write(LogLevel::debug, "observer gone",
                  {{"pid", peer.session.identity().pid}, {"why", why}});
@@ -270,7 +316,7 @@ void Broker::disconnect(Peer& peer, std::string_view why) {
   log_.write(LogLevel::debug, "connection ended",
              {{"client", number(client)}, {"pid", peer.session.identity().pid}, {"why", why}});
   // After exec, or when the library was shut down, nothing of the region is left in the process.
-  if (has_let_go(peer)) {
+  if (decision != EndDecision::wait) {
     reap_peer(peer, DeathReason::let_go, "process let go of its region");
     return;
   }
@@ -282,15 +328,15 @@ void Broker::disconnect(Peer& peer, std::string_view why) {
 void Broker::reap_peer(Peer& peer, DeathReason reason, std::string_view how) {
   AGNOCAST_CRASH_POINT(B_reap);
   const PeerId id = peer.id;
-  if (!peer.session.greeted()) {
+  const auto decision = journal::decide_end(whose(peer), reason == DeathReason::died, true);
+  if (decision == EndDecision::drop) {
     drop(id);
     return;
   }
   const ClientIndex client = *peer.session.client();
-  const bool revoked = peer.revoked;
   by_client_[number(client)] = nullptr;
   drop(id);
-  if (revoked) {
+  if (decision == EndDecision::free_place) {
     // The rest was done when it was revoked; now its place may be used again.
     registry_.client_died(client, reason);
     store_.remove(DescriptorStore::process(client));
@@ -302,9 +348,10 @@ void Broker::reap_peer(Peer& peer, DeathReason reason, std::string_view how) {
           {"how", how},
           {"was", "revoked"}});
     membership_.settle_client(client);
-    return;
+  } else {
+    repair(client, reason, how);
   }
-  repair(client, reason, how);
+  AGNOCAST_CRASH_POINT(B_reaped);
 }
 
 void Broker::repair(ClientIndex client, DeathReason reason, std::string_view how) {
@@ -369,18 +416,20 @@ void Broker::say_farewell(Peer& peer) {
 
 // A process may have tens of thousands of mappings, and reading them takes a tenth of a second. What
 // that took is not to be most of what the daemon does: until it has done other things for long enough
-// the answer is no, and the next tick asks again.
-bool Broker::has_let_go(const Peer& peer) {
+// nobody is looked at, and the next tick asks again.
+Broker::Trace Broker::look_at(const Peer& peer) {
   const std::uint64_t begin = monotonic_ns();
-  if (begin < look_due_ns_) return false;
-  const bool maps =
+  if (begin < look_due_ns_) return Trace::unknown;
+  const auto maps =
       maps_file(peer.session.identity().pid, regions_.region_file(*peer.session.client()));
   const std::uint64_t took = monotonic_ns() - begin;
   if (took > look_budget_ns) look_due_ns_ = begin + took * look_rest;
-  return !maps;
+  if (!maps) return Trace::unknown;
+  return *maps ? Trace::some : Trace::none;
 }
 
-bool Broker::was_revoked(const Peer& peer) {
+Broker::Trace Broker::trace_of_revoked(const Peer& peer) {
+  Trace trace = Trace::none;
   const PeerIdentity& who = peer.session.identity();
   for (const auto& [id, other] : peers_) {
     if (!other->revoked) continue;
@@ -391,9 +440,12 @@ bool Broker::was_revoked(const Peer& peer) {
                           ? *inode == *its_inode
                           : who.pid > 0 && who.pid == one.pid && !one.process.ended();
     // After exec it is another program.
-    if (same && !has_let_go(*other)) return true;
+    if (!same) continue;
+    const Trace found = look_at(*other);
+    if (found == Trace::some) return found;
+    if (found == Trace::unknown) trace = found;
   }
-  return false;
+  return trace;
 }
 
 void Broker::drop(PeerId id) {
@@ -439,24 +491,39 @@ void Broker::tick() {
       const std::uint64_t now_ns = monotonic_ns();
       if (now_ns - begin > look_budget_ns || now_ns < look_due_ns_) break;
       peer->looked_ns = now_ns;
-      if (has_let_go(*peer)) gone.push_back(peer->id);
+      if (journal::decide_end(whose(*peer), false, has_let_go(*peer)) != EndDecision::wait)
+        gone.push_back(peer->id);
     }
     for (const PeerId id : gone)
       reap_peer(*peers_.at(id), DeathReason::let_go, "process let go of its region");
   }
+  membership_.go_on_telling();
+  announce_what_waits();
   drop_slow_observers(now);
-  watch_holds(now);
+  if (now - watched_ms_ >= watch_interval_ms) {
+    watched_ms_ = now;
+    watch_holds();
+    watch_letting_go();
+  }
   log_.flush();
 }
 
+void Broker::announce_what_waits() {
+  if (!membership_.has_waiting()) return;
+  log_.write_limited("announcement", LogLevel::error, "announcement waits",
+                     {{"why", "no descriptor left; raise LimitNOFILE"}});
+  const bool has_descriptor{UniqueFd(::open("/dev/null", O_RDONLY | O_CLOEXEC))};
+  if (has_descriptor) membership_.announce_waiting();
+}
+
 int Broker::due_ms() const noexcept {
-  if (detached_count_ > 0 || flush_later_) return short_interval_ms;
+  if (!waiting_.empty()) return 0;
+  if (detached_count_ > 0 || flush_later_ || membership_.has_waiting() || membership_.tells())
+    return short_interval_ms;
   return peers_.empty() ? 10'000 : watch_interval_ms;
 }
 
-void Broker::watch_holds(std::uint64_t now) {
-  if (now - watched_ms_ < watch_interval_ms) return;
-  watched_ms_ = now;
+void Broker::watch_holds() {
   const auto liar = hold_watch_.look();
   if (!liar) return;
   Peer* const peer = by_client_[number(registry_.owner_of(liar->subscription))];
@@ -465,6 +532,21 @@ void Broker::watch_holds(std::uint64_t now) {
                     std::string(registry_.topic(liar->subscription.topic).name) + " holds " +
                     std::to_string(liar->held) + " messages of one publisher, its quota is " +
                     std::to_string(liar->quota));
+}
+
+void Broker::watch_letting_go() {
+  for (const LetGoWatch::Finding& found : let_go_watch_.look()) {
+    if (by_client_[number(found.client)] == nullptr) continue;
+    // It may have said so, and wait for its turn.
+    read_packets(by_client_[number(found.client)]->id, Turn{packets_per_turn});
+    Peer* const peer = by_client_[number(found.client)];
+    if (peer == nullptr || !let_go_watch_.is_true(found)) continue;
+    const EndpointRef& oldest = found.oldest;
+    revoke(*peer, "it does not let go of " + std::to_string(found.count) +
+                      " endpoints that are gone, the oldest a " +
+                      (oldest.kind == Kind::publisher ? "publisher" : "subscription") + " of " +
+                      printable(registry_.topic(oldest.topic).name));
+  }
 }
 
 // --- Post
@@ -479,17 +561,20 @@ std::uint64_t Broker::user_namespace_of(ClientIndex client) {
   return peer == nullptr ? 0 : peer->session.user_namespace;
 }
 
-void Broker::send(ClientIndex client, std::span<const std::byte> packet,
-                  std::vector<SharedFd> fds) {
+void Broker::send(ClientIndex client, Outgoing packet) {
   Peer* const peer = by_client_[number(client)];
   if (peer == nullptr || peer->session.closed()) return;
-  reply(*peer, packet, std::move(fds));
+  reply(*peer, std::move(packet));
 }
 
 void Broker::reply(Peer& peer, std::span<const std::byte> packet, std::vector<SharedFd> fds) {
+  reply(peer, Outgoing{{packet.begin(), packet.end()}, std::move(fds), {}});
+}
+
+void Broker::reply(Peer& peer, Outgoing packet) {
   AGNOCAST_CRASH_POINT(B_send);
   const bool waiting = peer.session.has_output();
-  peer.session.push(packet, std::move(fds));
+  peer.session.push(std::move(packet));
   // While something waits for the socket there is nothing to gain from another try.
   if (!waiting || peer.session.queued_count() > Session::queue_count_max) flush(peer);
   AGNOCAST_CRASH_POINT(B_sent);

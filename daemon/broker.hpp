@@ -3,12 +3,14 @@
 // Broker: builds and owns everything below, and turns events into operations.
 //
 //   listener readable     accept, identify, watch connection and process
-//   connection readable   decode, check rights and quotas, membership
+//   connection readable   its turn comes: decode, check rights and quotas, membership
 //   connection ended      keep (the process lives), or reap (it has no trace of its region)
 //   rejoin                the new connection takes the place of the one that the process lost
-//   pidfd readable        reap
+//   pidfd readable        its turn comes: what it said last, then reap
 //   observer says revoke  reap although it lives; it is told, and its pidfd stays watched
 //   started again         broker_resume.cpp
+//
+// Turns are the users': who has a thousand connections is served as much as who has one.
 //
 // One thread; another one frees memory (closer.hpp). The order of things inside one event is the
 // protocol's; between events everything is consistent, so the daemon may be killed at any time.
@@ -16,12 +18,14 @@
 
 #include <daemon/access.hpp>
 #include <daemon/address_plan.hpp>
+#include <daemon/allowance.hpp>
 #include <daemon/config.hpp>
 #include <daemon/descriptor_store.hpp>
 #include <daemon/dispatcher.hpp>
 #include <daemon/doorbells.hpp>
 #include <daemon/dump.hpp>
 #include <daemon/hold_watch.hpp>
+#include <daemon/let_go_watch.hpp>
 #include <daemon/listener.hpp>
 #include <daemon/log.hpp>
 #include <daemon/membership.hpp>
@@ -31,8 +35,10 @@
 #include <daemon/registry.hpp>
 #include <daemon/requests.hpp>
 #include <daemon/session.hpp>
+#include <journal/cases.hpp>
 
 #include <cstdint>
+#include <deque>
 #include <memory>
 #include <optional>
 #include <span>
@@ -58,11 +64,13 @@ class Broker final : private Post {
 
   /// A new life, in memory that is all zero. Errors: as DescriptorStore::put.
   [[nodiscard]] Result<void> found(std::uint64_t incarnation);
-  /// Goes on with a former life: see broker_resume.cpp. Errors: layout_mismatch, internal (the memory
-  /// is damaged), os_failure.
+  /// Goes on with a former life: see broker_resume.cpp. Errors: layout_mismatch, store_damaged,
+  /// os_failure.
   [[nodiscard]] Result<void> resume();
   /// Begins to serve. Errors: os_failure.
   [[nodiscard]] Result<void> start();
+  /// Serves what the dispatcher has found, each user a share of it; what remains is served next time.
+  void serve_waiting();
   /// What is to be done now and then; call it after at most due_ms() (-1: nothing is due).
   void tick();
   int due_ms() const noexcept;
@@ -77,11 +85,16 @@ class Broker final : private Post {
     Dispatcher::Token connection = 0;
     Dispatcher::Token process = 0;
     bool wants_writable = false;
+    bool waits = false;     // for its turn
+    bool ended = false;     // the process; its turn is the last
     bool detached = false;  // without a connection, or revoked, but alive and mapping its region
     bool revoked = false;   // its client is dead in the tables; nothing it says counts
     bool counts_as_observer = false;
     std::uint64_t asked_ms = 0;   // of an observer: when its last answer was made
     std::uint64_t looked_ns = 0;  // when tick() last asked whether it has let go
+    // Of its process: to be told everything again is work. An honest one tries four times a second at
+    // last (client/reconnection.hpp), a few times more often at first.
+    Allowance returns{20, 250};
   };
   /// Connections of one user.
   struct Connections {
@@ -93,15 +106,22 @@ class Broker final : private Post {
   // Post
   Session* session_of(ClientIndex client) override;
   std::uint64_t user_namespace_of(ClientIndex client) override;
-  void send(ClientIndex client, std::span<const std::byte> packet,
-            std::vector<SharedFd> fds) override;
+  using Post::send;
+  void send(ClientIndex client, Outgoing packet) override;
 
-  void accept_all();
+  void accept_some();
   void accept(PacketSocket socket);
   /// Takes one waiting connection although no descriptor is left, and says why it is refused.
   void turn_away();
-  void on_readable(PeerId id);
-  void on_process_end(PeerId id);
+  void wait_for_turn(PeerId id, bool ended);
+  /// What one user may still be served before the next one is.
+  struct Turn {
+    unsigned left = 0;  // packets
+    std::uint64_t until_ns = UINT64_MAX;
+  };
+  void take_turn(PeerId id, Turn& turn);
+  /// Says how many packets there were.
+  unsigned read_packets(PeerId id, const Turn& share);
   void flush(Peer& peer);
   /// The connection is over; the process may live.
   void disconnect(Peer& peer, std::string_view why);
@@ -112,15 +132,18 @@ class Broker final : private Post {
   void revoke(Peer& peer, const std::string& why);
   /// Sends what a revoked process is to hear last, then shuts its connection.
   void say_farewell(Peer& peer);
-  /// Is the process at the other end one that was revoked?
-  bool was_revoked(const Peer& peer);
-  /// Is nothing of its region left in the process? Only if there is time to look.
-  bool has_let_go(const Peer& peer);
+  /// What a process has of its region. Unknown: there is no time to look now, or no descriptor.
+  enum class Trace : std::uint8_t { none, some, unknown };
+  Trace look_at(const Peer& peer);
+  bool has_let_go(const Peer& peer) { return look_at(peer) == Trace::none; }
+  /// What the process at the other end has of a region of its own that was revoked.
+  Trace trace_of_revoked(const Peer& peer);
   // --- resume
-  [[nodiscard]] Result<void> adopt_client(ClientIndex client, std::uint64_t& lost);
-  [[nodiscard]] Result<void> adopt_revoked(ClientIndex client, bool whole);
+  [[nodiscard]] Result<journal::FoundDecision> adopt_client(ClientIndex client,
+                                                            std::uint64_t& lost);
   void back_endpoints(ClientIndex client);
-  [[nodiscard]] Result<void> watch(ClientIndex client, UniqueFd process);
+  [[nodiscard]] Result<void> watch(ClientIndex client, Pidfd process);
+  static std::uint8_t whose(const Peer& peer) noexcept;  // of journal::end
   std::uint64_t reap_while_away(const std::vector<ClientIndex>& ended);
 
   /// `fds`: what came with the request.
@@ -131,11 +154,14 @@ class Broker final : private Post {
   [[nodiscard]] Result<void> rejoin(Peer& peer, const wire::Rejoin& request);
   [[nodiscard]] Result<Peer*> lost_peer(const Peer& peer, const wire::Rejoin& request);
   [[nodiscard]] Result<void> open_window(Peer& peer, const wire::WindowRequest& request);
+  [[nodiscard]] Result<void> room_for_brought(const ClientRecord& record, std::uint64_t bytes);
+  [[nodiscard]] Result<void> check_window(std::uint32_t uid, std::uint64_t bytes);
   [[nodiscard]] Result<void> bring_window(Peer& peer, const wire::BringWindow& request,
                                           const UniqueFd& window);
   [[nodiscard]] Result<WindowRecord> choose_window(ClientIndex client);
   [[nodiscard]] Result<void> open_executor(Peer& peer, const ExecutorRequest& request);
   [[nodiscard]] Result<void> admit_executor(ClientIndex client, const ExecutorRequest& request);
+  [[nodiscard]] Result<void> check_topics(const ClientRecord& record, std::string_view topic);
   [[nodiscard]] Result<void> create(Peer& peer, const CreateRequest& request);
   [[nodiscard]] Result<void> observe(Peer& peer, const wire::Observe& request);
   [[nodiscard]] Result<void> dump(Peer& peer, const wire::Dump& request);
@@ -154,17 +180,20 @@ class Broker final : private Post {
   void look_for_collision(const EndpointRef& publisher, const EndpointRef& subscription);
   void look_for_collisions_of_publishers(ClientIndex owner);
   void look_for_collisions_of_subscriptions(ClientIndex reader);
-  /// Why its heap does not move; empty: it does.
-  std::string why_not_moved(ClientIndex owner) const;
+  /// Why its heap does not move for this reader; empty: it does.
+  std::string why_not_moved(ClientIndex owner, ClientIndex reader) const;
   bool should_move(ClientIndex owner) const;
   template <class Function>
   void for_each_match(ClientIndex client, Kind kind, Function function) const;
 
   DumpFacts facts() const;
   void drop_slow_observers(std::uint64_t now);
-  void watch_holds(std::uint64_t now);
+  void watch_holds();
+  void watch_letting_go();
   void refuse(Peer& peer, std::uint64_t request, Errc code, int os_errno, std::string_view text);
+  void reply(Peer& peer, Outgoing packet);
   void reply(Peer& peer, std::span<const std::byte> packet, std::vector<SharedFd> fds = {});
+  void announce_what_waits();
   void on_ended(ClientIndex client);
   /// A line that any client can cause: limited per user, unless somebody looks at everything.
   void note(LogLevel level, std::uint32_t uid, std::string_view event, Log::Fields fields);
@@ -172,6 +201,10 @@ class Broker final : private Post {
   /// Why the last request was refused, when there is more to say than a static text.
   [[nodiscard]] tl::unexpected<Failure> refusal(Errc code, const std::string& text);
   std::string clients_text() const;
+  /// [quota] heap_bytes as it is in force.
+  std::uint64_t heap_quota() const noexcept;
+  /// Has this user's share of what is kept over the daemon's death room for so many descriptors more?
+  [[nodiscard]] Result<void> check_kept(std::uint32_t uid, std::uint64_t more);
   [[nodiscard]] Result<void> check_limit(std::uint64_t used, std::uint64_t more,
                                          std::uint64_t limit, std::string_view name);
 
@@ -187,19 +220,22 @@ class Broker final : private Post {
   Doorbells doorbells_;
   Membership membership_;
   HoldWatch hold_watch_;
+  LetGoWatch let_go_watch_;
   std::unordered_map<PeerId, std::unique_ptr<Peer>> peers_;
   std::vector<Peer*> by_client_;
-  std::unordered_map<std::uint32_t, Connections> connections_;  // by uid
+  std::unordered_map<std::uint32_t, std::deque<PeerId>> waiting_;  // for their turn, by uid
+  std::unordered_map<std::uint32_t, Connections> connections_;     // by uid
   std::uint64_t observer_count_ = 0;
   PeerId last_peer_ = 0;
   std::uint64_t detached_count_ = 0;  // processes without a connection
   bool flush_later_ = false;
   bool said_unlocked_ = false;
   std::uint64_t looked_ms_ = 0;    // when tick() last had a look
-  std::uint64_t watched_ms_ = 0;   // the same, at what is held
+  std::uint64_t watched_ms_ = 0;   // the same, at what is held and what is let go of
   std::uint64_t look_due_ns_ = 0;  // before that no process is looked at
   UniqueFd spare_;                 // given up for a moment when no descriptor is left
   Dispatcher::Token listening_ = 0;
+  bool knocks_ = false;  // somebody wants to connect
 };
 
 }  // namespace agnocast::daemon

@@ -101,7 +101,7 @@ DumpFacts Broker::facts() const {
                    options_.config.heap.windows_per_process};
   const Config::Quota& quota = options_.config.quota;
   daemon.quota = {quota.clients,   quota.publishers, quota.subscriptions,
-                  quota.executors, quota.heap_bytes, quota.held_messages};
+                  quota.executors, heap_quota(),     quota.held_messages};
   for (const auto& [uid, used] : connections_) {
     facts.users[uid] = {used.clients, used.observers};
     daemon.connections += used.clients;

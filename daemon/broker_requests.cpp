@@ -26,19 +26,8 @@ using journal::DeathReason;
 
 namespace {
 
-// The enumerator's own word: what explain and the documentation list.
-const char* word_of(Errc code) noexcept {
-  switch (code) {
-    case Errc::ok:
-      return "ok";
-#define AGNOCAST_ERROR_WORD(name, sentence, remedy) \
-  case Errc::name:                                  \
-    return #name;
-      AGNOCAST_ERROR_TABLE(AGNOCAST_ERROR_WORD)
-#undef AGNOCAST_ERROR_WORD
-  }
-  return "?";
-}
+// Its region and its pidfd.
+constexpr std::uint64_t kept_per_client = 2;
 
 const char* name_of_kind(Kind kind) noexcept {
   return kind == Kind::publisher ? "publisher" : "subscription";
@@ -53,6 +42,19 @@ tl::unexpected<Failure> Broker::refusal(Errc code, const std::string& text) {
 std::string Broker::clients_text() const {
   return "[quota] clients is " + std::to_string(options_.config.quota.clients) +
          ", this user has as many";
+}
+
+std::uint64_t Broker::heap_quota() const noexcept {
+  const std::uint64_t quota = options_.config.quota.heap_bytes;
+  return quota != 0 ? quota : share_of_one_user(plan_.window_count()) * options_.arena.window_bytes;
+}
+
+Result<void> Broker::check_kept(std::uint32_t uid, std::uint64_t more) {
+  if (!store_.keeps()) return {};
+  const Usage usage = registry_.usage_of(uid);
+  return check_limit(kept_per_client * usage.clients + usage.windows + usage.executors, more,
+                     share_of_one_user(store_.capacity()),
+                     "three quarters of FileDescriptorStoreMax");
 }
 
 Result<void> Broker::check_limit(std::uint64_t used, std::uint64_t more, std::uint64_t limit,
@@ -173,17 +175,22 @@ Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
   Session& session = peer.session;
   if (auto known = check_caller(peer, hello.fingerprint); !known) return known;
   end_unwelcomed(peer);
-  // Room for one more connection there may be for processes that come back.
-  const auto is_client_of_user = [&](const auto& entry) {
-    const Session& other = entry.second->session;
-    return other.greeted() && other.identity().uid == session.identity().uid;
-  };
-  const auto clients = std::count_if(peers_.begin(), peers_.end(), is_client_of_user);
+  // Room for one more connection there may be for processes that come back. Those that are gone count
+  // as long as others have something of them.
   if (peer.counts_as_observer ||
-      static_cast<std::uint64_t>(clients) >= options_.config.quota.clients)
+      registry_.usage_of(session.identity().uid).clients >= options_.config.quota.clients)
     return refusal(Errc::quota_exceeded, clients_text());
-  if (was_revoked(peer))
-    return refusal(Errc::revoked, "the membership of this process was revoked");
+  if (auto kept = check_kept(session.identity().uid, kept_per_client); !kept) return kept;
+  switch (trace_of_revoked(peer)) {
+    case Trace::none:
+      break;
+    case Trace::some:
+      return refusal(Errc::revoked, "the membership of this process was revoked");
+    case Trace::unknown:
+      // It may have become another program since. Whoever loses its connection says hello again.
+      disconnect(peer, "no time to look whether the process was revoked");
+      return {};
+  }
   std::string_view name;
   AGNOCAST_CHECK(text_of(hello.process_name, name));
   const auto plan = registry_.plan_client();
@@ -259,6 +266,9 @@ Result<void> Broker::rejoin(Peer& peer, const wire::Rejoin& request) {
   const auto before = lost_peer(peer, request);
   if (!before) return tl::unexpected(before.error());
   const ClientIndex client{static_cast<std::uint32_t>(request.client)};
+  peer.returns = (*before)->returns;
+  if (!peer.returns.take(monotonic_ms()))
+    return refusal(Errc::limit_reached, "this process comes back too often; later it may");
   if (std::exchange(peer.counts_as_observer, false)) {
     // It was taken for one more because the daemon had not seen yet that the old one had ended.
     Connections& used = connections_[peer.session.identity().uid];
@@ -272,11 +282,25 @@ Result<void> Broker::rejoin(Peer& peer, const wire::Rejoin& request) {
   auto packet = make_body<wire::Rejoined>(wire::Opcode::rejoined, request.header.request);
   packet.incarnation = registry_.incarnation();
   reply(peer, packet_of(packet));
+  let_go_watch_.told_again(client);
   membership_.welcome_back(client);
   look_for_collisions_of_publishers(client);  // it may have been asked to move in vain
   log_.write(LogLevel::debug, "client is back",
              {{"client", number(client)}, {"pid", peer.session.identity().pid}});
   return {};
+}
+
+Result<void> Broker::room_for_brought(const ClientRecord& record, std::uint64_t bytes) {
+  if (record.window_count >= options_.config.heap.windows_per_process)
+    return refusal(Errc::window_exhausted,
+                   "[heap] windows_per_process is " +
+                       std::to_string(options_.config.heap.windows_per_process));
+  return check_window(record.uid, bytes);
+}
+
+Result<void> Broker::check_window(std::uint32_t uid, std::uint64_t bytes) {
+  if (auto kept = check_kept(uid, 1); !kept) return kept;
+  return check_limit(registry_.usage_of(uid).heap_bytes, bytes, heap_quota(), "[quota] heap_bytes");
 }
 
 // What lies in a window outlives the daemon that gave it: its owner, which knows nobody here yet, keeps
@@ -290,34 +314,56 @@ Result<void> Broker::bring_window(Peer& peer, const wire::BringWindow& request,
     reply(peer, packet_of(packet));
     return Result<void>();
   };
-  if (request.window < record.window_count) {
-    if (record.window[request.window].base != request.base)
-      return refusal(Errc::protocol_violation, "another window has this number");
-    ++registry_.counters().requests_answered_again;
-    return done();
+  namespace brought = journal::brought;
+  journal::BroughtFacts facts;
+  facts.number = request.window < record.window_count    ? brought::known
+                 : request.window == record.window_count ? brought::next
+                                                         : brought::later;
+  Result<void> allowed, ours;
+  if (facts.number == brought::known) {
+    facts.same_base = record.window[request.window].base == request.base;
+  } else if (facts.number == brought::next) {
+    facts.possible_group =
+        request.first == request.window ||
+        (request.window != 0 && request.first == record.window[request.window - 1].first);
+    allowed = room_for_brought(record, request.bytes);
+    // The later failure is the one whose text is kept, and the one that is said.
+    ours = Regions::check_window(window.get(), request.base, request.bytes, record.uid);
+    facts.room = allowed.has_value();
+    facts.ours = ours.has_value();
   }
-  if (request.window > record.window_count)
-    return refusal(Errc::protocol_violation, "windows are brought one after the other");
-  if (request.first != request.window &&
-      (request.window == 0 || request.first != record.window[request.window - 1].first))
-    return refusal(Errc::protocol_violation, "a window that cannot be of this group");
-  if (record.window_count >= options_.config.heap.windows_per_process)
-    return refusal(Errc::window_exhausted,
-                   "[heap] windows_per_process is " +
-                       std::to_string(options_.config.heap.windows_per_process));
-  if (auto ours = Regions::check_window(window.get(), request.bytes); !ours) return ours;
-  if (auto allowed = check_limit(registry_.usage_of(record.uid).heap_bytes, request.bytes,
-                                 options_.config.quota.heap_bytes, "[quota] heap_bytes");
-      !allowed)
-    return allowed;
-  if (request.bytes != options_.arena.window_bytes || !plan_.adopt(request.base))
-    return refusal(Errc::arena_occupied,
-                   "the window at " + hexadecimal(request.base) +
-                       " is another process's, or outside [heap] arena_base and arena_bytes");
+  facts.free = true;
+  auto decision = journal::decide_brought(facts);
+  if (decision == journal::BroughtDecision::take) {
+    facts.free = request.bytes == options_.arena.window_bytes && plan_.adopt(request.base);
+    decision = journal::decide_brought(facts);
+  }
+  switch (decision) {
+    case journal::BroughtDecision::take:
+      break;
+    case journal::BroughtDecision::answer_as_before:
+      ++registry_.counters().requests_answered_again;
+      return done();
+    case journal::BroughtDecision::protocol_violation:
+      return refusal(Errc::protocol_violation,
+                     facts.number == brought::known   ? "another window has this number"
+                     : facts.number == brought::later ? "windows are brought one after the other"
+                                                      : "a window that cannot be of this group");
+    case journal::BroughtDecision::permission_denied:
+      return ours;
+    case journal::BroughtDecision::over_limit:
+      return allowed;
+    case journal::BroughtDecision::arena_occupied:
+      return refusal(Errc::arena_occupied,
+                     "the window at " + hexadecimal(request.base) +
+                         " is another process's, or outside [heap] arena_base and arena_bytes");
+  }
+  AGNOCAST_CRASH_POINT(B_window_base);
   if (auto kept = regions_.bring_window(client, window); !kept) {
     plan_.give_back(request.base);
     return kept;
   }
+  AGNOCAST_CRASH_POINT(B_window_made);
   registry_.open_window(client, {request.base, request.bytes, request.first});
   membership_.announce_window(client);
   log_.write(LogLevel::debug, "window brought",
@@ -346,14 +392,11 @@ Result<void> Broker::open_window(Peer& peer, const wire::WindowRequest& request)
                          std::to_string(options_.config.heap.windows_per_process) +
                          ", this process has as many");
     const std::uint64_t bytes = options_.arena.window_bytes;
-    if (auto allowed = check_limit(registry_.usage_of(record.uid).heap_bytes, bytes,
-                                   options_.config.quota.heap_bytes, "[quota] heap_bytes");
-        !allowed)
-      return allowed;
+    if (auto allowed = check_window(record.uid, bytes); !allowed) return allowed;
     const auto window = choose_window(client);
     if (!window) return tl::unexpected(window.error());
     AGNOCAST_CRASH_POINT(B_window_base);
-    writer = regions_.open_window(client, bytes);
+    writer = regions_.open_window(client, window->base, bytes, record.uid);
     if (!writer) {
       plan_.give_back(window->base);
       return tl::unexpected(writer.error());
@@ -394,9 +437,12 @@ Result<void> Broker::admit_executor(ClientIndex client, const ExecutorRequest& r
                               : in_use ? found::used
                                        : found::done) != journal::RequestDecision::carry_out)
     return refusal(Errc::protocol_violation, "the executor is open");
-  if (!is_open)
-    return check_limit(registry_.usage_of(registry_.client(client).uid).executors, 1,
-                       options_.config.quota.executors, "[quota] executors");
+  if (!is_open) {
+    const std::uint32_t uid = registry_.client(client).uid;
+    if (auto kept = check_kept(uid, 1); !kept) return kept;
+    return check_limit(registry_.usage_of(uid).executors, 1, options_.config.quota.executors,
+                       "[quota] executors");
+  }
   ++registry_.counters().requests_answered_again;  // the bells were lost with the answer
   return {};
 }
@@ -411,6 +457,14 @@ Result<void> Broker::open_executor(Peer& peer, const ExecutorRequest& request) {
   const auto packet = make_body<wire::Done>(wire::Opcode::executor_opened, request.request);
   reply(peer, packet_of(packet), std::move(*bells));
   return {};
+}
+
+// Also of a topic that is there: whoever joins it keeps it there when the others have left.
+Result<void> Broker::check_topics(const ClientRecord& record, std::string_view topic) {
+  const auto known = registry_.find_topic(record.domain, topic);
+  if (known && registry_.takes_part(record.uid, *known)) return {};
+  return check_limit(registry_.usage_of(record.uid).topics, 1, options_.config.quota.topics,
+                     "[quota] topics");
 }
 
 Result<void> Broker::create(Peer& peer, const CreateRequest& request) {
@@ -434,6 +488,7 @@ Result<void> Broker::create(Peer& peer, const CreateRequest& request) {
                                                 (publisher ? "publish on " : "subscribe to ") +
                                                 request.topic + " (rule in line " +
                                                 std::to_string(decision.line) + ")");
+  if (auto allowed = check_topics(record, request.topic); !allowed) return allowed;
   const Usage usage = registry_.usage_of(record.uid);
   auto allowed =
       publisher

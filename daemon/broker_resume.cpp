@@ -26,6 +26,7 @@
 namespace agnocast::daemon {
 
 using journal::DeathReason;
+using journal::FoundDecision;
 
 Result<void> Broker::resume() {
   if (auto opened = registry_.open(); !opened) return opened;
@@ -39,18 +40,18 @@ Result<void> Broker::resume() {
   for (std::uint32_t c = 0; c < registry_.client_high(); ++c) {
     const ClientIndex client{c};
     if (registry_.client(client).state == ClientState::free) continue;
-    if (auto adopted = adopt_client(client, lost); !adopted) return adopted;
-    if (by_client_[c] != nullptr) {
-      ++living;
-    } else {
+    const auto found = adopt_client(client, lost);
+    if (!found) return tl::unexpected(found.error());
+    if (*found == FoundDecision::expect) ++living;
+    if (*found == FoundDecision::recover || *found == FoundDecision::finish ||
+        *found == FoundDecision::finish_and_watch)
       ended.push_back(client);
-    }
   }
   const std::size_t strangers = store_.remove_left_over();
   doorbells_.clear_strangers();
   const std::uint64_t dead = reap_while_away(ended);
   membership_.finish();
-  registry_.note_recovered({static_cast<std::uint32_t>(::getpid()), 0, dead, repaired});
+  registry_.note_recovered({static_cast<std::uint32_t>(::getpid()), dead, repaired});
   doorbells_.ring_all();
   log_.write(lost == 0 && repaired == 0 ? LogLevel::notice : LogLevel::error, "resumed",
              {{"restarts", header.counters.restarts},
@@ -64,40 +65,53 @@ Result<void> Broker::resume() {
 
 // A process without everything that is needed to look after it is treated as dead: its readers end
 // with it, and its memory is not given to anybody else before they have.
-Result<void> Broker::adopt_client(ClientIndex client, std::uint64_t& lost) {
+Result<journal::FoundDecision> Broker::adopt_client(ClientIndex client, std::uint64_t& lost) {
   const ClientRecord& record = registry_.client(client);
   for (std::uint64_t w = 0; w < record.window_count; ++w) {
     if (record.window[w].bytes != options_.arena.window_bytes ||
         !plan_.adopt(record.window[w].base))
-      return fail_with(Errc::internal,
+      return fail_with(Errc::store_damaged,
                        "what the former agnocastd left is damaged: the windows of a process");
   }
   const auto adopted = regions_.adopt_client(client, record.window_count);
-  if (!adopted && adopted.error().code != Errc::endpoint_gone) return adopted;
+  if (!adopted && adopted.error().code != Errc::endpoint_gone)
+    return tl::unexpected(adopted.error());
   namespace stored = journal::stored;
   const std::uint8_t owner = record.state == ClientState::alive ? stored::alive
                              : registry_.is_revoked(client)     ? stored::revoked
                                                                 : stored::dead;
+  // What is to be removed is what is not taken here (remove_left_over).
+  const auto takes = [&](std::uint8_t what) {
+    return journal::decide_stored(what, true, owner) == journal::StoredDecision::take;
+  };
   const auto loses_owner = [&](std::uint8_t what, bool is_there) {
     return journal::decide_stored(what, is_there, owner) == journal::StoredDecision::owner_is_lost;
   };
-  bool is_lost = loses_owner(stored::memory, adopted.has_value());
-  if (record.state == ClientState::alive) {
-    UniqueFd process = store_.take(DescriptorStore::process(client));
-    for (std::uint64_t x = 0; x < abi::executor_count_max; ++x) {
-      if ((record.executors >> x & 1) != 0) doorbells_.restore(client, x);
-    }
-    is_lost = is_lost || loses_owner(stored::process, static_cast<bool>(process));
-    if (!is_lost) {
-      back_endpoints(client);
-      return watch(client, std::move(process));
-    }
-  } else {
-    if (registry_.is_revoked(client)) {
-      if (auto backed = adopt_revoked(client, !is_lost); !backed) return backed;
-    }
-    if (record.state == ClientState::forgotten) regions_.bury_client(client);
+  UniqueFd process;
+  if (takes(stored::process)) process = store_.take(DescriptorStore::process(client));
+  for (std::uint64_t x = 0; takes(stored::bell) && x < abi::executor_count_max; ++x) {
+    if ((record.executors >> x & 1) != 0) doorbells_.restore(client, x);
   }
+  const bool is_lost = loses_owner(stored::memory, adopted.has_value()) ||
+                       loses_owner(stored::process, static_cast<bool>(process));
+  Pidfd pidfd(std::move(process));
+  const bool lives = !is_lost && pidfd && !pidfd.ended();
+  const FoundDecision decision =
+      journal::decide_found(record.state == ClientState::alive  ? journal::found::alive
+                            : record.state == ClientState::dead ? journal::found::dead
+                                                                : journal::found::forgotten,
+                            registry_.is_revoked(client), lives);
+  if (decision == FoundDecision::expect) back_endpoints(client);
+  if (decision == FoundDecision::expect || decision == FoundDecision::watch ||
+      decision == FoundDecision::finish_and_watch) {
+    if (auto watched = watch(client, std::move(pidfd)); !watched)
+      return tl::unexpected(watched.error());
+  } else if (registry_.is_revoked(client)) {
+    // It has ended, as far as this daemon can know: its place need not be kept.
+    registry_.client_died(client, DeathReason::died);
+    store_.remove(DescriptorStore::process(client));
+  }
+  if (record.state == ClientState::forgotten) regions_.bury_client(client);
   if (is_lost) {
     ++lost;
     log_.write(LogLevel::error, "client lost",
@@ -105,22 +119,7 @@ Result<void> Broker::adopt_client(ClientIndex client, std::uint64_t& lost) {
                 {"pid", record.pid},
                 {"why", adopted ? "its pidfd was not kept" : adopted.error().what}});
   }
-  return {};
-}
-
-// Whom nobody can watch any more has ended, as far as this daemon can know: its place need not be kept.
-Result<void> Broker::adopt_revoked(ClientIndex client, bool whole) {
-  UniqueFd process = store_.take(DescriptorStore::process(client));
-  if (process && whole) {
-    if (auto watched = watch(client, std::move(process)); !watched) return watched;
-  }
-  const auto is_watched = [&](const auto& entry) {
-    return entry.second->revoked && entry.second->session.client() == client;
-  };
-  if (std::any_of(peers_.begin(), peers_.end(), is_watched)) return {};
-  registry_.client_died(client, DeathReason::died);
-  store_.remove(DescriptorStore::process(client));
-  return {};
+  return decision;
 }
 
 // The memory is there; its locks went with the former daemon's mapping. That the limit of memory is
@@ -145,19 +144,18 @@ void Broker::back_endpoints(ClientIndex client) {
   }
 }
 
-Result<void> Broker::watch(ClientIndex client, UniqueFd process) {
+Result<void> Broker::watch(ClientIndex client, Pidfd process) {
   const ClientRecord& record = registry_.client(client);
   PeerIdentity identity;
   identity.uid = record.uid;
   identity.gid = record.gid;
   identity.pid = static_cast<pid_t>(record.pid);
-  identity.process = Pidfd(std::move(process));
+  identity.process = std::move(process);
   identity.confirmed = true;
-  if (identity.process.ended()) return {};
   const PeerId id = ++last_peer_;
   auto peer = std::make_unique<Peer>(Peer{id, Session(PacketSocket(), std::move(identity))});
   const auto token = dispatcher_.add(peer->session.identity().process.fd(), EPOLLIN,
-                                     [this, id](std::uint32_t) { on_process_end(id); });
+                                     [this, id](std::uint32_t) { wait_for_turn(id, true); });
   if (!token) return tl::unexpected(token.error());
   peer->process = *token;
   peer->session.greet(client);

@@ -9,6 +9,8 @@
 // window that all its readers can map and to allocate from that one alone: the new window begins a group. What lies in
 // the group before is lost to that subscription; the others read it as ever. A process is asked
 // heap_move_max times at most, and only if there is such a window: then its heap stays where it is.
+// What another user claims never takes the last of anything: a move, a window and its bytes in the quota
+// remain for the owner's own user, whose claims are not lies about strangers.
 
 #include <base/check.hpp>
 #include <daemon/broker.hpp>
@@ -29,6 +31,15 @@ bool in_the_way(const std::vector<Obstacles::Claim>& claims, std::uint64_t base,
   return std::any_of(claims.begin(), claims.end(), [&](const Obstacles::Claim& claim) {
     return claim.counts && claim.base < base + bytes && base < claim.base + claim.bytes;
   });
+}
+
+/// What has to remain when a heap moves for a process of this user.
+std::uint64_t reserve_for(const ClientRecord& owner, std::uint32_t reader_uid) noexcept {
+  return owner.uid != reader_uid ? 1 : 0;
+}
+
+bool may_move(const ClientRecord& owner, std::uint64_t reserve) noexcept {
+  return group_count(owner) + reserve <= abi::heap_move_max;
 }
 
 }  // namespace
@@ -114,26 +125,32 @@ std::optional<Broker::Collision> Broker::collision(ClientIndex owner, ClientInde
 
 /// Does somebody who reads from this process have something in the windows that it allocates from?
 bool Broker::should_move(ClientIndex owner) const {
-  if (group_count(registry_.client(owner)) > abi::heap_move_max) return false;
+  const ClientRecord& record = registry_.client(owner);
+  if (!may_move(record, 0)) return false;
   bool should = false;
   for_each_match(owner, Kind::publisher, [&](const EndpointRef&, const EndpointRef& subscription) {
-    const auto found = collision(owner, registry_.owner_of(subscription));
-    should = should || (found && found->claim->counts);
+    const ClientIndex reader = registry_.owner_of(subscription);
+    const auto found = collision(owner, reader);
+    should = should || (found && found->claim->counts &&
+                        may_move(record, reserve_for(record, registry_.client(reader).uid)));
   });
   return should;
 }
 
-std::string Broker::why_not_moved(ClientIndex owner) const {
+std::string Broker::why_not_moved(ClientIndex owner, ClientIndex reader) const {
   const ClientRecord& record = registry_.client(owner);
   const std::uint64_t bytes = options_.arena.window_bytes;
-  if (group_count(record) > abi::heap_move_max)
-    return "it has moved " + std::to_string(abi::heap_move_max) + " times";
-  if (record.window_count >= options_.config.heap.windows_per_process)
+  const std::uint64_t reserve = reserve_for(record, registry_.client(reader).uid);
+  const std::string what_remains = reserve != 0 ? "; the last is its own user's" : "";
+  if (!may_move(record, reserve))
+    return "it has moved " + std::to_string(group_count(record) - 1) + " times" + what_remains;
+  if (record.window_count + reserve >= options_.config.heap.windows_per_process)
     return "[heap] windows_per_process is " +
-           std::to_string(options_.config.heap.windows_per_process);
+           std::to_string(options_.config.heap.windows_per_process) + what_remains;
   const std::uint64_t used = registry_.usage_of(record.uid).heap_bytes;
-  const std::uint64_t quota = options_.config.quota.heap_bytes;
-  if (used > quota || bytes > quota - used) return "[quota] heap_bytes is used up";
+  const std::uint64_t quota = heap_quota();
+  if (used > quota || bytes * (1 + reserve) > quota - used)
+    return "[quota] heap_bytes is used up" + what_remains;
   const auto choice = plan_.best(obstacles_.against(owner));
   bool helps = choice.has_value();
   for_each_match(owner, Kind::publisher, [&](const EndpointRef&, const EndpointRef& subscription) {
@@ -149,25 +166,42 @@ void Broker::look_for_collision(const EndpointRef& publisher, const EndpointRef&
   const auto found = collision(owner, reader);
   if (!found) return;
   const ClientRecord& record = registry_.client(owner);
-  const std::string why_not =
-      !found->claim->counts ? "too much is blocked by the reader's user" : why_not_moved(owner);
+  const std::string why_not = !found->claim->counts ? "too much is blocked by the reader's user"
+                                                    : why_not_moved(owner, reader);
+  const auto is_news = [&](const EndpointRef& own, const EndpointRef& its) {
+    Session* const session = session_of(registry_.owner_of(own));
+    return session != nullptr &&
+           session->collisions().tell({own.kind, number(own.topic), own.index},
+                                      {its.kind, number(its.topic), its.index},
+                                      {registry_.generation_of(own), registry_.generation_of(its),
+                                       found->window, why_not.empty()});
+  };
+  const bool tells_publisher = is_news(publisher, subscription);
+  const bool tells_subscription = is_news(subscription, publisher);
+  if (!tells_publisher && !tells_subscription) return;
   const std::string outcome =
       why_not.empty() ? "it goes on in another window" : "it stays: " + why_not;
-  const std::string text = "process " + std::to_string(registry_.client(reader).pid) +
-                           " cannot map heap window " + std::to_string(found->window) +
-                           " of process " + std::to_string(record.pid) + "; " + outcome +
-                           "; what is there: " + found->claim->what;
-  membership_.notice(publisher, Errc::arena_occupied, text);
-  membership_.notice(subscription, Errc::arena_occupied, text);
-  note(LogLevel::warning, registry_.client(reader).uid, "heap collides",
+  const ClientRecord& other = registry_.client(reader);
+  const std::string text =
+      "process " + std::to_string(other.pid) + " (user " + std::to_string(other.uid) +
+      ") cannot map heap window " + std::to_string(found->window) + " of process " +
+      std::to_string(record.pid) + "; " + outcome + "; it has something at " +
+      hexadecimal(found->claim->base) + ", " + std::to_string(found->claim->bytes) + " bytes";
+  const std::string whole = text + ": " + found->claim->what;
+  // What a process has mapped, names of files among it, is no other user's business.
+  const bool same_user = record.uid == other.uid;
+  if (tells_publisher)
+    membership_.notice(publisher, Errc::arena_occupied, same_user ? whole : text);
+  if (tells_subscription) membership_.notice(subscription, Errc::arena_occupied, whole);
+  note(LogLevel::warning, other.uid, "heap collides",
        {{"topic", registry_.topic(publisher.topic).name},
         {"publisher_pid", record.pid},
-        {"subscriber_pid", registry_.client(reader).pid},
+        {"subscriber_pid", other.pid},
         {"window", found->window},
         {"base", hexadecimal(record.window[found->window].base)},
         {"outcome", outcome},
         {"what", found->claim->what}});
-  if (!why_not.empty()) return;
+  if (!why_not.empty() || !tells_publisher) return;
   auto packet = make_body<wire::MoveHeap>(wire::Opcode::move_heap);
   packet.window = record.window_count;
   send(owner, packet_of(packet), {});

@@ -165,8 +165,8 @@ class Reader {
       }
     } else if (const auto* const text = node.as_string()) {
       written = in_quotes(text->get());
-      if (!key.word.empty() && text->get() == key.word) {
-        key.set_number(config_, key.word_value);
+      if (const auto number = key.number_of_word(text->get())) {
+        key.set_number(config_, *number);
         return;
       }
       const auto parsed = number_in(key, text->get());
@@ -209,13 +209,12 @@ class Reader {
     if (key.kind == Kind::bytes)
       form = "an integer of bytes, or a size like \"16GiB\" (B, KiB, MiB, GiB, TiB)";
     if (key.kind == Kind::mode) form = "it octal, with the owner's rights in it: \"0660\" or 0o660";
-    if (!key.word.empty()) form += ", or \"" + std::string(key.word) + '"';
-    return form;
+    return form + key.or_words();
   }
   void out_of_range(const Key& key, const Place& place, const std::string& written) {
-    std::string remedy = "use " + number_text(key, key.least) + " to " + number_text(key, key.most);
-    if (!key.word.empty()) remedy += ", or \"" + std::string(key.word) + '"';
-    report(place, key.full(), written + " is out of range", std::move(remedy));
+    const std::string remedy =
+        "use " + number_text(key, key.least) + " to " + number_text(key, key.most);
+    report(place, key.full(), written + " is out of range", remedy + key.or_words());
   }
 
   void read_text(const Key& key, const toml::node& node) {
@@ -440,7 +439,8 @@ class Reader {
                    ") is less than one window_bytes (" + bytes_text(heap.window_bytes) + ")",
                "use one window for each process at least");
     }
-    if (heap.window_bytes != 0 && config_.quota.heap_bytes < heap.window_bytes) {
+    if (heap.window_bytes != 0 && config_.quota.heap_bytes != 0 &&
+        config_.quota.heap_bytes < heap.window_bytes) {
       conflict("quota", "heap_bytes", "heap_bytes",
                "heap_bytes (" + bytes_text(config_.quota.heap_bytes) +
                    ") is less than one window (" + bytes_text(heap.window_bytes) + ")",

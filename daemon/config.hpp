@@ -30,6 +30,10 @@ namespace agnocast::daemon {
 /// "unlimited" in the file.
 inline constexpr std::uint64_t unlimited = std::numeric_limits<std::uint64_t>::max();
 
+/// What one user may have by default of something that there is for everybody: nobody takes the last
+/// places alone. Of what is too little to be divided, all.
+constexpr std::uint64_t share_of_one_user(std::uint64_t all) noexcept { return all - all / 4; }
+
 struct Config {
   struct Daemon {
     std::string socket;             // empty: see options.hpp
@@ -58,10 +62,12 @@ struct Config {
   };
   // Of each user.
   struct Quota {
-    std::uint64_t clients = abi::client_count_max / 4 * 3;  // nobody takes the last places alone
+    std::uint64_t clients = share_of_one_user(abi::client_count_max);
+    std::uint64_t topics = share_of_one_user(abi::topic_count_max);
     std::uint64_t publishers = 16'384;
     std::uint64_t subscriptions = 32'768;
-    std::uint64_t heap_bytes = unlimited;  // of addresses; memory is what cgroups limit
+    // Of addresses; memory is what cgroups limit. 0: share_of_one_user() of the arena.
+    std::uint64_t heap_bytes = 0;
     std::uint64_t held_messages = 1'048'576;
     std::uint64_t executors = 4'096;  // each is two descriptors of the daemon
     friend bool operator==(const Quota&, const Quota&) = default;

@@ -71,13 +71,17 @@ constexpr Key keys[] = {
 
     {"quota", "clients", Kind::count, 1, many, 0, "unlimited", unlimited,
      AGNOCAST_NUMBER(quota.clients), "processes of one user"},
+    {"quota", "topics", Kind::count, 1, many, 0, "unlimited", unlimited,
+     AGNOCAST_NUMBER(quota.topics), "topics in which one user has publishers or subscriptions"},
     {"quota", "publishers", Kind::count, 0, many, 0, "unlimited", unlimited,
      AGNOCAST_NUMBER(quota.publishers), ""},
     {"quota", "subscriptions", Kind::count, 0, many, 0, "unlimited", unlimited,
      AGNOCAST_NUMBER(quota.subscriptions), ""},
-    {"quota", "heap_bytes", Kind::bytes, 64 * mib, std::uint64_t{1} << 55, 0, "unlimited",
-     unlimited, AGNOCAST_NUMBER(quota.heap_bytes),
-     "sum of the lengths of all heap windows of one user"},
+    {"quota", "heap_bytes", Kind::bytes, 64 * mib, std::uint64_t{1} << 55, 0, "auto", 0,
+     AGNOCAST_NUMBER(quota.heap_bytes),
+     "sum of the lengths of all heap windows of one user; auto: three quarters of the arena, or "
+     "unlimited",
+     "unlimited", unlimited},
     {"quota", "held_messages", Kind::count, 1, many, 0, "unlimited", unlimited,
      AGNOCAST_NUMBER(quota.held_messages),
      "sum of what the subscriptions of one user may hold at most"},
@@ -135,7 +139,9 @@ std::string value_text(const Key& key, const Config& config) {
     return toml_string(text.empty() ? key.word : std::string_view(text));
   }
   const std::uint64_t value = key.number(config);
-  if (!key.word.empty() && value == key.word_value) return toml_string(key.word);
+  for (const std::string_view word : {key.word, key.other_word}) {
+    if (key.number_of_word(word) == value) return toml_string(word);
+  }
   switch (key.kind) {
     case Kind::level:
       return toml_string(name_of(static_cast<LogLevel>(value)));

@@ -7,6 +7,7 @@
 #include <daemon/config.hpp>
 
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <string>
 #include <string_view>
@@ -20,7 +21,7 @@ struct Key {
   std::string_view section;
   std::string_view name;
   Kind kind;
-  // Of numbers: bounds, what they must be a multiple of, and a word with the number it stands for.
+  // Of numbers: bounds, what they must be a multiple of, and words with the numbers they stand for.
   std::uint64_t least;
   std::uint64_t most;
   std::uint64_t unit;
@@ -31,7 +32,23 @@ struct Key {
   // Of texts: "auto" is the empty one.
   std::string& (*text)(Config&);
   std::string_view meaning;
+  std::string_view other_word = {};
+  std::uint64_t other_value = 0;
 
+  std::optional<std::uint64_t> number_of_word(std::string_view written) const noexcept {
+    if (written.empty()) return std::nullopt;
+    if (written == word) return word_value;
+    if (written == other_word) return other_value;
+    return std::nullopt;
+  }
+  /// The words of a number as alternatives: ", or "auto"".
+  std::string or_words() const {
+    std::string words;
+    for (const std::string_view one : {word, other_word}) {
+      if (!one.empty()) words += ", or \"" + std::string(one) + '"';
+    }
+    return words;
+  }
   std::string full() const { return std::string(section) + '.' + std::string(name); }
 };
 

@@ -4,7 +4,10 @@
 
 #include <base/step.hpp>
 
+#include <fcntl.h>
+#include <poll.h>
 #include <systemd/sd-daemon.h>
+#include <unistd.h>
 
 #include <cerrno>
 #include <charconv>
@@ -27,6 +30,26 @@ std::size_t limit_of_manager() noexcept {
   return parsed.ec == std::errc() && parsed.ptr == end && limit > 0 ? limit : SIZE_MAX;
 }
 
+// systemd says with $FDSTORE that it keeps something since version 254; before, one can only try: it
+// closes what it does not keep.
+bool manager_keeps_anything() noexcept {
+  int ends[2];
+  if (::pipe2(ends, O_CLOEXEC | O_NONBLOCK) != 0) return true;
+  const UniqueFd ours(ends[0]);
+  UniqueFd given(ends[1]);
+  const int fds[] = {given.get()};
+  const char* const name = "FDNAME=agnocastd-probe";
+  if (::sd_pid_notify_with_fds(0, 0, (std::string("FDSTORE=1\nFDPOLL=0\n") + name).c_str(), fds,
+                               1) <= 0)
+    return false;
+  given.reset();
+  wait_for_manager();
+  pollfd other_end{ours.get(), 0, 0};
+  const bool is_closed = ::poll(&other_end, 1, 0) == 1 && (other_end.revents & POLLHUP) != 0;
+  if (!is_closed) notify(std::string("FDSTOREREMOVE=1\n") + name);
+  return !is_closed;
+}
+
 std::string indexed(char kind, ClientIndex client) { return kind + std::to_string(number(client)); }
 
 }  // namespace
@@ -47,6 +70,9 @@ Result<DescriptorStore> DescriptorStore::of_manager() {
     std::free(names[i]);
   }
   std::free(names);
+  const bool says_so = store.kept_count_max_ != SIZE_MAX || count > 0;
+  store.is_refused_ = !says_so && !manager_keeps_anything();
+  store.keeps_ = !store.is_refused_;
   return store;
 }
 

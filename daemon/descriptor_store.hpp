@@ -13,7 +13,7 @@
 // A descriptor is put before the journal record that makes it count, and removed after the record
 // that ends it. What a death in between leaves over is what nobody takes at the next start.
 //
-// Without a manager nothing is kept, and every call succeeds.
+// Without a manager, or with one that keeps nothing, nothing is kept, and every call succeeds.
 #pragma once
 
 #include <agnocast/result.hpp>
@@ -29,6 +29,10 @@
 
 namespace agnocast::daemon {
 
+/// So many descriptors, under names as long as ours, fit into one variable of the environment
+/// (128 KiB): "w2047.7:" has eight bytes.
+inline constexpr std::size_t kept_count_max = 16'000;
+
 class DescriptorStore {
  public:
   /// Nobody keeps anything.
@@ -41,6 +45,13 @@ class DescriptorStore {
   DescriptorStore& operator=(DescriptorStore&&) = default;
 
   bool keeps() const noexcept { return keeps_; }
+  /// There is a manager, and it keeps nothing: FileDescriptorStoreMax= is 0, or it knows no store.
+  bool is_refused() const noexcept { return is_refused_; }
+
+  /// How many it keeps; where the manager does not say it, what our unit asks it for.
+  std::size_t capacity() const noexcept {
+    return kept_count_max_ != SIZE_MAX ? kept_count_max_ : kept_count_max;
+  }
 
   // --- from the former life
   bool has(const std::string& name) const { return former_.count(name) != 0; }
@@ -65,6 +76,7 @@ class DescriptorStore {
 
  private:
   bool keeps_ = false;
+  bool is_refused_ = false;
   std::size_t kept_count_max_ = SIZE_MAX;  // $FDSTORE, where the manager says it
   std::set<std::string> kept_;
   std::map<std::string, UniqueFd> former_;

@@ -2,9 +2,6 @@
 
 #include <daemon/dispatcher.hpp>
 
-#include <sys/epoll.h>
-
-#include <array>
 #include <cerrno>
 #include <utility>
 
@@ -44,15 +41,14 @@ void Dispatcher::remove(Token token) noexcept {
 }
 
 Result<void> Dispatcher::wait(int timeout_ms) {
-  std::array<epoll_event, 64> events;
   const int count =
-      ::epoll_wait(epoll_.get(), events.data(), static_cast<int>(events.size()), timeout_ms);
+      ::epoll_wait(epoll_.get(), events_.data(), static_cast<int>(events_.size()), timeout_ms);
   if (count < 0) {
     if (errno == EINTR) return {};
     return fail(Errc::os_failure, "waiting for events", errno);
   }
   for (int i = 0; i < count; ++i) {
-    const epoll_event& event = events[static_cast<std::size_t>(i)];
+    const epoll_event& event = events_[static_cast<std::size_t>(i)];
     const auto found = sources_.find(event.data.u64);
     if (found == sources_.end()) continue;
     const std::shared_ptr<const Handler> handler = found->second.handler;

@@ -7,13 +7,17 @@
 // waits in the batch; its token finds nobody, and the event is dropped.
 #pragma once
 
+#include <agnocast/abi/limits.hpp>
 #include <agnocast/result.hpp>
 #include <base/unique_fd.hpp>
+
+#include <sys/epoll.h>
 
 #include <cstdint>
 #include <functional>
 #include <memory>
 #include <unordered_map>
+#include <vector>
 
 namespace agnocast::daemon {
 
@@ -31,7 +35,8 @@ class Dispatcher {
   /// After this its handler is not called any more. A token that is not known is ignored.
   void remove(Token token) noexcept;
 
-  /// Handles what there is; waits for it at most `timeout_ms` (-1: for ever). Errors: os_failure.
+  /// Handles what there is, of every source once; waits for it at most `timeout_ms` (-1: for ever).
+  /// Errors: os_failure.
   [[nodiscard]] Result<void> wait(int timeout_ms);
 
  private:
@@ -41,6 +46,8 @@ class Dispatcher {
   };
 
   UniqueFd epoll_;
+  // Connection and process of every client: however many are ready, each is heard of at once.
+  std::vector<epoll_event> events_ = std::vector<epoll_event>(2 * abi::client_count_max);
   std::unordered_map<Token, Source> sources_;
   Token last_token_ = 0;
 };

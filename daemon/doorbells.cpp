@@ -6,6 +6,7 @@
 
 #include <dirent.h>
 #include <fcntl.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <cerrno>
@@ -22,6 +23,11 @@ Result<SharedFd> duplicate(int fd) {
   return share(std::move(copy));
 }
 
+// It may be there a moment later.
+bool is_shortage(int error) noexcept {
+  return error == EMFILE || error == ENFILE || error == ENOMEM || error == ENOBUFS;
+}
+
 }  // namespace
 
 Result<std::vector<SharedFd>> Doorbells::open(ClientIndex client, std::uint64_t executor) {
@@ -33,9 +39,11 @@ Result<std::vector<SharedFd>> Doorbells::open(ClientIndex client, std::uint64_t 
   }
   const std::string name = name_of(key);
   AGNOCAST_CRASH_POINT(B_bell_bind);
+  ::mkdir(directory_.c_str(), 0700);  // it may have been removed; whose it is now is looked at
   auto receiver = make_doorbell(directory_, name);
   if (!receiver) return tl::unexpected(receiver.error());
-  auto sender = connect_doorbell(directory_, name);
+  UniqueFd way = way_to(name);
+  auto sender = connect_to(way, name);
   if (!sender) return tl::unexpected(sender.error());
   auto eventfd = duplicate(receiver->eventfd());
   if (!eventfd) return tl::unexpected(eventfd.error());
@@ -43,7 +51,7 @@ Result<std::vector<SharedFd>> Doorbells::open(ClientIndex client, std::uint64_t 
   if (!datagram) return tl::unexpected(datagram.error());
   if (auto kept = store_.put(DescriptorStore::eventfd(client, executor), (*eventfd)->get()); !kept)
     return tl::unexpected(kept.error());
-  bells_[key] = Bell{*eventfd, *datagram, Doorbell(std::move(*sender))};
+  bells_[key] = Bell{*eventfd, *datagram, Doorbell(std::move(*sender)), std::move(way)};
   return std::vector<SharedFd>{*eventfd, *datagram};
 }
 
@@ -51,9 +59,21 @@ void Doorbells::restore(ClientIndex client, std::uint64_t executor) {
   const Key key{number(client), executor};
   UniqueFd eventfd = store_.take(DescriptorStore::eventfd(client, executor));
   if (!eventfd) return;  // its process opens it again
-  auto sender = connect_doorbell(directory_, name_of(key));
-  bells_[key] =
-      Bell{share(std::move(eventfd)), {}, sender ? Doorbell(std::move(*sender)) : Doorbell()};
+  UniqueFd way = way_to(name_of(key));
+  auto sender = connect_to(way, name_of(key));
+  bells_[key] = Bell{share(std::move(eventfd)),
+                     {},
+                     sender ? Doorbell(std::move(*sender)) : Doorbell(),
+                     std::move(way)};
+}
+
+UniqueFd Doorbells::way_to(const std::string& name) const {
+  return UniqueFd(::open((directory_ + "/" + name).c_str(), O_PATH | O_CLOEXEC | O_NOFOLLOW));
+}
+
+Result<UniqueFd> Doorbells::connect_to(const UniqueFd& way, const std::string& name) const {
+  return way ? connect_doorbell("/proc/self/fd", std::to_string(way.get()))
+             : connect_doorbell(directory_, name);
 }
 
 void Doorbells::clear_strangers() noexcept {
@@ -67,15 +87,19 @@ void Doorbells::clear_strangers() noexcept {
   }
 }
 
-std::vector<SharedFd> Doorbells::for_publisher(ClientIndex client, std::uint64_t executor,
-                                               bool same_user) {
+Result<std::vector<SharedFd>> Doorbells::for_publisher(ClientIndex client, std::uint64_t executor,
+                                                       bool same_user) {
   const Key key{number(client), executor};
-  const auto found = bells_.find(key);
-  if (found == bells_.end()) return {};
-  auto sender = connect_doorbell(directory_, name_of(key));
-  if (!sender) return {};
   std::vector<SharedFd> fds;
-  if (same_user) fds.push_back(found->second.eventfd);
+  const auto found = bells_.find(key);
+  if (found == bells_.end()) return fds;
+  const Bell& bell = found->second;
+  auto sender = connect_to(bell.way, name_of(key));
+  // Its name was removed before this daemon began. The eventfd is what its user's publishers ring.
+  if (!sender && !bell.way && same_user) sender = make_mute_doorbell();
+  if (!sender && is_shortage(sender.error().os_errno)) return tl::unexpected(sender.error());
+  if (!sender) return fds;
+  if (same_user) fds.push_back(bell.eventfd);
   fds.push_back(share(std::move(*sender)));
   return fds;
 }

@@ -6,6 +6,10 @@
 // one datagram sender of its own. It rings by datagram only: an eventfd whose O_NONBLOCK its holder
 // has cleared would block whoever writes to it, and the daemon must not wait for anybody. For every
 // publisher process a sender of its own is connected when it is announced to, and not kept.
+//
+// The names in the directory are for the next daemon. This one goes its own way to each (O_PATH), so
+// nothing is lost when they are removed meanwhile. A daemon that starts without them has eventfds alone:
+// publishers of the same user ring those, for others such an executor is silent.
 #pragma once
 
 #include <agnocast/result.hpp>
@@ -43,8 +47,9 @@ class Doorbells {
     return bells_.count({number(client), executor}) != 0;
   }
   /// What a publisher's process gets: (eventfd and) a datagram sender; nothing when nobody listens
-  /// any more.
-  std::vector<SharedFd> for_publisher(ClientIndex client, std::uint64_t executor, bool same_user);
+  /// any more. Errors: os_failure: not now, there is no descriptor or no memory.
+  [[nodiscard]] Result<std::vector<SharedFd>> for_publisher(ClientIndex client,
+                                                            std::uint64_t executor, bool same_user);
   void ring(ClientIndex client, std::uint64_t executor) noexcept;
   void ring_all() noexcept;
   /// The process is dead.
@@ -55,7 +60,11 @@ class Doorbells {
     SharedFd eventfd;
     std::weak_ptr<SharedFd::element_type> given;  // the receiver, until it is sent
     Doorbell own;
+    // O_PATH of the bound name: a way to it when somebody has tidied up the directory.
+    UniqueFd way;
   };
+  Result<UniqueFd> connect_to(const UniqueFd& way, const std::string& name) const;
+  UniqueFd way_to(const std::string& name) const;
   void close(ClientIndex client, std::uint64_t executor) noexcept;
   using Key = std::pair<std::uint32_t, std::uint64_t>;
   static std::string name_of(const Key& key) {

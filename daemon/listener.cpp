@@ -169,7 +169,7 @@ tl::expected<void, Complaint> Listener::lock(const std::string& base, const std:
 
 tl::expected<void, Complaint> Listener::listen(const ListenerOptions& options) {
   const std::string& path = options.path;
-  auto socket = PacketListener::listen(path);
+  auto socket = PacketListener::bind(path);
   if (!socket) {
     if (socket.error().code == Errc::already_running)
       return complain(Errc::already_running, "another agnocastd is running at " + path);
@@ -187,6 +187,9 @@ tl::expected<void, Complaint> Listener::listen(const ListenerOptions& options) {
                                                  reason(errno));
   if (::chmod(path.c_str(), options.mode) != 0)
     return complain(Errc::os_failure, "cannot set the mode of " + path + ": " + reason(errno));
+  if (auto listening = socket_.listen(); !listening)
+    return complain(Errc::os_failure,
+                    "cannot listen at " + path + ": " + reason(listening.error().os_errno));
   return {};
 }
 
@@ -235,9 +238,6 @@ tl::expected<Listener, Complaint> Listener::adopt(const ListenerOptions& options
 }
 
 Result<void> Listener::keep(DescriptorStore& store) const {
-  if (!store.is_kept("lock")) {
-    if (auto kept = store.put("lock", lock_.get()); !kept) return kept;
-  }
   if (!store.is_kept("lock")) {
     if (auto kept = store.put("lock", lock_.get()); !kept) return kept;
   }

@@ -16,6 +16,10 @@
 // All three outlive the process when a manager keeps descriptors: connections that come meanwhile
 // wait in the socket's queue, the lock stays taken, and bells keep their names.
 //
+// Nobody can connect before the socket has its final owner and mode; until then it is as if no daemon
+// were there, which is a reason to try again. It is not made under another name and renamed: it would keep that
+// name (getsockname), and the next life finds the place by it.
+//
 // Every complaint is one sentence for people, with the path in it.
 #pragma once
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <base/standard_error.hpp>
 #include <base/text.hpp>
 #include <daemon/log.hpp>
 
@@ -8,7 +9,6 @@
 
 #include <algorithm>
 #include <array>
-#include <cerrno>
 #include <charconv>
 #include <cstdio>
 #include <cstdlib>
@@ -62,11 +62,6 @@ void append(std::string& line, const LogField& field) {
   }
 }
 
-void write_to_stderr(std::string_view line) {
-  while (::write(STDERR_FILENO, line.data(), line.size()) < 0 && errno == EINTR) {
-  }
-}
-
 std::uint64_t wall_clock() {
   timespec now{};
   ::clock_gettime(CLOCK_REALTIME, &now);
@@ -75,6 +70,19 @@ std::uint64_t wall_clock() {
 }
 
 }  // namespace
+
+const char* word_of(Errc code) noexcept {
+  switch (code) {
+    case Errc::ok:
+      return "ok";
+#define AGNOCAST_ERROR_WORD(name, sentence, remedy) \
+  case Errc::name:                                  \
+    return #name;
+      AGNOCAST_ERROR_TABLE(AGNOCAST_ERROR_WORD)
+#undef AGNOCAST_ERROR_WORD
+  }
+  return "?";
+}
 
 std::string_view name_of(LogLevel level) noexcept {
   for (const auto& [known, name] : levels) {
@@ -95,11 +103,17 @@ Log::Log(LogLevel level, Format format, Sink sink, Clock clock)
 
 Log Log::to_stderr(LogLevel level) {
   const bool to_journal = is_journal_stream(std::getenv("JOURNAL_STREAM"), STDERR_FILENO);
-  return Log(level, to_journal ? Format::journald : Format::people, write_to_stderr, wall_clock);
+  return Log(level, to_journal ? Format::journald : Format::people, say_on_stderr, wall_clock);
 }
 
 void Log::write(LogLevel level, std::string_view event, Fields fields) {
   if (!is_written(level)) return;
+  if (lost_ != 0 && sink_(line_of(LogLevel::warning, "lines were lost", {{"count", lost_}})))
+    lost_ = 0;
+  if (!sink_(line_of(level, event, fields))) ++lost_;
+}
+
+std::string Log::line_of(LogLevel level, std::string_view event, Fields fields) const {
   std::string line;
   if (format_ == Format::journald) {
     line = '<' + std::to_string(static_cast<unsigned>(level)) + '>';
@@ -113,7 +127,7 @@ void Log::write(LogLevel level, std::string_view event, Fields fields) {
     line += "...";
   }
   line += '\n';
-  sink_(line);
+  return line;
 }
 
 void Log::write_limited(std::string_view cause_name, LogLevel level, std::string_view event,

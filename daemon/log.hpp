@@ -11,8 +11,11 @@
 // go through write_limited(): a few lines per cause and interval, the rest is counted, and the
 // count is said.
 //
-// One thread. Nothing here fails: a line that cannot be written is lost.
+// One thread. Nothing here fails or waits: a line that nobody has room for is lost, and the next one
+// that is not says how many were.
 #pragma once
+
+#include <agnocast/error.hpp>
 
 #include <concepts>
 #include <cstdint>
@@ -31,6 +34,8 @@ enum class LogLevel : std::uint8_t { error = 3, warning = 4, notice = 5, info = 
 
 inline constexpr std::string_view log_level_names = "error, warning, notice, info, debug";
 std::string_view name_of(LogLevel level) noexcept;
+/// The enumerator's own word: what explain and the documentation list.
+const char* word_of(Errc code) noexcept;
 std::optional<LogLevel> log_level_of(std::string_view name) noexcept;
 
 struct LogField {
@@ -52,8 +57,8 @@ class Log {
   enum class Format : std::uint8_t { people, journald };
   using Fields = std::initializer_list<LogField>;
 
-  /// Where lines go, each with its newline.
-  using Sink = std::function<void(std::string_view line)>;
+  /// Where lines go, each with its newline. False: it was lost.
+  using Sink = std::function<bool(std::string_view line)>;
   /// Nanoseconds since 1970.
   using Clock = std::function<std::uint64_t()>;
 
@@ -89,6 +94,7 @@ class Log {
     LogLevel level = LogLevel::info;
   };
 
+  std::string line_of(LogLevel level, std::string_view event, Fields fields) const;
   void say_left_out(const std::string& name, const Cause& cause);
 
   LogLevel level_;
@@ -96,6 +102,7 @@ class Log {
   Sink sink_;
   Clock clock_;
   std::map<std::string, Cause, std::less<>> causes_;
+  std::uint64_t lost_ = 0;  // lines since the last one that was not
 };
 
 /// Whether `fd` is what JOURNAL_STREAM (its value, or null) names: "device:inode".

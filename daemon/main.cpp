@@ -5,6 +5,7 @@
 // Exit status: 0 ended by SIGTERM or SIGINT, or what was asked for is printed · 1 it cannot run
 // here · 2 wrong usage. A complaint is two lines on stderr; everything else goes through the log.
 
+#include <base/standard_error.hpp>
 #include <daemon/config.hpp>
 #include <daemon/descriptor_store.hpp>
 #include <daemon/log.hpp>
@@ -25,7 +26,7 @@ namespace {
 
 // One place where complaints leave: what went wrong, and what to do.
 int complain(const std::string& what, const std::string& hint) {
-  std::fprintf(stderr, "agnocastd: %s\nhint: %s\n", what.c_str(), hint.c_str());
+  say_on_stderr("agnocastd: " + what + "\nhint: " + hint + "\n");
   return 1;
 }
 
@@ -36,7 +37,7 @@ int print(const std::string& text, int status) {
   return complain("output: it cannot be written", "df");
 }
 
-// About eight descriptors per process; the soft limit of 1024 is select()'s, not ours.
+// About nine descriptors per process; the soft limit of 1024 is select()'s, not ours.
 void raise_descriptor_limit() noexcept {
   rlimit limit{};
   if (::getrlimit(RLIMIT_NOFILE, &limit) != 0) return;

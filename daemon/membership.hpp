@@ -19,6 +19,7 @@
 #include <daemon/requests.hpp>
 #include <daemon/session.hpp>
 
+#include <compare>
 #include <cstdint>
 #include <functional>
 #include <map>
@@ -37,8 +38,10 @@ class Post {
   virtual Session* session_of(ClientIndex client) = 0;
   /// 0 when unknown. Needs no connection.
   virtual std::uint64_t user_namespace_of(ClientIndex client) = 0;
-  virtual void send(ClientIndex client, std::span<const std::byte> packet,
-                    std::vector<SharedFd> fds) = 0;
+  virtual void send(ClientIndex client, Outgoing packet) = 0;
+  void send(ClientIndex client, std::span<const std::byte> packet, std::vector<SharedFd> fds) {
+    send(client, Outgoing{{packet.begin(), packet.end()}, std::move(fds), {}});
+  }
 };
 
 template <class Body>
@@ -73,8 +76,16 @@ class Membership {
   [[nodiscard]] Result<void> unlinked(ClientIndex client, const wire::Unlinked& statement);
   /// Tells every process that has the region of `owner` about its newest window.
   void announce_window(ClientIndex owner);
-  /// Tells a process on a new connection what it has and whom it knows.
+  /// Announcements that went without doorbells because no descriptor was left: they are made again.
+  bool has_waiting() const noexcept { return !waiting_.empty(); }
+  void announce_waiting();
+  /// Tells a process on a new connection what it has and whom it knows. A part of it at first when
+  /// that is much: go_on_telling() says more as the process reads.
   void welcome_back(ClientIndex client);
+  void go_on_telling();
+  /// Whether somebody is still being told, and whether this one is.
+  bool tells() const noexcept { return !to_tell_.empty(); }
+  bool tells(ClientIndex client) const { return to_tell_.contains(client); }
 
   /// Tells the owner of an endpoint what is the matter with it.
   void notice(const EndpointRef& ref, Errc code, const std::string& text,
@@ -90,6 +101,11 @@ class Membership {
   void forget_client(ClientIndex client);
   /// Frees the place of a process if nobody has anything of it any more.
   void settle_client(ClientIndex client);
+  /// Of the processes that are gone and of which others have something, gives up the oldest of the user
+  /// who has most, when they are too many.
+  void limit_gone();
+  /// What is over, by generation: whoever was told of it and holds nothing of it is to let go now.
+  const std::map<std::uint64_t, EndpointRef>& given_up() const noexcept { return given_up_; }
 
   // --- for a daemon that goes on
   /// Carries out what follows from the records of the former life and has no record yet: who has
@@ -108,12 +124,31 @@ class Membership {
   void tell_members(const EndpointRef& ref);
   void answer_creation(const EndpointRef& ref, std::uint64_t request);
   Session* tell(const EndpointRef& ref, ClientIndex to);
-  void announce(const EndpointRef& ref, ClientIndex to, const wire::Announcement& packet,
-                std::vector<SharedFd> fds);
+  void announce(const EndpointRef& ref, ClientIndex to, Outgoing packet);
+  /// A subscription that a publisher is told of.
+  struct Attachment {
+    TopicIndex topic{};
+    std::uint32_t publisher = 0, subscription = 0;
+    std::uint64_t publisher_generation = 0, subscription_generation = 0;
+    friend auto operator<=>(const Attachment&, const Attachment&) = default;
+  };
+  /// What a process does not know yet on its connection, in this order.
+  struct ToTell {
+    std::map<std::uint64_t, EndpointRef> own;        // endpoints, by generation
+    std::map<std::uint64_t, EndpointRef> endpoints;  // whose peers
+    std::set<TopicIndex> topics;                     // what is over there
+    std::uint32_t next_region = 0;                   // what it has of others
+  };
+  void add_doorbells(Outgoing& packet, const Attachment& attachment, bool same_user);
+  bool is_to_know(const PublisherRecord& own, const SubscriptionRecord& other) const;
   void announce_to_owner(const EndpointRef& ref);
   /// Has a process a publisher that still looks at this subscription?
   bool is_looked_at(TopicIndex topic, const SubscriptionRecord& subscription, ClientIndex by) const;
   void say_own(const EndpointRef& ref);
+  void tell_more(ClientIndex client, ToTell rest);
+  void tell_next(ClientIndex client, ToTell& rest);
+  void tell_what_is_over(ClientIndex client, TopicIndex topic);
+  void tell_region(ClientIndex client, std::uint32_t owner);
   void say_orphaned(const EndpointRef& ref, ClientIndex to);
   void notice_mismatches(const EndpointRef& ref, bool to_all = true);
   std::string type_mismatch_text(ClientIndex client, TopicIndex topic,
@@ -123,11 +158,15 @@ class Membership {
   void kick_publishers_of(const EndpointRef& subscription);
   void forget_subscription(const EndpointRef& ref);
   void limit_orphans(TopicIndex topic);
+  void limit_dead_subscriptions(TopicIndex topic);
+  void give_up_oldest(std::vector<std::pair<std::uint64_t, EndpointRef>>& over, std::size_t kept);
+  void give_up(const EndpointRef& ref);
+  void give_up_all_of(ClientIndex client);
   [[nodiscard]] tl::unexpected<Failure> explain_full(TopicIndex topic, const Failure& why) const;
   void let_go(const EndpointRef& ref, ClientIndex by);
   void settle(const EndpointRef& ref);
   void settle_topic(TopicIndex topic);
-  Result<void> say_done(ClientIndex client, const wire::Reference& reference);
+  void say_done(ClientIndex client, const wire::Reference& reference);
   bool is_own(ClientIndex client, const wire::Reference& reference) const;
   bool is_active(ClientIndex client, const wire::Reference& reference) const;
   /// Nothing is left to be drained.
@@ -144,7 +183,9 @@ class Membership {
   // By client: what it could not be told because it had no connection. The first ones are enough.
   static constexpr std::size_t missed_notices_max = 64;
   std::map<std::uint32_t, std::vector<wire::Notice>> missed_notices_;
-  std::set<std::uint64_t> given_up_;  // generations of orphans that subscriptions shall let go of
+  std::set<Attachment> waiting_;
+  std::map<ClientIndex, ToTell> to_tell_;
+  std::map<std::uint64_t, EndpointRef> given_up_;
 };
 
 }  // namespace agnocast::daemon

@@ -43,10 +43,11 @@ Result<void> Obstacles::add(ClientIndex client, std::uint32_t uid, std::uint64_t
   if (known) return {};
   if (process.claims.size() >= abi::blocked_count_max)
     return fail(Errc::protocol_violation, "too many blocked ranges");
-  auto& counted = counted_[uid];
   const Range range = windows_of(base, bytes);
-  const bool counts = may_count(counted, range);
-  if (counts) ++counted[range];
+  const auto counted = counted_.find(uid);
+  const bool counts = may_count(
+      counted != counted_.end() ? counted->second : std::map<Range, std::uint64_t>(), range);
+  if (counts) ++counted_[uid][range];
   process.claims.push_back({base, bytes, std::move(what), counts});
   return {};
 }
@@ -54,15 +55,16 @@ Result<void> Obstacles::add(ClientIndex client, std::uint32_t uid, std::uint64_t
 void Obstacles::forget(ClientIndex client) {
   const auto found = processes_.find(number(client));
   if (found == processes_.end()) return;
-  const auto user = counted_.find(found->second.uid);
-  AGNOCAST_CHECK(user != counted_.end());
   for (const Claim& claim : found->second.claims) {
     if (!claim.counts) continue;
+    // Of a user whose claims all hold for their own processes alone there is none.
+    const auto user = counted_.find(found->second.uid);
+    AGNOCAST_CHECK(user != counted_.end());
     const auto range = user->second.find(windows_of(claim.base, claim.bytes));
     AGNOCAST_CHECK(range != user->second.end());
     if (--range->second == 0) user->second.erase(range);
+    if (user->second.empty()) counted_.erase(user);
   }
-  if (user->second.empty()) counted_.erase(user);
   processes_.erase(found);
 }
 

@@ -8,6 +8,7 @@
 
 #include <sys/sysmacros.h>
 
+#include <cerrno>
 #include <cinttypes>
 #include <cstdio>
 #include <memory>
@@ -75,14 +76,17 @@ Reaped reap(ClientIndex client, journal::DeathReason reason, Registry& registry,
   regions.bury_client(client);
   AGNOCAST_CRASH_POINT(B_buried);
   membership.settle_all();
+  membership.limit_gone();
   return reaped;
 }
 
-bool maps_file(pid_t pid, const Regions::FileId& file) noexcept {
+std::optional<bool> maps_file(pid_t pid, const Regions::FileId& file) noexcept {
   if (pid <= 0) return true;
   char path[64];
   std::snprintf(path, sizeof path, "/proc/%ld/maps", static_cast<long>(pid));
   const std::unique_ptr<std::FILE, int (*)(std::FILE*)> maps(std::fopen(path, "re"), &std::fclose);
+  if (maps == nullptr && (errno == EMFILE || errno == ENFILE || errno == ENOMEM))
+    return std::nullopt;
   if (maps == nullptr) return true;
   // address-address rights offset major:minor inode path
   char line[512];

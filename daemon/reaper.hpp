@@ -23,6 +23,7 @@
 #include <sys/types.h>
 
 #include <cstdint>
+#include <optional>
 
 namespace agnocast::daemon {
 
@@ -41,7 +42,8 @@ struct Reaped {
 Reaped reap(ClientIndex client, journal::DeathReason reason, Registry& registry, Regions& regions,
             Doorbells& doorbells, Membership& membership);
 
-/// Whether the process has a mapping of this file. True as well when it cannot be known.
-bool maps_file(pid_t pid, const Regions::FileId& file) noexcept;
+/// Whether the process has a mapping of this file. True as well when it cannot be known; nothing when
+/// there is no descriptor or no memory to look now.
+std::optional<bool> maps_file(pid_t pid, const Regions::FileId& file) noexcept;
 
 }  // namespace agnocast::daemon

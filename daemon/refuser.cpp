@@ -36,16 +36,14 @@ Result<void> Refuser::start() {
 void Refuser::accept_all() {
   for (unsigned turn = 0; turn < connections_per_turn; ++turn) {
     auto socket = listener_.accept();
+    if (!socket && !callers_.empty()) drop(callers_.begin());  // no descriptor was left
     if (!socket || !*socket) return;
     const std::uint64_t id = ++last_caller_;
     const auto token =
         dispatcher_.add((*socket)->fd(), EPOLLIN, [this, id](std::uint32_t) { answer(id); });
     if (!token) continue;
     callers_.emplace(id, Caller{std::move(**socket), *token});
-    if (callers_.size() > caller_count_max) {
-      dispatcher_.remove(callers_.begin()->second.token);
-      callers_.erase(callers_.begin());
-    }
+    if (callers_.size() > caller_count_max) drop(callers_.begin());
   }
 }
 
@@ -61,19 +59,22 @@ void Refuser::answer(std::uint64_t id) {
       std::memcpy(static_cast<void*>(&header), buffer.data(), sizeof header);
     auto refused =
         make_body<wire::Refused>(wire::Opcode::refused, header.request & ~wire::asked_again);
-    // Who comes back is a member of the life that is kept. It has to try again: with layout_mismatch
-    // it would give up, and be no member any more when the former build serves again.
-    const Errc code =
-        header.opcode == wire::Opcode::rejoin ? Errc::daemon_not_running : Errc::layout_mismatch;
+    // Who comes back is a member of the life that is kept. It has to try again: with a refusal
+    // it would be an island, although its membership is kept.
+    const Errc code = header.opcode == wire::Opcode::rejoin ? Errc::daemon_not_running : code_;
     refused.code = static_cast<std::uint32_t>(code);
     refused.text = name_of(why_);
     const auto sent = found->second.socket.send(packet_of(refused));
     log_.write_limited("refused", LogLevel::warning, "request refused",
-                       {{"code", "layout_mismatch"}, {"why", why_}});
+                       {{"code", word_of(code)}, {"why", why_}});
     if (sent && *sent == Sent::sent) return;
   }
-  dispatcher_.remove(found->second.token);
-  callers_.erase(found);
+  drop(found);
+}
+
+void Refuser::drop(Callers::iterator caller) {
+  dispatcher_.remove(caller->second.token);
+  callers_.erase(caller);
 }
 
 }  // namespace agnocast::daemon

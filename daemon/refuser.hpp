@@ -3,9 +3,9 @@
 // Refuser: what serves when a former life cannot be gone on with.
 //
 // Another build has left its tables, or they are damaged. Nothing of it is touched, every descriptor
-// stays where it is kept, and whoever connects is told what is wrong: `refused` with layout_mismatch,
-// to whatever he says; to `rejoin` with daemon_not_running, which means later. The build that made
-// the tables can be started again and goes on, with everybody.
+// stays where it is kept, and whoever connects is told what is wrong: `refused` with layout_mismatch
+// or store_damaged, to whatever he says; to `rejoin` with daemon_not_running, which means later. The
+// build that made the tables can be started again and goes on, with everybody.
 #pragma once
 
 #include <base/packet_socket.hpp>
@@ -20,9 +20,13 @@ namespace agnocast::daemon {
 
 class Refuser {
  public:
-  /// `why` is for people, and for every client.
-  Refuser(PacketListener listener, Dispatcher& dispatcher, Log& log, std::string why)
-      : listener_(std::move(listener)), dispatcher_(dispatcher), log_(log), why_(std::move(why)) {}
+  /// `code` is for every client, `why` for people as well.
+  Refuser(PacketListener listener, Dispatcher& dispatcher, Log& log, Errc code, std::string why)
+      : listener_(std::move(listener)),
+        dispatcher_(dispatcher),
+        log_(log),
+        code_(code),
+        why_(std::move(why)) {}
   ~Refuser();
   Refuser(const Refuser&) = delete;
   Refuser& operator=(const Refuser&) = delete;
@@ -35,15 +39,18 @@ class Refuser {
     PacketSocket socket;
     Dispatcher::Token token = 0;
   };
+  using Callers = std::map<std::uint64_t, Caller>;
   void accept_all();
   void answer(std::uint64_t id);
+  void drop(Callers::iterator caller);
 
   PacketListener listener_;
   Dispatcher& dispatcher_;
   Log& log_;
+  Errc code_;
   std::string why_;
   Dispatcher::Token listening_ = 0;
-  std::map<std::uint64_t, Caller> callers_;
+  Callers callers_;
   std::uint64_t last_caller_ = 0;
 };
 

@@ -5,6 +5,7 @@
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/memfd.hpp>
 #include <base/step.hpp>
+#include <daemon/requests.hpp>
 
 #include <fcntl.h>
 #include <sys/mman.h>
@@ -25,6 +26,20 @@ static_assert(journal::RedoLog::bytes % abi::page_bytes == 0, "the tables begin 
 std::uint64_t bytes_of(int fd) noexcept {
   struct stat file {};
   return ::fstat(fd, &file) == 0 ? static_cast<std::uint64_t>(file.st_size) : 0;
+}
+
+// The kernel keeps the name that a memfd is made with, for ever and for everybody to see. So each window
+// says where it belongs, and has one place; and to whom, because places are given out again, and who
+// has kept a former window could bring it. Without a space: people cut lines of /proc/PID/maps.
+std::string name_of_window(std::uint64_t base, uid_t owner) {
+  return "agnocast-heap-" + hexadecimal(base) + "-" + std::to_string(owner);
+}
+
+std::string file_of(int fd) {
+  char file[96];  // of ours, and a few bytes more
+  const std::string entry = "/proc/self/fd/" + std::to_string(fd);
+  const ssize_t bytes = ::readlink(entry.c_str(), file, sizeof file);
+  return bytes < 0 ? std::string() : std::string(file, static_cast<std::size_t>(bytes));
 }
 
 // More than this is not freed between two requests: 16 MiB take a millisecond or two.
@@ -73,7 +88,7 @@ Result<Regions> Regions::adopt(DescriptorStore& store, UniqueFd board, UniqueFd 
   static_cast<void>(::pread(journal.get(), copy->bytes, sizeof copy->bytes, 0));
   if (auto checked = Registry::check_log(journal::RedoLog(copy->bytes)); !checked)
     return tl::unexpected(checked.error());
-  return fail_with(Errc::internal, "what the former agnocastd left has the wrong sizes");
+  return fail_with(Errc::store_damaged, "what the former agnocastd left has the wrong sizes");
 }
 
 Result<void> Regions::keep() const {
@@ -171,8 +186,9 @@ Result<void> Regions::renew(ClientIndex client, std::uint64_t offset, std::uint6
   return back(client, offset, backed_bytes);
 }
 
-Result<SharedFd> Regions::open_window(ClientIndex client, std::uint64_t bytes) {
-  auto writer = make_memfd("agnocast-heap", bytes);
+Result<SharedFd> Regions::open_window(ClientIndex client, std::uint64_t base, std::uint64_t bytes,
+                                      uid_t owner) {
+  auto writer = make_memfd(name_of_window(base, owner).c_str(), bytes);
   if (!writer) return tl::unexpected(writer.error());
   auto reader = reopen_read_only(writer->get());
   if (!reader) return tl::unexpected(reader.error());
@@ -184,7 +200,8 @@ Result<SharedFd> Regions::open_window(ClientIndex client, std::uint64_t bytes) {
   return share(std::move(*writer));
 }
 
-Result<void> Regions::check_window(int window, std::uint64_t bytes) noexcept {
+Result<void> Regions::check_window(int window, std::uint64_t base, std::uint64_t bytes,
+                                   uid_t owner) {
   struct stat file {};
   constexpr int seals = F_SEAL_SHRINK | F_SEAL_GROW | F_SEAL_SEAL;
   const bool is_ours = ::fcntl(window, F_GET_SEALS) >= 0 && ::fstat(window, &file) == 0 &&
@@ -192,9 +209,11 @@ Result<void> Regions::check_window(int window, std::uint64_t bytes) noexcept {
                        file.st_uid == ::geteuid() &&
                        static_cast<std::uint64_t>(file.st_size) == bytes &&
                        (::fcntl(window, F_GET_SEALS) & seals) == seals &&
-                       (::fcntl(window, F_GETFL) & (O_ACCMODE | O_PATH)) == O_RDWR;
+                       (::fcntl(window, F_GETFL) & (O_ACCMODE | O_PATH)) == O_RDWR &&
+                       file_of(window) == "/memfd:" + name_of_window(base, owner) + " (deleted)";
   if (is_ours) return {};
-  return fail_with(Errc::permission_denied, "this is no window that an agnocastd has made");
+  return fail_with(Errc::permission_denied,
+                   "this is no window that an agnocastd has made for that place and this user");
 }
 
 Result<void> Regions::bring_window(ClientIndex client, const UniqueFd& window) {

@@ -22,6 +22,8 @@
 #include <daemon/registry.hpp>
 #include <daemon/shared_fd.hpp>
 
+#include <sys/types.h>
+
 #include <cstddef>
 #include <cstdint>
 #include <map>
@@ -34,8 +36,8 @@ class Regions {
  public:
   /// Board and tables, empty and not in the store yet: see keep(). Errors: os_failure with errno.
   [[nodiscard]] static Result<Regions> create(DescriptorStore& store);
-  /// Board and journal of a former life. Errors: layout_mismatch, internal (they have the wrong
-  /// sizes), os_failure.
+  /// Board and journal of a former life. Errors: layout_mismatch, store_damaged (they have
+  /// the wrong sizes), os_failure.
   [[nodiscard]] static Result<Regions> adopt(DescriptorStore& store, UniqueFd board,
                                              UniqueFd journal);
   /// Puts board and journal into the store. Errors: as DescriptorStore::put.
@@ -73,13 +75,15 @@ class Regions {
   [[nodiscard]] Result<void> renew(ClientIndex client, std::uint64_t offset,
                                    std::uint64_t extent_bytes, std::uint64_t backed_bytes);
 
-  /// A heap window, in the store; keeps what readers need. Yields the writable descriptor, which is its owner's
-  /// alone. Errors: os_failure.
-  [[nodiscard]] Result<SharedFd> open_window(ClientIndex client, std::uint64_t bytes);
-  /// Whether this is what an earlier agnocastd of this user made as a window: sealed memory of that
-  /// size, which nobody else can make; open for writing, as its owner alone was given it. Errors:
-  /// permission_denied.
-  [[nodiscard]] static Result<void> check_window(int window, std::uint64_t bytes) noexcept;
+  /// A heap window for the addresses at `base`, in the store; keeps what readers need. Yields the
+  /// writable descriptor, which is its owner's alone. Errors: os_failure.
+  [[nodiscard]] Result<SharedFd> open_window(ClientIndex client, std::uint64_t base,
+                                             std::uint64_t bytes, uid_t owner);
+  /// Whether this is what an agnocastd of this user made as the window at `base` for a process of
+  /// `owner`: sealed memory of that name and size, which no other user can make; open for writing, as
+  /// its owner alone was given it. Errors: permission_denied.
+  [[nodiscard]] static Result<void> check_window(int window, std::uint64_t base,
+                                                 std::uint64_t bytes, uid_t owner);
   /// A window that its owner has brought and that was checked goes into the store. Errors: os_failure.
   [[nodiscard]] Result<void> bring_window(ClientIndex client, const UniqueFd& window);
   /// The writable descriptor once more: its owner did not get the answer. The same as long as an

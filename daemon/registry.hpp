@@ -108,14 +108,19 @@ struct Usage {
   std::uint64_t publishers = 0;
   std::uint64_t subscriptions = 0;
   std::uint64_t executors = 0;
+  std::uint64_t windows = 0;
   std::uint64_t heap_bytes = 0;
   std::uint64_t held_messages = 0;  // what its subscriptions may hold, together
+  std::uint64_t topics = 0;         // in which it has endpoints
+
+  Usage& operator+=(const Usage& more) noexcept;
+  Usage& operator-=(const Usage& less) noexcept;
+  friend bool operator==(const Usage&, const Usage&) = default;
 };
 
 /// What a start after a death found and did.
 struct Recovered {
   std::uint32_t pid = 0;               // of the new daemon
-  std::uint64_t away_ns = 0;           // how long nobody served; 0: not known
   std::uint64_t dead_count = 0;        // processes that ended meanwhile
   std::uint64_t board_word_count = 0;  // words of the board that had to be written again
 };
@@ -136,7 +141,7 @@ class Registry {
   /// Fresh memory, all zero. Says on the board what it is.
   void create(std::uint64_t incarnation, const Founding& founding = {});
   /// Memory that an earlier life left: completes the change under way and derives the rest. Errors:
-  /// layout_mismatch (nothing was touched), internal (it is damaged; the detail says how).
+  /// layout_mismatch (nothing was touched), store_damaged (the detail says how).
   [[nodiscard]] Result<void> open();
   /// What open() looks at before it touches anything; header() means something afterwards.
   [[nodiscard]] Result<void> check() const;
@@ -148,7 +153,7 @@ class Registry {
   const TableHeader& header() const noexcept { return tables_.header; }
 
   // --- processes
-  /// Errors: limit_reached.
+  /// Errors: limit_reached, store_damaged.
   [[nodiscard]] Result<ClientPlan> plan_client() const;
   void add_client(const NewClient& client, const ClientPlan& plan);
   /// Both at once.
@@ -163,7 +168,10 @@ class Registry {
   const std::vector<EndpointRef>& endpoints_of(ClientIndex index) const {
     return views_[number(index)].endpoints;
   }
+  /// Asked before every creation, so it is kept and not counted.
   Usage usage_of(std::uint32_t uid) const;
+  /// Has a process of this user an endpoint there?
+  bool takes_part(std::uint32_t uid, TopicIndex topic) const;
   void open_window(ClientIndex index, const WindowRecord& window);
   void open_executor(ClientIndex index, std::uint32_t executor);
   /// It is no member any more. Its endpoints stay what they are until they are changed one by one.
@@ -208,7 +216,7 @@ class Registry {
   const SubscriptionRecord& subscription(TopicIndex topic, std::uint32_t index) const noexcept {
     return tables_.subscription[number(topic)][index];
   }
-  /// Errors: limit_reached (indexes of the topic, room in the client region).
+  /// Errors: limit_reached (indexes of the topic, room in the client region), store_damaged.
   [[nodiscard]] Result<PublisherPlan> plan_publisher(ClientIndex client, TopicIndex topic,
                                                      const abi::Qos& qos) const;
   void add_publisher(ClientIndex client, TopicIndex topic, const abi::Qos& qos,
@@ -275,10 +283,18 @@ class Registry {
   using Record = journal::Record;
   using Type = journal::RecordType;
 
-  /// Derived: what a process has in its region.
+  /// Derived: what a process has in its region, and what of its user's usage is the process's own:
+  /// itself, its executors and windows.
   struct View {
     std::vector<EndpointRef> endpoints;
     std::map<std::uint64_t, std::uint64_t> extents;  // offset → bytes
+    std::uint32_t uid = 0;
+    Usage own;
+  };
+  /// Derived: of a user that has something.
+  struct Account {
+    Usage usage;
+    std::unordered_map<std::uint32_t, std::uint64_t> topics;  // number → endpoints there
   };
 
   void change(Type type, std::initializer_list<std::uint64_t> arguments);
@@ -298,6 +314,9 @@ class Registry {
   std::optional<std::uint64_t> lowest_extent(ClientIndex client, std::uint64_t bytes) const;
   std::uint64_t slots_needed(TopicIndex topic, const abi::Qos& offered,
                              const SubscriptionRecord* joining) const;
+  /// Makes the account of its user say what the record of the process says now.
+  void count_client(ClientIndex index);
+  void count_endpoint(const EndpointRef& ref, bool is_there);
   void track(const EndpointRef& ref);
   void untrack(const EndpointRef& ref);
   dataplane::TopicWords<M> words(TopicIndex topic) const noexcept {
@@ -315,6 +334,7 @@ class Registry {
   std::uint64_t redone_lsn_ = 0;
   std::vector<View> views_;
   std::unordered_map<std::string, TopicIndex> topics_;
+  std::unordered_map<std::uint32_t, Account> accounts_;  // by uid
 };
 
 /// What the board says of an endpoint in this state.

@@ -166,7 +166,9 @@ std::optional<Trouble> Service::go_on() {
   UniqueFd lock = store_.take("lock");
   UniqueFd board = store_.take("board");
   UniqueFd journal = store_.take("journal");
-  if (!board || !journal) {
+  namespace stored = journal::stored;
+  if (journal::decide_stored(stored::tables, board && journal, stored::none) ==
+      journal::StoredDecision::start_anew) {
     log_.write(LogLevel::error, "former life lost", {{"why", "a descriptor was not kept"}});
     for (const char* const name : {"listen", "lock", "board", "journal"}) store_.remove(name);
     socket.reset();
@@ -193,7 +195,7 @@ std::optional<Trouble> Service::go_on() {
   broker_.emplace(BrokerOptions{arena_, config_, listener_->former_count()}, log_, *dispatcher_,
                   *listener_, std::move(*regions), store_);
   if (auto resumed = broker_->resume(); !resumed) {
-    if (resumed.error().code != Errc::internal) return trouble_of(resumed.error());
+    if (resumed.error().code != Errc::store_damaged) return trouble_of(resumed.error());
     UniqueFd again(::fcntl(listener_->socket().fd(), F_DUPFD_CLOEXEC, 0));
     broker_.reset();
     return refuse(std::move(again), resumed.error());
@@ -207,13 +209,14 @@ std::optional<Trouble> Service::refuse(UniqueFd socket, const Failure& why) {
   // Another try may succeed.
   if (why.code == Errc::os_failure || !socket) return trouble_of(why);
   const std::string text = trouble_of(why).what;
-  refuser_.emplace(PacketListener(std::move(socket)), *dispatcher_, log_, text);
+  refuser_.emplace(PacketListener(std::move(socket)), *dispatcher_, log_, why.code, text);
   if (auto started = refuser_->start(); !started) return trouble_of(started.error());
   log_.write(LogLevel::error, "refusing everybody",
              {{"why", text},
-              {"hint",
-               "start the agnocastd that was there before, or stop this one "
-               "and restart every process"}});
+              {"hint", why.code == Errc::layout_mismatch
+                           ? "start the agnocastd that was there before, or stop this one and "
+                             "restart every process"
+                           : remedy_of(why.code)}});
   // Ready all the same: a manager that starts it again and again would change nothing.
   notify("READY=1");
   notify("STATUS=refusing everybody: " + text);
@@ -236,7 +239,9 @@ std::optional<Trouble> Service::wait() {
   while (ended_by_ == 0) {
     if (auto waited = dispatcher_->wait(broker_ ? broker_->due_ms() : -1); !waited)
       return trouble_of(waited.error());
-    if (broker_) broker_->tick();
+    if (!broker_) continue;
+    broker_->serve_waiting();
+    broker_->tick();
   }
   notify("STOPPING=1");
   const bool is_last = !store_.keeps() || ended_by_ == SIGINT;
@@ -248,6 +253,13 @@ std::optional<Trouble> Service::wait() {
 
 std::optional<Trouble> Service::run(const std::string& socket) {
   if (auto trouble = prepare(socket)) return trouble;
+  if (store_.is_refused())
+    log_.write(LogLevel::warning, "nothing is kept",
+               {{"why", "the service manager keeps no descriptors"},
+                {"then",
+                 "the end of this daemon is the end of its incarnation: the next one begins with "
+                 "nothing, and every process has to join it anew"},
+                {"hint", "set FileDescriptorStoreMax= in the unit, or use --fd-store=own"}});
   // The lock goes into the store after board and journal, and stays there.
   return store_.has("listen") || store_.has("lock") ? go_on() : begin();
 }

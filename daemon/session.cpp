@@ -9,7 +9,7 @@
 namespace agnocast::daemon {
 
 std::uint64_t Session::push(std::span<const std::byte> bytes, std::vector<SharedFd> fds) {
-  push(Outgoing{{bytes.begin(), bytes.end()}, std::move(fds)});
+  push(Outgoing{{bytes.begin(), bytes.end()}, std::move(fds), {}});
   return packet_count_;
 }
 
@@ -20,8 +20,10 @@ void Session::push(Outgoing packet) {
 
 Session::Flushed Session::flush() {
   Flushed result = Flushed::all;
+  held_back_ = false;
   while (!queue_.empty() && result == Flushed::all) {
-    const Outgoing& packet = queue_.front();
+    Outgoing& packet = queue_.front();
+    if (const auto complete = std::exchange(packet.complete, nullptr)) complete(packet);
     std::array<int, abi::wire::descriptor_count_max> fds{};
     std::size_t count = 0;
     for (const SharedFd& fd : packet.fds) fds[count++] = fd->get();
@@ -29,6 +31,7 @@ Session::Flushed Session::flush() {
     if (!sent) {
       if (sent.error().os_errno != ETOOMANYREFS) return Flushed::over;
       result = Flushed::later;
+      held_back_ = true;
     } else if (*sent == Sent::peer_gone) {
       return Flushed::gone;
     } else if (*sent == Sent::would_block) {

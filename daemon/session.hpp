@@ -26,10 +26,12 @@
 #include <cstddef>
 #include <cstdint>
 #include <deque>
+#include <functional>
 #include <map>
 #include <optional>
 #include <span>
 #include <tuple>
+#include <utility>
 #include <vector>
 
 namespace agnocast::daemon {
@@ -60,15 +62,41 @@ class AnnouncementNumbers {
   std::map<Announced, std::uint64_t> last_;
 };
 
+/// Of which collisions a process was told on one connection. A reader that comes back again and again
+/// has nothing new to say to its publishers.
+class CollisionsTold {
+ public:
+  // Pairs of endpoints. Whoever has more is told of some twice, and costs the daemon 2 MB.
+  static constexpr std::size_t count_max = 16 * 1024;
+  struct Collision {
+    std::uint64_t own_generation = 0, other_generation = 0, window = 0;
+    bool moves = false;
+    friend bool operator==(const Collision&, const Collision&) = default;
+  };
+  /// Whether this is news about the endpoint of the process and the other one.
+  bool tell(const Announced& own, const Announced& other, const Collision& what) {
+    if (told_.size() >= count_max && !told_.contains({own, other})) told_.clear();
+    Collision& before = told_[{own, other}];
+    return std::exchange(before, what) != what;
+  }
+  std::size_t size() const noexcept { return told_.size(); }
+
+ private:
+  std::map<std::pair<Announced, Announced>, Collision> told_;
+};
+
 struct Outgoing {
   std::vector<std::byte> bytes;
   std::vector<SharedFd> fds;
+  // Called once, just before it is sent. Whatever is made for this packet alone is made here: in the
+  // queue of a client that does not read it would be one more descriptor of ours for each packet.
+  std::function<void(Outgoing&)> complete = {};
 };
 
 class Session {
  public:
-  // A publisher of the widest topic is told of 768 subscriptions at once, in each of its topics; 16
-  // such topics. 16 MB at most for one client that does not read.
+  // 16 MB at most for one client that does not read. Who comes back is told in parts of half of this,
+  // and of one endpoint or topic more; each is at most 1,022 packets.
   static constexpr std::size_t queue_count_max = 16 * 1024;
 
   Session(PacketSocket socket, PeerIdentity identity)
@@ -107,10 +135,13 @@ class Session {
   [[nodiscard]] Flushed flush();
   bool has_output() const noexcept { return !queue_.empty(); }
   std::size_t queued_count() const noexcept { return queue_.size(); }
+  /// Not the reader's fault: the last flush() said `later`.
+  bool held_back() const noexcept { return held_back_; }
   /// Packets handed in so far, sent or not.
   std::uint64_t packet_count() const noexcept { return packet_count_; }
 
   AnnouncementNumbers& announcements() noexcept { return announcements_; }
+  CollisionsTold& collisions() noexcept { return collisions_; }
 
   /// Requests refused because they broke the protocol; the log speaks only of the first ones.
   std::uint64_t violation_count = 0;
@@ -121,10 +152,11 @@ class Session {
   PacketSocket socket_;
   PeerIdentity identity_;
   std::optional<ClientIndex> client_;
-  bool observing_ = false;
+  bool observing_ = false, held_back_ = false;
   std::deque<Outgoing> queue_;
   std::uint64_t packet_count_ = 0;
   AnnouncementNumbers announcements_;
+  CollisionsTold collisions_;
 };
 
 }  // namespace agnocast::daemon

@@ -3,7 +3,9 @@
 #include <daemon/supervisor.hpp>
 
 #include <base/clock.hpp>
+#include <base/standard_error.hpp>
 #include <base/unix_address.hpp>
+#include <daemon/descriptor_store.hpp>
 
 #include <fcntl.h>
 #include <poll.h>
@@ -19,7 +21,6 @@
 #include <array>
 #include <cerrno>
 #include <csignal>
-#include <cstdio>
 #include <cstdlib>
 #include <cstring>
 #include <map>
@@ -257,7 +258,7 @@ void Supervisor::become_worker(pid_t parent) noexcept {
     ::execv(program_.c_str(), argv.data());
     ::execv("/proc/self/exe", argv.data());  // it was removed: what we are ourselves
   }
-  std::fprintf(stderr, "agnocastd: cannot start %s: %s\n", program_.c_str(), std::strerror(errno));
+  say_on_stderr("agnocastd: cannot start " + program_ + ": " + std::strerror(errno) + "\n");
   ::_exit(1);
 }
 

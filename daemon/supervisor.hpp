@@ -47,10 +47,6 @@ struct Notification {
 /// Nothing when it is no such datagram, or gives a descriptor a name that cannot be passed on.
 std::optional<Notification> parse_notification(std::string_view text);
 
-/// So many descriptors, under names as long as ours, fit into one variable of the environment
-/// (128 KiB): "w2047.7:" has eight bytes.
-inline constexpr std::size_t kept_count_max = 16'000;
-
 /// Of a worker of ours, as the first thing: it is not to outlive its supervisor. False: the supervisor
 /// has died already. Of any other process: nothing.
 [[nodiscard]] bool die_with_supervisor() noexcept;

@@ -8,7 +8,7 @@
 // An endpoint's record lies at the place its board entry has, so nothing is searched and nothing is
 // moved. The memfd is sparse: what was never used has no memory, and nobody looks behind the
 // high-water marks (a read of a hole would allocate it). A record of zero bytes is a free one.
-// Only the redo log's records change a table (registry.cpp); names are the exception: they are
+// Only the redo log's records change a table (registry_apply.cpp); names are the exception: they are
 // written into a free place first, and the record that follows makes the place count.
 #pragma once
 

@@ -29,6 +29,8 @@ constexpr std::size_t window_granule = std::size_t{2} << 20;
 constexpr std::size_t step_min = std::size_t{2} << 20;
 constexpr std::size_t step_max = std::size_t{64} << 20;
 
+// Without priority inheritance: whoever gets here has passed the allocator's own locks, which have none, so it would bound
+// nothing; and such a lock names its holder's thread, which in a child of fork is nobody who could unlock it.
 constinit pthread_mutex_t growth_mutex = PTHREAD_MUTEX_INITIALIZER;
 constinit agnocast_heaphook_grown grown_callback = nullptr;  // guarded by growth_mutex
 constinit void* grown_context = nullptr;

@@ -256,6 +256,122 @@ constexpr StoredDecision decide_stored(std::uint8_t what, bool is_there,
   return case_of(stored::rows, {what, is_there ? stored::present : stored::absent, owner}).decision;
 }
 
+// --- P: a process that the tables know, at a start
+
+enum class FoundDecision : std::uint8_t {
+  expect,            // it is a member without a connection, and will say rejoin
+  recover,           // it has ended: its reap begins
+  finish,            // its reap was begun and is made again
+  finish_and_watch,  // likewise, and its place stays its own
+  watch,             // nothing is left but its place, until it ends
+  settle,            // its place is free when nobody has anything of it
+};
+
+namespace found {
+// the record's state · its reason · the process; it counts as ended when it cannot be looked after (D)
+inline constexpr std::uint8_t alive = 1, dead = 2, forgotten = 4;
+inline constexpr std::uint8_t gone = 1, revoked = 2;
+inline constexpr std::uint8_t lives = 1, ended = 2;
+using D = FoundDecision;
+inline constexpr CaseRow<D, 3> rows[] = {
+    {"@P1", {alive, any, lives}, D::expect},
+    {"@P2", {alive, any, ended}, D::recover},
+    {"@P3", {dead, gone, any}, D::finish},
+    {"@P4", {dead, revoked, lives}, D::finish_and_watch},
+    {"@P5", {dead, revoked, ended}, D::finish},
+    {"@P6", {forgotten, gone, any}, D::settle},
+    {"@P7", {forgotten, revoked, lives}, D::watch},
+    {"@P8", {forgotten, revoked, ended}, D::settle},
+};
+}  // namespace found
+
+constexpr FoundDecision decide_found(std::uint8_t state, bool is_revoked, bool lives) noexcept {
+  return case_of(found::rows, {state, is_revoked ? found::revoked : found::gone,
+                               lives ? found::lives : found::ended})
+      .decision;
+}
+
+// --- C: a connection has ended, or the process behind it has, or it is looked at once more
+
+enum class EndDecision : std::uint8_t {
+  drop,       // nobody was a member by it
+  wait,       // it is a process without a connection
+  recover,    // it is reaped
+  free_place  // it was reaped when it was revoked; its place is not its own any more
+};
+
+namespace end {
+// whose · the process · its mapping of its region (maps: also when it cannot be known now)
+inline constexpr std::uint8_t stranger = 1, member = 2, revoked = 4;
+inline constexpr std::uint8_t lives = 1, ended = 2;
+inline constexpr std::uint8_t maps = 1, let_go = 2;
+using D = EndDecision;
+inline constexpr CaseRow<D, 3> rows[] = {
+    {"@C1", {stranger, any, any}, D::drop},
+    {"@C2", {member | revoked, lives, maps}, D::wait},
+    {"@C3", {member, lives, let_go}, D::recover},
+    {"@C4", {member, ended, any}, D::recover},
+    {"@C5", {revoked, lives, let_go}, D::free_place},
+    {"@C6", {revoked, ended, any}, D::free_place},
+};
+}  // namespace end
+
+constexpr EndDecision decide_end(std::uint8_t whose, bool has_ended, bool has_let_go) noexcept {
+  return case_of(end::rows,
+                 {whose, has_ended ? end::ended : end::lives, has_let_go ? end::let_go : end::maps})
+      .decision;
+}
+
+// --- W: a window that its owner brings to a daemon that knows nobody
+
+enum class BroughtDecision : std::uint8_t {
+  take,
+  answer_as_before,
+  protocol_violation,
+  permission_denied,
+  over_limit,  // window_exhausted or quota_exceeded
+  arena_occupied,
+};
+
+namespace brought {
+// its number · the base of the window that has this number · its group · room in the limits · the
+// descriptor · its place in the arena
+inline constexpr std::uint8_t known = 1, next = 2, later = 4;
+inline constexpr std::uint8_t same = 1, other = 2;
+inline constexpr std::uint8_t possible = 1, impossible = 2;
+inline constexpr std::uint8_t room = 1, full = 2;
+inline constexpr std::uint8_t ours = 1, foreign = 2;
+inline constexpr std::uint8_t free = 1, taken = 2;
+using D = BroughtDecision;
+inline constexpr CaseRow<D, 6> rows[] = {
+    {"@W1", {known, same, any, any, any, any}, D::answer_as_before},
+    {"@W2", {known, other, any, any, any, any}, D::protocol_violation},
+    {"@W3", {later, any, any, any, any, any}, D::protocol_violation},
+    {"@W4", {next, any, impossible, any, any, any}, D::protocol_violation},
+    {"@W5", {next, any, possible, any, foreign, any}, D::permission_denied},
+    {"@W6", {next, any, possible, full, ours, any}, D::over_limit},
+    {"@W7", {next, any, possible, room, ours, taken}, D::arena_occupied},
+    {"@W8", {next, any, possible, room, ours, free}, D::take},
+};
+}  // namespace brought
+
+struct BroughtFacts {
+  std::uint8_t number = brought::later;
+  bool same_base = false;
+  bool possible_group = false;
+  bool room = false;
+  bool ours = false;
+  bool free = false;
+};
+constexpr BroughtDecision decide_brought(const BroughtFacts& facts) noexcept {
+  return case_of(brought::rows, {facts.number, facts.same_base ? brought::same : brought::other,
+                                 facts.possible_group ? brought::possible : brought::impossible,
+                                 facts.room ? brought::room : brought::full,
+                                 facts.ours ? brought::ours : brought::foreign,
+                                 facts.free ? brought::free : brought::taken})
+      .decision;
+}
+
 // --- the words of docs/recovery.md
 
 constexpr const char* word_of(IntentDecision it) noexcept {
@@ -280,6 +396,21 @@ constexpr const char* word_of(RequestDecision it) noexcept {
 constexpr const char* word_of(RejoinDecision it) noexcept {
   constexpr const char* words[] = {"take_back", "layout_mismatch", "permission_denied",
                                    "started_anew", "revoked"};
+  return words[static_cast<std::size_t>(it)];
+}
+constexpr const char* word_of(FoundDecision it) noexcept {
+  constexpr const char* words[] = {"expect",           "recover", "finish",
+                                   "finish_and_watch", "watch",   "settle"};
+  return words[static_cast<std::size_t>(it)];
+}
+constexpr const char* word_of(EndDecision it) noexcept {
+  constexpr const char* words[] = {"drop", "wait", "recover", "free_place"};
+  return words[static_cast<std::size_t>(it)];
+}
+constexpr const char* word_of(BroughtDecision it) noexcept {
+  constexpr const char* words[] = {
+      "take",       "answer_as_before", "protocol_violation", "permission_denied",
+      "over_limit", "arena_occupied"};
   return words[static_cast<std::size_t>(it)];
 }
 constexpr const char* word_of(StoredDecision it) noexcept {

@@ -17,6 +17,8 @@ namespace {
 
 using crash_points::Control;
 
+constexpr std::uint64_t never = ~std::uint64_t{0};  // no Step, plus one
+
 constinit Control own{};
 constinit std::atomic<Control*> control{&own};
 
@@ -49,6 +51,13 @@ void jitter(Control& told, Step step, std::uint64_t seed, std::uint64_t n) noexc
   ::nanosleep(&pause, nullptr);
 }
 
+void count_commit(Control& told, Step step) noexcept {
+  thread_local Step before = Step::count;
+  if (before == Step::P5_head && ::gettid() == ::getpid())
+    told.commits.fetch_add(1, std::memory_order_relaxed);
+  before = step;
+}
+
 // Before main, so that the first point already counts.
 [[gnu::constructor]] void find_control() noexcept {
   const char* const path = std::getenv("AGNOCAST_CRASH_CONTROL");
@@ -64,9 +73,15 @@ void jitter(Control& told, Step step, std::uint64_t seed, std::uint64_t n) noexc
 
 void crash_point(Step step) noexcept {
   Control& told = *control.load(std::memory_order_relaxed);
+  count_commit(told, step);
   if (const std::uint64_t from = told.from.load(std::memory_order_relaxed); from != 0) {
     if (from != static_cast<std::uint64_t>(step) + 1) return;
     told.from.store(0, std::memory_order_relaxed);
+  }
+  if (told.until.load(std::memory_order_relaxed) == static_cast<std::uint64_t>(step) + 1) {
+    told.until.store(0, std::memory_order_relaxed);
+    told.from.store(never, std::memory_order_relaxed);
+    return;
   }
   const std::uint64_t n = told.reached.fetch_add(1, std::memory_order_relaxed) + 1;
   if (n == told.deadly.load(std::memory_order_relaxed)) die(told, step);

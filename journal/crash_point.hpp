@@ -26,6 +26,9 @@ struct Control {
   std::atomic<std::uint64_t> last;     // the Step it died at, plus one; 0 = at none
   std::atomic<std::uint64_t>
       from;  // nothing counts before this Step, plus one; 0 = everything does
+  std::atomic<std::uint64_t> until;  // nothing counts from this Step on, plus one; 0 = no end
+  // Commits that the thread that began the process has behind it: it has come to a point after one.
+  std::atomic<std::uint64_t> commits;
   std::atomic<std::uint64_t> then;  // who comes after it dies so many points later; 0 = never
   // Jitter: what happens at the n-th point is a function of the seed and n. Per million points:
   std::atomic<std::uint64_t> seed;

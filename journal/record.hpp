@@ -2,7 +2,7 @@
 //
 // Record: one decision of the daemon as it lies in the redo log, and what its numbers mean.
 //
-// A record says what the daemon is about to change; redo_log.hpp keeps them, daemon/registry.cpp
+// A record says what the daemon is about to change; redo_log.hpp keeps them, daemon/registry_apply.cpp
 // carries them out. Some numbers are there for the reader of the flight recorder alone: whose an
 // endpoint was, why it ended, the new value of a counter. Nothing else is decided by those.
 #pragma once
@@ -35,7 +35,7 @@ namespace agnocast::journal {
   X(raise_slots, 18, "topic index slot_count generation client")                                  \
   X(client_forgotten, 19, "client generation")                                                    \
   /* Change nothing but counters. */                                                              \
-  X(recovered, 20, "pid away_ns redone_lsn dead_count board_word_count restart_count dead_total") \
+  X(recovered, 20, "pid redone_lsn dead_count board_word_count restart_count dead_total") \
   X(rejoined, 21, "client generation rejoined_count")
 
 enum class RecordType : std::uint32_t {

@@ -65,10 +65,11 @@ class PublisherCore {
 
   /// Commits one message. `environment` is told which sleepers to ring and which messages to
   /// destroy: ring(executor, armed) and freed(slot, address). On an error the caller keeps the
-  /// message.
+  /// message. One that `was_published` before, in another queue, waits for nobody.
   template <class Environment>
-  PublishOutcome publish(const Entry& entry, Environment& environment) noexcept {
-    if (self_.qos.keep_all && !room_for_one_more()) {
+  PublishOutcome publish(const Entry& entry, Environment& environment,
+                         bool was_published = false) noexcept {
+    if (self_.qos.keep_all && !was_published && !room_for_one_more()) {
       pass(environment, false);
       if (!room_for_one_more()) return PublishOutcome::would_block;
     }

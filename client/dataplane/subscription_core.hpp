@@ -92,6 +92,7 @@ class LinkCore {
     for (std::uint64_t round = 0; round < 2 * M::ring_count(); ++round) {
       const std::uint64_t head = newest();
       const std::uint64_t newest_sequence = abi::sequence_of(head);
+      pass_over_history(newest_sequence);
       if (newest_sequence < cursor_) break;
       std::uint64_t wanted = cursor_;
       AGNOCAST_STEP(T1_window)
@@ -155,8 +156,9 @@ class LinkCore {
   }
 
   /// Unread messages that lie in the window: what take() can still deliver.
-  std::uint64_t unread() const noexcept {
+  std::uint64_t unread() noexcept {
     const std::uint64_t end = abi::sequence_of(newest()) + 1;
+    pass_over_history(end - 1);
     const std::uint64_t from =
         std::max(cursor_, minus_at_least(end, abi::window_of(self_.requested), 0));
     return end > from ? end - from : 0;
@@ -181,6 +183,7 @@ class LinkCore {
   /// several publishers.
   void skip() noexcept {
     const std::uint64_t end = abi::sequence_of(newest()) + 1;
+    pass_over_history(end - 1);
     const std::uint64_t from =
         std::max(cursor_, minus_at_least(end, abi::window_of(self_.requested), 0));
     if (from >= end) return;
@@ -198,15 +201,21 @@ class LinkCore {
                                          std::memory_order_release);
   }
 
-  /// Takes no more, and there is no daemon to say so: publishers wait for nothing of it. A sequence has
-  /// 48 bits, so this is beyond every one. No message of this link may be held.
+  /// Takes no more, and there is no daemon to say so: publishers wait for nothing of it but for what
+  /// is held.
   void stand_aside() noexcept {
-    cursor_ = std::uint64_t{1} << 62;
+    cursor_ = abi::cursor_aside;
     self_.line.cursor().store(cursor_, std::memory_order_release);
   }
+  /// Of what was published in an earlier membership, no more than the newest `count` is for this
+  /// subscription. The rest is passed over, and not lost.
+  void want_history(std::uint64_t count) noexcept { history_wanted_ = count; }
 
   /// S3: is there anything to take? Called between S2 and the sleep.
   bool has_news() const noexcept { return abi::sequence_of(newest()) >= cursor_; }
+
+  /// Something was committed here, ever.
+  bool has_begun() const noexcept { return abi::sequence_of(newest()) > self_.first_sequence; }
 
   /// Learns whether the publisher is gone. From then on only what the daemon recorded as committed
   /// is taken.
@@ -240,6 +249,19 @@ class LinkCore {
     AGNOCAST_STEP(T1_head) head = self_.publisher.head().load(std::memory_order_acquire);
     return head;
   }
+  /// Behind each look at head, and up to there: history may be on its way, and what is committed
+  /// after a look at `inherited` would pass for news.
+  void pass_over_history(std::uint64_t newest_sequence) noexcept {
+    if (history_wanted_ == all_history) return;
+    // [sync:publish] relaxed, behind the acquire of T1; pairs with the store ahead of each commit of
+    // history.
+    const std::uint64_t last = self_.publisher.inherited().load(std::memory_order_relaxed);
+    if (last < cursor_ + history_wanted_) return;
+    const std::uint64_t next = std::min(last - history_wanted_, newest_sequence) + 1;
+    if (next <= cursor_) return;
+    cursor_ = next;
+    store_cursor();
+  }
   bool has_right_shape(const Taken& taken) const noexcept {
     return taken.size != 0 && (self_.message_bytes == 0 || taken.size == self_.message_bytes) &&
            (taken.address & (self_.message_alignment - 1)) == 0;
@@ -257,8 +279,11 @@ class LinkCore {
     AGNOCAST_STEP(T7_cursor) self_.line.cursor().store(cursor_, std::memory_order_release);
   }
 
+  static constexpr std::uint64_t all_history = ~std::uint64_t{0};
+
   Identity self_;
   std::uint64_t cursor_;
+  std::uint64_t history_wanted_ = all_history;
   std::uint64_t lost_ = 0;
   std::uint64_t malformed_ = 0;
   std::uint64_t unreachable_ = 0;

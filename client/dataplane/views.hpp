@@ -21,6 +21,10 @@ struct PublisherWords {
   std::uint64_t extent;
 
   decltype(auto) head() const noexcept { return at(offsetof(abi::PublisherEndpoint, head)); }
+  decltype(auto) lineage() const noexcept { return at(offsetof(abi::PublisherEndpoint, lineage)); }
+  decltype(auto) inherited() const noexcept {
+    return at(offsetof(abi::PublisherEndpoint, inherited));
+  }
   decltype(auto) intent_op() const noexcept {
     return at(offsetof(abi::PublisherEndpoint, intent_op));
   }
@@ -85,12 +89,15 @@ struct LinkWords {
   }
 };
 
-/// Counters of one subscription.
+/// Counters of one subscription, and its lineage.
 template <class M>
 struct SubscriptionWords {
   typename M::Region region;
   std::uint64_t extent;
 
+  decltype(auto) lineage() const noexcept {
+    return counter(offsetof(abi::SubscriptionCounters, lineage));
+  }
   decltype(auto) counter(std::size_t field) const noexcept {
     return M::word(region,
                    extent + abi::subscription_counters_offset(M::publisher_count()) + field);

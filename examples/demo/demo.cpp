@@ -280,10 +280,11 @@ class Demo {
     const std::uint64_t address = data_address(sent_.back());
     const auto show = [&](const Process& process) {
       const auto place = place_in(process.pid(), address).value_or(MappedPlace{});
+      // Of the name, not the window's place and owner behind it.
       report_.line(format("    %-13s %#llx  %s  inode %llu  %s", process.name().c_str(),
                           static_cast<unsigned long long>(address), place.permissions.c_str(),
                           static_cast<unsigned long long>(place.inode),
-                          place.name.substr(0, place.name.find(' ')).c_str()));
+                          place.name.substr(0, place.name.find("-0x")).c_str()));
     };
     show(*publisher_);
     for (const auto& subscriber : subscribers_) show(*subscriber);

@@ -75,7 +75,9 @@ namespace agnocast {
   X(started_anew, "agnocastd was started anew and does not know this process any more",            \
     "nothing: the library goes to it by itself; if that lasts, see island_reason and its log")       \
   X(revoked, "the membership of this process was ended from outside",                              \
-    "see the log of agnocastd for who did it and why, then restart the process")
+    "see the log of agnocastd for who did it and why, then restart the process")                   \
+  X(store_damaged, "what agnocastd keeps across its restarts is damaged",                          \
+    "stop agnocastd and start it: what it kept is given up, and processes go to it by themselves")
 
 /// Codes of everything that a user of the library can be told. Zero is success (std::error_code
 /// convention).

@@ -54,7 +54,8 @@ struct IncompatibleTypeInfo {
 struct HeapCollisionInfo {
   std::int32_t total_count = 0;
   std::int32_t total_count_change = 0;
-  /// Of the newest: which processes, which window, what happens now, what is there. Ends with a NUL.
+  /// Of the newest: which processes, which window, what happens now, which range is taken, and what is
+  /// there if the reader is this user's. Ends with a NUL.
   char last_text[256] = "";
 };
 

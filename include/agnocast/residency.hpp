@@ -131,8 +131,8 @@ class PointerVisitor {
 struct SharedHeap {
   void* context = nullptr;
   /// From now on allocations of this thread come from the shared heap, until as many leave() as
-  /// enter(). Both return the thread's running count of allocations that had to come from libc
-  /// instead, for want of room.
+  /// enter(). Both return a running count; as long as it stays the same, whatever this thread
+  /// allocated in between lies in what windows() returns afterwards.
   std::uint64_t (*enter)(void* context) noexcept = nullptr;
   std::uint64_t (*leave)(void* context) noexcept = nullptr;
   /// The windows as they are now; a scope may have opened another one.
@@ -152,22 +152,22 @@ class SharedScope {
  public:
   /// `heap` must outlive this object.
   explicit SharedScope(const SharedHeap& heap) noexcept
-      : heap_(&heap), spilled_before_(heap.enter(heap.context)) {}
+      : heap_(&heap), before_(heap.enter(heap.context)) {}
   ~SharedScope() { close(); }
   SharedScope(const SharedScope&) = delete;
   SharedScope& operator=(const SharedScope&) = delete;
 
-  /// Ends the scope; how many allocations in it were not from the shared heap. Later calls do
-  /// nothing and return 0.
+  /// Ends the scope; 0 if all that was allocated in it lies in the windows. Later calls do nothing
+  /// and return 0.
   std::uint64_t close() noexcept {
     if (heap_ == nullptr) return 0;
     const SharedHeap& heap = *std::exchange(heap_, nullptr);
-    return heap.leave(heap.context) - spilled_before_;
+    return heap.leave(heap.context) - before_;
   }
 
  private:
   const SharedHeap* heap_;
-  std::uint64_t spilled_before_;
+  std::uint64_t before_;
 };
 
 /// Makes `message` resident, by adoption if it must: a copy is built in the shared heap, the
@@ -198,9 +198,9 @@ template <class T>
   }
   // What is unseen cannot be looked at again, but then it is known that no allocation went
   // elsewhere.
-  const std::uint64_t spilled_count = scope.close();
+  const bool has_strays = scope.close() != 0;
   const Residency now = check_residency(type, copy.get(), heap.windows(heap.context));
-  if (now.foreign_count != 0 || (now.unseen_count != 0 && spilled_count != 0)) {
+  if (now.foreign_count != 0 || (now.unseen_count != 0 && has_strays)) {
     return tl::unexpected(heap.full());
   }
   message = std::move(copy);

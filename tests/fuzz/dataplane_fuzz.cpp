@@ -122,6 +122,7 @@ void read_from_a_liar(FuzzedDataProvider& input) {
                     wanted,
                     input.ConsumeBool() ? message_bytes : 0,
                     8});
+  if (input.ConsumeBool()) link.want_history(input.ConsumeIntegralInRange(0u, abi::depth_max));
   require(link.link(input.ConsumeBool()));
   Window window{&queue};
   std::deque<std::uint64_t> held;

@@ -61,7 +61,7 @@ g++ -O1 -o a a.cpp && ./a)"},
     {"git", "git", R"(export GIT_CONFIG_NOSYSTEM=1 GIT_AUTHOR_DATE='2020-01-01T00:00:00Z' GIT_COMMITTER_DATE='2020-01-01T00:00:00Z'
 git init -q r && cd r && git config user.name n && git config user.email e@example.org
 seq 1000 > f && git add f && git commit -qm one && seq 2000 > f && git commit -qam two && git log --stat --format=%H && git fsck 2>&1)"},
-    {"tar_gzip", "", "mkdir d && seq 50000 > d/x && tar -cf - d | gzip -n | tee t.gz | cksum && gzip -dc t.gz | tar -tvf - | wc -l && gzip -dc t.gz | tar -xOf - d/x | cksum"},
+    {"tar_gzip", "", "mkdir d && seq 50000 > d/x && tar --mtime=@0 -cf - d | gzip -n | tee t.gz | cksum && gzip -dc t.gz | tar -tvf - | wc -l && gzip -dc t.gz | tar -xOf - d/x | cksum"},
     {"sort", "", "awk 'BEGIN { srand(7); for (i = 0; i < 100000; i++) print int(rand() * 1e9) }' | sort -n --parallel=2 | cksum"},
     {"awk", "awk", "seq 20000 | awk '{ a[$1 % 97] = a[$1 % 97] $1 } END { for (i = 0; i < 97; i++) n += length(a[i]); print n }'"},
     {"find_xargs", "", "mkdir -p a/b/c && touch a/1 a/b/2 a/b/c/3 && find a -type f -print0 | sort -z | xargs -0 -n1 -P2 ls | sort"},

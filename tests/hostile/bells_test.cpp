@@ -8,9 +8,13 @@
 #include <tests/hostile/hostile_node.hpp>
 
 #include <fcntl.h>
+#include <poll.h>
 #include <sys/socket.h>
 
+#include <cerrno>
 #include <chrono>
+#include <functional>
+#include <memory>
 #include <thread>
 
 namespace agnocast::test {
@@ -67,9 +71,51 @@ TEST(HostileBells, AFloodOfRingsKeepsNobodyFromItsMessages) {
   stage.honest_goes_on();
 }
 
-// The attacker asks for a ring at each message, in ways that make it as dear as it can.
+constexpr const char* own_topic = "/bells_of_attackers";
+
+/// A process of the attacker's user that may ring the attacker: with a sender of its own, as every
+/// publisher has one.
+class Ringer {
+ public:
+  explicit Ringer(const std::string& path) : node_(path) {
+    node_.join(Kind::publisher, own_topic);
+    auto about = node_.announced();
+    EXPECT_EQ(about.body.kind, Kind::subscription);
+    if (about.fds.size() == 3) bell_ = std::move(about.fds[2]);
+    EXPECT_TRUE(bell_) << "region, eventfd and datagram socket, as the user is the same";
+  }
+  /// 0 or errno.
+  int ring() const {
+    return ::send(bell_.get(), "", 1, MSG_DONTWAIT | MSG_NOSIGNAL) == 1 ? 0 : errno;
+  }
+  /// Whether a ring would find a place, without ringing.
+  bool finds_place() const {
+    pollfd bell{bell_.get(), POLLOUT, 0};
+    return ::poll(&bell, 1, 0) == 1;
+  }
+
+ private:
+  HostileNode node_;
+  UniqueFd bell_;
+};
+
+// A sender has a limit of its own, below 512 datagrams. So there are several, and the queue is full
+// when one that has never rung is turned away.
+void fill_bell(const std::string& path) {
+  for (int senders = 0; senders < 20; ++senders) {
+    const Ringer ringer(path);
+    int error = ringer.ring();
+    if (error == EAGAIN) return;
+    while (error == 0) error = ringer.ring();
+    EXPECT_EQ(error, EAGAIN);
+  }
+  ADD_FAILURE() << "the bell is never full";
+}
+
+// The attacker asks for a ring at each message, in ways that make it as dear as it can. `last` is
+// done while it asks, and the attack is under way when that is over.
 void asks_for_rings(Stage& stage, const std::function<void(HostileNode&)>& prepare,
-                    bool stops_itself = false) {
+                    const std::function<bool(HostileNode&)>& last = {}, bool stops_itself = false) {
   Attacker attacker([&](Attack& attack) {
     HostileNode node(stage.socket_path());
     const auto made =
@@ -78,11 +124,18 @@ void asks_for_rings(Stage& stage, const std::function<void(HostileNode&)>& prepa
     const auto line = node.line(made, publisher.index);
     line.cursor().store(publisher.first_sequence + 1);
     line.publisher_generation().store(publisher.generation);
+    node.join(Kind::subscription, own_topic);
     prepare(node);
-    node.armed().store(1);
+    std::uint64_t armed = 1;
+    node.armed().store(armed);
+    const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(60);
+    for (; last && !last(node); node.armed().store(armed += 2)) {
+      ASSERT_LT(std::chrono::steady_clock::now(), end) << "nobody rings";
+    }
+    if (testing::Test::HasFailure()) return;
     attack.ready();
     if (stops_itself) ::raise(SIGSTOP);
-    for (std::uint64_t armed = 3; attack.goes_on(); armed += 2) node.armed().store(armed);
+    while (attack.goes_on()) node.armed().store(armed += 2);
   });
   ASSERT_TRUE(attacker.wait_until_ready());
   honest_goes_on_for_a_while(stage);
@@ -93,7 +146,25 @@ void asks_for_rings(Stage& stage, const std::function<void(HostileNode&)>& prepa
 TEST(HostileBells, AQueueThatIsNeverReadFillsAndDelaysNobody) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
-  asks_for_rings(stage, [](HostileNode&) {});
+  // The last places are left to the honest publisher, which has to take them all, and goes on to ring.
+  constexpr int places = 20;
+  std::unique_ptr<Ringer> witness;
+  asks_for_rings(
+      stage,
+      [&](HostileNode& node) {
+        fill_bell(stage.socket_path());
+        witness = std::make_unique<Ringer>(stage.socket_path());
+        EXPECT_FALSE(witness->finds_place());
+        char byte = 0;
+        for (int i = 0; i < places; ++i)
+          EXPECT_GE(::recv(node.bells()[1].get(), &byte, 1, MSG_DONTWAIT), 0);
+        EXPECT_TRUE(witness->finds_place());
+      },
+      [&](HostileNode&) {
+        if (witness->finds_place()) return false;
+        EXPECT_EQ(witness->ring(), EAGAIN);
+        return true;
+      });
 }
 
 TEST(HostileBells, AReceiverThatIsShutOrSmallDelaysNobody) {
@@ -112,13 +183,7 @@ TEST(HostileBells, AStoppedSubscriberWithAFullBellDelaysNobody) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   asks_for_rings(
-      stage,
-      [](HostileNode& node) {
-        // What the attacker's own publisher gets to ring itself with: full to the brim.
-        node.join(Kind::publisher, open_topic);
-        node.word(offsetof(abi::ClientRegionHeader, executor)).store(1);
-      },
-      true);
+      stage, [&](HostileNode&) { fill_bell(stage.socket_path()); }, {}, true);
 }
 
 TEST(HostileBells, AReceiverThatIsClosedDelaysNobody) {

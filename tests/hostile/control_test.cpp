@@ -10,13 +10,16 @@
 
 #include <dirent.h>
 #include <fcntl.h>
+#include <poll.h>
 #include <sys/epoll.h>
 #include <sys/eventfd.h>
 #include <sys/socket.h>
 #include <sys/syscall.h>
 #include <sys/un.h>
 
+#include <array>
 #include <chrono>
+#include <csignal>
 #include <cstring>
 #include <thread>
 
@@ -27,8 +30,11 @@ using wire::Kind;
 using wire::Opcode;
 
 /// The honest pair beside attacks of several processes at once; afterwards nothing of them is left.
+/// `cut_off`: the attackers count in their first word how often the daemon ended their connection, and
+/// it has to, again and again.
+enum class Ends : std::uint8_t { any, cut_off };
 void honest_goes_on_beside(Stage& stage, const std::function<void(Attack&)>& body,
-                           unsigned attackers = 1) {
+                           unsigned attackers = 1, Ends ends = Ends::any) {
   const std::size_t before = stage.daemon().descriptor_count();
   std::vector<std::unique_ptr<Attacker>> all;
   for (unsigned i = 0; i < attackers; ++i) all.push_back(std::make_unique<Attacker>(body));
@@ -43,6 +49,12 @@ void honest_goes_on_beside(Stage& stage, const std::function<void(Attack&)>& bod
     ++served;
   } while (std::chrono::steady_clock::now() < end && !testing::Test::HasFailure());
   std::printf("served %u times beside the attack\n", served);
+  for (const auto& attacker : all) {
+    if (ends == Ends::cut_off) {
+      EXPECT_TRUE(eventually([&] { return attacker->word(0) >= 3; }))
+          << "cut off " << attacker->word(0) << " times";
+    }
+  }
   for (const auto& attacker : all) attacker->kill();
   all.clear();
   stage.honest_goes_on();
@@ -118,30 +130,142 @@ TEST(HostileControl, EndlessRequestsOfManyDelayNobodysOwn) {
       4);
 }
 
+/// A connection that the daemon has taken, and how to ask it for numbers later.
+std::unique_ptr<WireClient> observer_of(const std::string& path) {
+  auto client = std::make_unique<WireClient>(path);
+  wire::Observe observe{};
+  observe.fingerprint = abi::fingerprint();
+  EXPECT_EQ(client->ask(Opcode::observe, observe).opcode(), Opcode::observed);
+  return client;
+}
+
+// While the daemon is stopped everybody says what they have to say: several hundred connections of one
+// user a long row of requests each, and last of all two connections of another user one each. The
+// second one asks how many had been refused by then, which is all that the first user is ever told.
+TEST(HostileControl, ManyConnectionsOfOneUserAreServedLikeOne) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage;
+  constexpr std::uint64_t connections = 300, requests = 40;
+  Attacker attacker([&](Attack& attack) {
+    std::vector<std::unique_ptr<WireClient>> all;
+    for (std::uint64_t i = 0; i < connections; ++i) {
+      all.push_back(std::make_unique<WireClient>(stage.socket_path()));
+      ASSERT_EQ(all.back()->hello().opcode(), Opcode::welcome);
+    }
+    attack.ready();
+    while (attack.word(0) == 0) std::this_thread::sleep_for(std::chrono::milliseconds(5));
+    wire::WindowRequest nonsense{};
+    nonsense.window = abi::window_count_max;
+    for (std::uint64_t i = 0; i < requests; ++i) {
+      for (const auto& client : all) client->send(Opcode::open_window, nonsense);
+    }
+    attack.word(1) = 1;
+    for (const auto& client : all) {
+      for (std::uint64_t i = 0; i < requests; ++i)
+        EXPECT_EQ(client->next().opcode(), Opcode::refused) << "its own user's share is served";
+    }
+    attack.word(2) = 1;
+    while (attack.goes_on()) std::this_thread::sleep_for(std::chrono::milliseconds(5));
+  });
+  ASSERT_TRUE(attacker.wait_until_ready());
+  WireClient honest(stage.socket_path());
+  ASSERT_EQ(honest.hello().opcode(), Opcode::welcome);
+  const auto observer = observer_of(stage.socket_path());
+  const std::uint64_t before = stage.counters().requests_refused;
+  const pid_t daemon = stage.daemon().pid();
+  ASSERT_EQ(::kill(daemon, SIGSTOP), 0);
+  attacker.set_word(0, 1);
+  EXPECT_TRUE(eventually([&] { return attacker.word(1) != 0; }));
+  honest.send(Opcode::create_publisher, WireClient::endpoint("/honest", {}));
+  observer->send(Opcode::dump, wire::Dump{});
+  ASSERT_EQ(::kill(daemon, SIGCONT), 0);
+  EXPECT_EQ(honest.next().opcode(), Opcode::endpoint_created);
+  std::uint64_t refused = 0;
+  for (Opcode opcode{}; opcode != Opcode::dump_end && !testing::Test::HasFailure();) {
+    const Incoming packet = observer->next();
+    opcode = packet.opcode();
+    if (opcode == Opcode::dump_daemon)
+      refused = packet.as<wire::DumpDaemon>().counters.requests_refused - before;
+  }
+  std::printf("%llu of %llu requests of the other user came first\n",
+              static_cast<unsigned long long>(refused),
+              static_cast<unsigned long long>(connections * requests));
+  EXPECT_LT(refused, connections) << "not even one of each of its connections";
+  EXPECT_TRUE(eventually([&] { return attacker.word(2) != 0; }));
+  EXPECT_EQ(stage.counters().requests_refused, before + connections * requests);
+  stage.honest_goes_on();
+  attacker.end();
+}
+
 TEST(HostileControl, WhoNeverReadsItsAnswersIsCutOff) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   const std::string path = stage.socket_path();
-  honest_goes_on_beside(stage, [&](Attack& attack) {
-    PacketSocket socket;
-    for (attack.ready(); attack.goes_on();) {
-      if (!socket) {
-        socket = connect_to(path);
-        if (!socket) continue;
-        wire::Hello hello{};
-        hello.fingerprint = abi::fingerprint();
-        say(socket, Opcode::hello, hello);
-      }
-      wire::WindowRequest nonsense{};
-      nonsense.window = abi::window_count_max;
-      nonsense.header = {Opcode::open_window, sizeof nonsense, 1};
-      const auto sent = socket.send(std::as_bytes(std::span(&nonsense, 1)));
-      if (!sent || *sent == Sent::peer_gone) {
-        socket.close();
-        ++attack.word(0);
-      }
+  honest_goes_on_beside(
+      stage,
+      [&](Attack& attack) {
+        PacketSocket socket;
+        for (attack.ready(); attack.goes_on();) {
+          if (!socket) {
+            socket = connect_to(path);
+            if (!socket) continue;
+            wire::Hello hello{};
+            hello.fingerprint = abi::fingerprint();
+            say(socket, Opcode::hello, hello);
+          }
+          wire::WindowRequest nonsense{};
+          nonsense.window = abi::window_count_max;
+          nonsense.header = {Opcode::open_window, sizeof nonsense, 1};
+          const auto sent = socket.send(std::as_bytes(std::span(&nonsense, 1)));
+          if (!sent || *sent == Sent::peer_gone) {
+            socket.close();
+            ++attack.word(0);
+          }
+        }
+      },
+      1, Ends::cut_off);
+}
+
+TEST(HostileControl, WhoComesBackAgainAndAgainIsToldLaterAndItsPublishersNothing) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage;
+  const std::string path = stage.socket_path();
+  const auto begin = std::chrono::steady_clock::now();
+  Attacker attacker([&](Attack& attack) {
+    HostileNode node(path);
+    node.join(Kind::subscription, stream_topic);
+    // More than counts for others: the heap stays where it is, and collides whenever one looks.
+    wire::Blocked range{};
+    range.base = node.welcome().arena_base;
+    range.bytes = node.welcome().arena_bytes;
+    range.what = wire_name("hostile");
+    node.wire().send(Opcode::blocked, range);
+    node.wire().drain();
+    attack.ready();
+    while (attack.goes_on()) {
+      node.wire().connect_again(path);
+      const Incoming answer = node.wire().rejoin(node.welcome());
+      const bool refused = answer.refused_code() == Errc::limit_reached;
+      EXPECT_TRUE(refused || answer.opcode() == Opcode::rejoined) << answer.refused_text();
+      ++attack.word(refused ? 1 : 0);
     }
   });
+  ASSERT_TRUE(attacker.wait_until_ready());
+  const auto end = std::chrono::steady_clock::now() + attack_time();
+  do {
+    stage.honest_goes_on();
+    stage.honest_is_served();
+  } while (std::chrono::steady_clock::now() < end && !testing::Test::HasFailure());
+  const auto seconds =
+      std::chrono::duration_cast<std::chrono::seconds>(std::chrono::steady_clock::now() - begin)
+          .count();
+  attacker.end();
+  std::printf("came back %llu times, was refused %llu times\n",
+              static_cast<unsigned long long>(attacker.word(0)),
+              static_cast<unsigned long long>(attacker.word(1)));
+  EXPECT_GT(attacker.word(1), 0u);
+  EXPECT_LE(attacker.word(0), 20u + 4u * (static_cast<std::uint64_t>(seconds) + 1));
+  EXPECT_EQ(stage.publisher().ask("collisions"), "1");
 }
 
 TEST(HostileControl, ConnectionsThatNeverSpeakTakeNobodysPlace) {
@@ -179,6 +303,34 @@ TEST(HostileControl, FloodsOfConnectionsDelayNobodysOwn) {
       3);
 }
 
+/// A window of the usual length in the last place of the arena, where nobody has one.
+wire::WindowOpened place_in_arena(HostileNode& node) {
+  wire::WindowOpened window{};
+  window.bytes = std::uint64_t{64} << 20;
+  window.base = node.welcome().arena_base + node.welcome().arena_bytes - window.bytes;
+  return window;
+}
+
+/// How that is answered.
+Errc bring(HostileNode& node, const wire::WindowOpened& window, std::span<const int> fds) {
+  wire::BringWindow request{};
+  request.header = {Opcode::bring_window, sizeof request, 98};
+  request.window = window.window;
+  request.base = window.base;
+  request.bytes = window.bytes;
+  request.first = window.first;
+  const auto sent =
+      node.wire().socket().send(std::as_bytes(std::span(&request, 1)), fds, Wait::yes);
+  // The kernel itself passes no io_uring: then nothing has been asked for.
+  if (!sent || *sent != Sent::sent)
+    return fds.size() > 1 ? Errc::protocol_violation : Errc::permission_denied;
+  for (;;) {
+    const Incoming answer = node.wire().next();
+    if (answer.bytes.empty()) return Errc::ok;  // the test has failed
+    if (answer.header().request == 98) return answer.refused_code();
+  }
+}
+
 TEST(HostileControl, DescriptorsOfStrangeKindsAreClosedUnseen) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
@@ -213,9 +365,47 @@ TEST(HostileControl, DescriptorsOfStrangeKindsAreClosedUnseen) {
           if (!sent || *sent != Sent::sent) continue;
           EXPECT_EQ(node.wire().next().refused_code(), Errc::protocol_violation);
         }
+        // Where one is asked for it is looked at, and none of these is a window.
+        const auto window = place_in_arena(node);
+        EXPECT_EQ(bring(node, window, std::span(fds).first(1)), Errc::permission_denied);
+        EXPECT_EQ(bring(node, window, std::span(fds).first(4)), Errc::protocol_violation);
       }
       strange.pop_back();
       EXPECT_EQ(node.wire().open_window(0).opcode(), Opcode::window_opened) << "it may go on";
+      ++attack.word(0);
+    }
+  });
+}
+
+// With every descriptor that it is given: of others, of its own, for the place they belong to and for
+// others' places. What it could bring is what a daemon made for its user there, and that is given out.
+TEST(HostileControl, WindowsThatAreMissingOrOthersAreBroughtInVain) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage;
+  const std::string path = stage.socket_path();
+  honest_goes_on_beside(stage, [&](Attack& attack) {
+    HostileNode owner(path);
+    owner.join(Kind::subscription, stream_topic);
+    const auto honest = owner.announced();
+    ASSERT_EQ(honest.fds.size(), 2u) << "region and window of the honest publisher";
+    ASSERT_EQ(honest.body.window_count, 1u);
+    const wire::WindowOpened own = owner.open_window();
+    wire::WindowOpened others = own;
+    others.base = honest.body.window[0].base;
+    attack.ready();
+    while (attack.goes_on()) {
+      HostileNode node(path);
+      for (const wire::WindowOpened& place : {place_in_arena(node), others, own}) {
+        EXPECT_EQ(bring(node, place, {}), Errc::protocol_violation);
+        for (const int fd : {honest.fds[0].get(), honest.fds[1].get(), owner.region_fd(),
+                             owner.board_fd(), owner.window_read_fd(), node.region_fd()})
+          EXPECT_EQ(bring(node, place, std::span(&fd, 1)), Errc::permission_denied);
+        const int writer = owner.window_fd();
+        EXPECT_EQ(bring(node, place, std::span(&writer, 1)),
+                  place.base == own.base ? Errc::arena_occupied : Errc::permission_denied);
+      }
+      EXPECT_EQ(node.wire().open_window(0).opcode(), Opcode::window_opened) << "it may go on";
+      ++attack.word(0);
     }
   });
 }
@@ -312,32 +502,52 @@ TEST(HostileControl, ClaimsAboutOthersEndpointsChangeNothing) {
   });
 }
 
+/// A connection that the daemon takes for an observer's, or none.
+PacketSocket observe(const std::string& path) {
+  PacketSocket socket = connect_to(path);
+  wire::Observe request{};
+  request.fingerprint = abi::fingerprint();
+  if (!socket || !say(socket, Opcode::observe, request)) return {};
+  std::array<std::byte, 2048> buffer;
+  pollfd answer{socket.fd(), POLLIN, 0};
+  if (::poll(&answer, 1, WireClient::patience_ms) != 1) return {};
+  const auto packet = socket.receive(buffer);
+  wire::Header header{};
+  if (!packet || packet->bytes < sizeof header) return {};
+  std::memcpy(static_cast<void*>(&header), buffer.data(), sizeof header);
+  if (header.opcode != Opcode::observed) socket.close();
+  return socket;
+}
+
 TEST(HostileControl, ObserversThatAskWithoutEndAreCutOff) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   const std::string path = stage.socket_path();
-  honest_goes_on_beside(stage, [&](Attack& attack) {
-    std::vector<PacketSocket> observers;
-    attack.ready();
-    while (attack.goes_on()) {
-      while (observers.size() < abi::observer_count_max + 4) {
-        PacketSocket socket = connect_to(path);
-        if (!socket) break;
-        wire::Observe observe{};
-        observe.fingerprint = abi::fingerprint();
-        say(socket, Opcode::observe, observe);
-        observers.push_back(std::move(socket));
-      }
-      for (auto at = observers.begin(); at != observers.end();) {
-        if (say(*at, Opcode::dump, wire::Dump{})) {
-          ++at;
-        } else {
-          at = observers.erase(at);
-          ++attack.word(0);
+  honest_goes_on_beside(
+      stage,
+      [&](Attack& attack) {
+        std::vector<PacketSocket> observers;
+        attack.ready();
+        while (attack.goes_on()) {
+          while (observers.size() < abi::observer_count_max) {
+            PacketSocket socket = observe(path);
+            if (!socket) break;
+            observers.push_back(std::move(socket));
+          }
+          wire::Dump request{};
+          request.header = {Opcode::dump, sizeof request, 1};
+          for (auto at = observers.begin(); at != observers.end();) {
+            const auto sent = at->send(std::as_bytes(std::span(&request, 1)));
+            if (sent && *sent != Sent::peer_gone) {
+              ++at;  // told, or not even asked: the daemon has not read what came before
+            } else {
+              at = observers.erase(at);
+              ++attack.word(0);
+            }
+          }
         }
-      }
-    }
-  });
+      },
+      1, Ends::cut_off);
 }
 
 }  // namespace

@@ -7,8 +7,11 @@
 //   then line by line on its standard input, each answered with one line:
 //     publish TOPIC     → ok      a Numbered every few milliseconds from now on, in a thread of its own
 //     subscribe TOPIC   → ok      checks each by number and content, holds the last few and checks again
+//     join TOPIC        → ok      the same with a stream that has begun: the first number is any
+//     occupy ADDRESS BYTES → ok   maps something there
 //     watch TOPIC       → ok      takes what others publish there, looks at no byte of it, notes where it lay
 //     create TOPIC      → ok      a publisher and a subscription more, and away with them
+//     collisions        → of how many collisions of addresses its publisher was told
 //     matched           → how many there are at the other end of what it has
 //     state             → published refused received wrong lost watched low high watch_lost
 //     stop              → ok      publishes no more
@@ -17,6 +20,7 @@
 #include <tests/support/plain_node.hpp>
 
 #include <grp.h>
+#include <sys/mman.h>
 #include <sys/prctl.h>
 #include <unistd.h>
 
@@ -47,10 +51,13 @@ class HonestNode {
     std::string what, topic;
     line >> what >> topic;
     if (what == "publish") return publish(topic);
-    if (what == "subscribe") return subscribe(topic);
+    if (what == "subscribe" || what == "join") return subscribe(topic, what == "join");
+    if (what == "occupy") return occupy(topic, line);
     if (what == "watch") return watch(topic);
     if (what == "create") return create(topic);
     if (what == "stop") return stop(), "ok";
+    if (what == "collisions")
+      return std::to_string(publisher_->get_heap_collision_status().total_count);
     if (what == "matched")
       return std::to_string((publisher_ != nullptr ? publisher_->get_subscription_count() : 0) +
                             (subscription_ != nullptr ? subscription_->get_publisher_count() : 0) +
@@ -63,13 +70,16 @@ class HonestNode {
   std::string publish(const std::string& topic) {
     publisher_ = create_publisher<Numbered>(PlainNode(), topic, QoS(depth));
     thread_ = std::thread([this] {
+      std::uint64_t copied = 0;
       for (std::uint64_t number = 1; !stopped_.load(); ++number) {
         auto message = publisher_->borrow_loaned_message();
         fill(*message, number);
         const PublishResult result = publisher_->publish(std::move(message));
-        if (result && result.adopted_bytes == 0) {
-          published_.store(number);
-        } else {
+        if (result) published_.store(number);
+        // One at a time is begun, so one may be copied for each time that the heap is asked to move.
+        if (result && result.adopted_bytes != 0) ++copied;
+        const auto moves = publisher_->get_heap_collision_status().total_count;
+        if (!result || copied > static_cast<std::uint64_t>(moves)) {
           ++refused_;
           refusal_.store(sentence_of(result.code));
         }
@@ -79,12 +89,24 @@ class HonestNode {
     return "ok";
   }
 
-  std::string subscribe(const std::string& topic) {
+  static std::string occupy(const std::string& address, std::istringstream& line) {
+    std::uint64_t bytes = 0;
+    line >> bytes;
+    void* const wanted = reinterpret_cast<void*>(std::stoull(address));
+    return ::mmap(wanted, bytes, PROT_READ, MAP_PRIVATE | MAP_ANONYMOUS | MAP_FIXED_NOREPLACE, -1,
+                  0) == wanted
+               ? "ok"
+               : "it is taken";
+  }
+
+  std::string subscribe(const std::string& topic, bool has_begun) {
     subscription_ = create_subscription<Numbered>(
-        node_, topic, QoS(depth), [this](ipc_shared_ptr<const Numbered> message) {
-          const std::uint64_t number = received_.load() + 1;
+        node_, topic, QoS(depth), [this, has_begun](ipc_shared_ptr<const Numbered> message) {
+          const std::uint64_t received = received_.load() + 1;
+          if (has_begun && received == 1) missed_ = message->number - 1;
+          const std::uint64_t number = missed_ + received;
           if (!is_intact(*message, number)) ++wrong_;
-          received_.store(number);
+          received_.store(received);
           held_.push_back(std::move(message));
           if (held_.size() <= 8) return;
           if (!is_intact(*held_.front(), number - 8)) ++wrong_;
@@ -135,6 +157,7 @@ class HonestNode {
   std::atomic<const char*> refusal_{""};
   std::atomic<bool> stopped_{false};
   std::deque<ipc_shared_ptr<const Numbered>> held_;  // of the callback alone
+  std::uint64_t missed_ = 0;                         // likewise
   Publisher<Numbered>::SharedPtr publisher_;
   Subscription<Numbered>::SharedPtr subscription_;
   Subscription<Flat>::SharedPtr watched_;

@@ -152,6 +152,53 @@ TEST(HostileQuotas, TablesOfTheDaemonHaveRoomForOthers) {
   });
 }
 
+TEST(HostileQuotas, NobodyTakesTheLastTopicsAlone) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage({.quota = ""});
+  comes_back(stage, [&](const std::string& path) {
+    std::vector<std::unique_ptr<HostileNode>> nodes;
+    const std::uint64_t all = takes_all(
+        [&](std::uint64_t i) {
+          // The region of a process has room for some hundred publishers.
+          if (i % 128 == 0) nodes.push_back(std::make_unique<HostileNode>(path));
+          return nodes.back()->wire().create_publisher("/last" + std::to_string(i));
+        },
+        "[quota] topics");
+    EXPECT_EQ(all, std::uint64_t{abi::topic_count_max} / 4 * 3);
+    static_cast<void>(new auto(std::move(nodes)));  // they stay until the attacker is killed
+    return all;
+  });
+}
+
+TEST(HostileQuotas, NobodyTakesTheLastWindowsAlone) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage({.quota = ""});
+  for (int life = 0; life < 2; ++life) {
+    const std::size_t before = stage.daemon().descriptor_count();
+    Attacker attacker([&](Attack& attack) {
+      std::vector<std::unique_ptr<HostileNode>> nodes;
+      attack.word(0) = takes_all(
+          [&](std::uint64_t i) {
+            if (i % abi::window_count_max == 0)
+              nodes.push_back(std::make_unique<HostileNode>(stage.socket_path()));
+            return nodes.back()->wire().open_window(i % abi::window_count_max);
+          },
+          "[quota] heap_bytes");
+      attack.ready();
+      while (attack.goes_on()) std::this_thread::sleep_for(std::chrono::milliseconds(5));
+    });
+    ASSERT_TRUE(attacker.wait_until_ready());
+    EXPECT_EQ(attacker.word(0), 48u) << "three quarters of 4 GiB, 64 MiB each";
+    {
+      const auto newcomer = stage.another_honest_process();
+      EXPECT_EQ(newcomer->ask("create /first" + std::to_string(life)), "ok");
+    }
+    stage.honest_goes_on();
+    attacker.kill();
+    ASSERT_TRUE(eventually([&] { return stage.daemon().descriptor_count() <= before; }));
+  }
+}
+
 TEST(HostileQuotas, DescriptorsOfTheDaemonThatAreGoneComeBackWithTheirTaker) {
   AGNOCAST_NEEDS_TWO_USERS();
 #ifdef __SANITIZE_ADDRESS__

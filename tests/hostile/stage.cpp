@@ -18,10 +18,9 @@ namespace {
 
 std::string configuration(const StageOptions& options) {
   return "[daemon]\nsocket_mode = \"0666\"\n"
-         "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"4GiB\"\n" AGNOCAST_TEST_ARENA_BASE
-         "[quota]\n" +
-         options.quota + options.more + "[[access]]\ntopic = \"" + stream_topic +
-         "\"\npublish = [\"uid:" + std::to_string(honest_uid) + "\"]\n";
+         "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"4GiB\"\n" AGNOCAST_TEST_ARENA_BASE +
+         options.heap + "[quota]\n" + options.quota + options.more + "[[access]]\ntopic = \"" +
+         stream_topic + "\"\npublish = [\"uid:" + std::to_string(honest_uid) + "\"]\n";
 }
 
 std::unique_ptr<SteeredProcess> honest_process(const DaemonProcess& daemon) {
@@ -29,6 +28,18 @@ std::unique_ptr<SteeredProcess> honest_process(const DaemonProcess& daemon) {
       std::vector<std::string>{AGNOCAST_HONEST_NODE, std::to_string(honest_uid)},
       std::vector<std::string>{"AGNOCAST_SOCKET=" + daemon.socket_path()});
 }
+
+/// Tells the test of what failed in an attacker, which may be killed before it ends.
+class Failures : public testing::EmptyTestEventListener {
+ public:
+  explicit Failures(Attack::Word& count) : count_(count) {}
+  void OnTestPartResult(const testing::TestPartResult& result) override {
+    if (result.failed()) ++count_;
+  }
+
+ private:
+  Attack::Word& count_;
+};
 
 }  // namespace
 
@@ -46,6 +57,10 @@ Stage::Stage(const StageOptions& options)
 
 Stage::~Stage() {
   if (!judged_) honest_lost_nothing();
+}
+
+std::unique_ptr<SteeredProcess> Stage::another_honest_process() const {
+  return honest_process(daemon_);
 }
 
 Stage::State Stage::state() {
@@ -121,8 +136,8 @@ bool Attack::goes_on() const {
 }
 
 Attacker::Attacker(std::function<void(Attack&)> body, uid_t uid) {
-  void* const shared = ::mmap(nullptr, sizeof(Attack::Word) * word_count, PROT_READ | PROT_WRITE,
-                              MAP_SHARED | MAP_ANONYMOUS, -1, 0);
+  void* const shared = ::mmap(nullptr, sizeof(Attack::Word) * (word_count + 1),
+                              PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
   if (shared == MAP_FAILED) std::abort();
   words_ = static_cast<Attack::Word*>(shared);
   int stop[2], ready[2];
@@ -136,6 +151,7 @@ Attacker::Attacker(std::function<void(Attack&)> body, uid_t uid) {
     if (::setgroups(0, nullptr) != 0 || ::setgid(uid) != 0 || ::setuid(uid) != 0) return 99;
     // As any process that was this user's from the beginning: its own /proc entries are its own.
     ::prctl(PR_SET_DUMPABLE, 1);
+    testing::UnitTest::GetInstance()->listeners().Append(new Failures(words_[word_count]));
     Attack attack(words_, stop[0], ready[1]);
     body(attack);
     std::fflush(nullptr);
@@ -149,7 +165,7 @@ Attacker::Attacker(std::function<void(Attack&)> body, uid_t uid) {
 
 Attacker::~Attacker() {
   child_.reset();
-  ::munmap(words_, sizeof(Attack::Word) * word_count);
+  ::munmap(words_, sizeof(Attack::Word) * (word_count + 1));
 }
 
 bool Attacker::wait_until_ready() {
@@ -167,6 +183,8 @@ void Attacker::end() {
 void Attacker::kill() {
   child_->kill();
   EXPECT_EQ(child_->wait(), -SIGKILL);
+  EXPECT_EQ(words_[word_count].load(), 0u)
+      << "what the attacker expected did not come true, see above";
 }
 
 Chance::Chance(std::uint64_t seed) {

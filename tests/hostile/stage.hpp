@@ -47,6 +47,7 @@ struct StageOptions {
   std::optional<uid_t> daemon = {};  ///< none: root
   std::string quota = "held_messages = 400\n";
   std::string more = {};  ///< further text of the configuration
+  std::string heap = {};  ///< further text of [heap]
 };
 
 class Stage {
@@ -58,6 +59,8 @@ class Stage {
   const std::string& socket_path() const noexcept { return daemon_.socket_path(); }
   SteeredProcess& publisher() noexcept { return *publisher_; }
   SteeredProcess& subscriber() noexcept { return *subscriber_; }
+  /// One more of the honest user; nothing is asked of it.
+  std::unique_ptr<SteeredProcess> another_honest_process() const;
 
   /// Another 100 messages are published and have arrived since now. That is what "is not blocked"
   /// means: a publisher that waits for somebody, or a reader that starves, never gets there.
@@ -111,14 +114,16 @@ class Attacker {
   /// False, and the test has failed, when it ended before.
   bool wait_until_ready();
   std::uint64_t word(std::size_t index) const { return words_[index].load(); }
+  /// Tells it something while it goes on.
+  void set_word(std::size_t index, std::uint64_t value) { words_[index] = value; }
   pid_t pid() const noexcept { return child_->pid(); }
   /// Asks it to stop and waits; the test fails with it.
   void end();
-  /// SIGKILL, in the middle of whatever it does.
+  /// SIGKILL, in the middle of whatever it does. The test fails with it as well.
   void kill();
 
  private:
-  static constexpr std::size_t word_count = 16;
+  static constexpr std::size_t word_count = 16;  // and one behind them that counts its failures
   Attack::Word* words_;
   UniqueFd stop_, ready_;
   std::unique_ptr<Child> child_;

@@ -1,30 +1,24 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: agnocast-ctl says what is there, in ros2's shapes and as JSON, with the promised exit statuses
-// and two-line errors; verify finds every kind of broken word and nothing else. Method: the real
+// and two-line errors (journal and verify: in files of their own). Method: the real
 // daemon, raw clients whose regions this test writes like an honest process and then breaks, and
 // agnocast-ctl as a program of its own.
 
-#include <agnocast/abi/fingerprint.hpp>
 #include <agnocast/version.hpp>
 #include <base/unix_address.hpp>
-#include <client/dataplane/views.hpp>
+#include <tests/integration/ctl_node.hpp>
 #include <tests/support/ctl.hpp>
 #include <tests/support/daemon_process.hpp>
-#include <tests/support/wire_client.hpp>
 
 #include <gmock/gmock.h>
 #include <signal.h>
 #include <sys/stat.h>
 
-#include <algorithm>
 #include <cinttypes>
 #include <cstdio>
 #include <cstdlib>
-#include <functional>
-#include <map>
 #include <memory>
-#include <sstream>
 #include <string>
 #include <vector>
 
@@ -37,72 +31,7 @@ using testing::MatchesRegex;
 using testing::StartsWith;
 using wire::Opcode;
 using M = SharedMemory;
-
-/// A raw client whose region lies open. Domain 0 unless said otherwise.
-struct Node {
-  explicit Node(const std::string& socket, std::uint64_t domain = 0) : wire(socket) {
-    Incoming answer = wire.hello(abi::fingerprint(), domain);
-    if (answer.opcode() != Opcode::welcome) {
-      ADD_FAILURE() << answer.refused_text();
-      return;
-    }
-    region = std::move(
-        Mapping::map(answer.fds[1].get(), std::uint64_t{1} << 30, Mapping::Access::read_write)
-            .value());
-  }
-  wire::EndpointCreated create(Opcode opcode, const std::string& topic, const Qos& qos,
-                               const std::string& node, const std::string& type) {
-    auto body = WireClient::endpoint(topic, qos, type);
-    body.node = wire_name(node);
-    const Incoming answer = wire.ask(opcode, body);
-    EXPECT_EQ(answer.opcode(), Opcode::endpoint_created) << answer.refused_text();
-    return answer.as<wire::EndpointCreated>();
-  }
-  wire::EndpointCreated publisher(const std::string& topic, const Qos& qos = {7},
-                                  const std::string& node = "/ns/talker",
-                                  const std::string& type = "test/msg/Type") {
-    return create(Opcode::create_publisher, topic, qos, node, type);
-  }
-  wire::EndpointCreated subscription(const std::string& topic, const Qos& qos = {5},
-                                     const std::string& node = "/listener",
-                                     const std::string& type = "test/msg/Type") {
-    if (!executor) wire.open_executor();
-    executor = true;
-    return create(Opcode::create_subscription, topic, qos, node, type);
-  }
-  /// As an honest publisher would: `count` messages, all still in the history.
-  void commit(const wire::EndpointCreated& publisher, std::uint64_t count) {
-    const dataplane::PublisherWords<M> words{region.base(), publisher.extent};
-    for (std::uint64_t i = 0; i < count; ++i) {
-      const std::uint64_t sequence = publisher.first_sequence + 1 + i;
-      words.slot_address(i).store(window.base + 64 * i);
-      words.slot_size(i).store(64);
-      words.slot_id(i).store(sequence);
-      words.order(sequence).store(abi::pack_entry(sequence, i));
-      words.head().store(abi::pack_entry(sequence, i));
-    }
-  }
-  void open_window() {
-    window = wire.open_window(0).as<wire::WindowOpened>();
-    auto& entry = reinterpret_cast<abi::ClientRegionHeader*>(region.base())->window[0];
-    entry.base.store(window.base);
-    entry.length.store(window.bytes);
-    entry.frontier.store(std::uint64_t{1} << 20);
-  }
-  /// As an honest subscription that has taken `taken` messages and holds the first `held`.
-  void link(const wire::EndpointCreated& own, const wire::EndpointCreated& publisher,
-            std::uint64_t taken, std::uint64_t held) {
-    const dataplane::LinkWords<M> line{region.base(), own.extent, publisher.index};
-    line.cursor().store(publisher.first_sequence + 1 + taken);
-    line.publisher_generation().store(publisher.generation);
-    line.hold(0).store((std::uint64_t{1} << held) - 1);
-  }
-
-  WireClient wire;
-  Mapping region;
-  wire::WindowOpened window{};
-  bool executor = false;
-};
+using Node = CtlNode;
 
 // --- what it says
 
@@ -269,7 +198,10 @@ TEST(Ctl, ListsHeapsWithWhatIsInUse) {
 }
 
 TEST(Ctl, SaysHowTheDaemonIs) {
-  DaemonProcess daemon({.config = "[quota]\nclients = 5\n[limits]\ntopics = 9\n"});
+  DaemonProcess daemon({.config =
+                            "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"1GiB\"\n[quota]\n"
+                            "clients = 5\nheld_messages = \"unlimited\"\n[limits]\n"
+                            "topics = 9\n"});
   Node a(daemon.socket_path());
   a.publisher("/points");
   a.wire.create_publisher("bad name");
@@ -284,7 +216,8 @@ TEST(Ctl, SaysHowTheDaemonIs) {
   EXPECT_EQ(status["counters"]["requests_refused"], 1);
   EXPECT_EQ(status["limits"]["topics"], 9);
   EXPECT_EQ(status["quota_per_user"]["processes"], 5);
-  EXPECT_TRUE(status["quota_per_user"]["heap_bytes"].is_null()) << "unlimited is no number";
+  EXPECT_EQ(status["quota_per_user"]["heap_bytes"], std::uint64_t{768} << 20) << "of the arena";
+  EXPECT_TRUE(status["quota_per_user"]["held_messages"].is_null()) << "unlimited is no number";
   EXPECT_EQ(status["users"][0]["uid"], ::geteuid());
   EXPECT_EQ(status["users"][0]["in_use"]["publishers"], 1);
   const CtlResult text = run_ctl(daemon.socket_path(), {"status"});
@@ -292,168 +225,6 @@ TEST(Ctl, SaysHowTheDaemonIs) {
   EXPECT_THAT(text.out, HasSubstr("processes      1 of 2048\n"));
   EXPECT_THAT(text.out, HasSubstr("topics         1 of 9\n"));
   EXPECT_EQ(text.out.find('\x1b'), std::string::npos) << "no colour where no terminal is";
-}
-
-// --- journal
-
-// A publisher and its process, dead with a message that was begun and not committed.
-pid_t die_while_publishing(const std::string& socket) {
-  const pid_t pid = ::fork();
-  if (pid == 0) {
-    Node dying(socket);
-    const auto p = dying.publisher("/points");
-    const dataplane::PublisherWords<M> words{dying.region.base(), p.extent};
-    words.intent_sequence().store(p.first_sequence + 1);
-    words.intent_slot().store(0);
-    words.intent_op().store(abi::intent_publish);
-    ::raise(SIGKILL);
-  }
-  ::waitpid(pid, nullptr, 0);
-  return pid;
-}
-
-// Times differ; everything behind them does not.
-std::string without_times(const std::string& text) {
-  std::string result;
-  std::istringstream lines(text);
-  for (std::string line; std::getline(lines, line);) {
-    EXPECT_THAT(line.substr(0, 12), MatchesRegex("[0-9][0-9]:[0-9][0-9]:[0-9][0-9].[0-9]+"));
-    result += line.substr(std::min<std::size_t>(line.size(), 13)) + '\n';
-  }
-  return result;
-}
-
-TEST(CtlJournal, TellsADeathAndWhatItLeft) {
-  DaemonProcess daemon;
-  const std::string& socket = daemon.socket_path();
-  const std::string pid = std::to_string(die_while_publishing(socket));
-  ASSERT_TRUE(eventually([&] {
-    return run_ctl(socket, {"journal"}).out.find("topic /points: is over") != std::string::npos;
-  }));
-  const std::string process = "process 0 (wire_client, pid " + pid + "): ";
-  const std::string publisher = "publisher 0 of /points (wire_client, pid " + pid + "): ";
-  const CtlResult all = run_ctl(socket, {"journal"});
-  EXPECT_EQ(all.status, 0) << all.err;
-  EXPECT_EQ(all.err, "");
-  EXPECT_EQ(without_times(all.out),
-            "#1 " + process + "joined, uid " + std::to_string(::geteuid()) +
-                ", domain 0\n"
-                "#2 topic /points: created\n"
-                "#3 " +
-                publisher + "created, 384 slots\n#4 " + process + "died\n#5 " + publisher +
-                "ended with its process, last message rolled back\n#6 " + process +
-                "has let go of everything of others\n#7 " + publisher +
-                "is over, its place is free\n#8 topic /points: is over: nobody publishes or "
-                "subscribes there\n#9 " +
-                process + "is over, its place is free\n");
-  EXPECT_EQ(without_times(run_ctl(socket, {"journal", "-n", "2"}).out).substr(0, 3), "#8 ");
-  const std::string of_topic = run_ctl(socket, {"journal", "--topic", "points", "-n", "1"}).out;
-  EXPECT_THAT(of_topic, HasSubstr("#8 topic /points"));
-  const std::string of_process = run_ctl(socket, {"journal", "--process", pid}).out;
-  EXPECT_THAT(of_process, HasSubstr("died\n"));
-  EXPECT_EQ(of_process.find("topic /points:"), std::string::npos);
-  EXPECT_EQ(run_ctl(socket, {"journal", "--process", "nobody"}).out, "");
-
-  const auto json = run_ctl(socket, {"journal", "-j"}).json();
-  EXPECT_EQ(json["schema"], "agnocast.journal/1");
-  EXPECT_EQ(json["oldest"], 1);
-  EXPECT_EQ(json["newest"], 9);
-  ASSERT_EQ(json["records"].size(), 9u);
-  const auto& ended = json["records"][4];
-  EXPECT_EQ(ended["lsn"], 5);
-  EXPECT_EQ(ended["type"], "leave_publisher");
-  EXPECT_EQ(ended["state"], "applied");
-  EXPECT_EQ(ended["topic"], "/points");
-  EXPECT_EQ(std::to_string(ended["process"]["pid"].get<int>()), pid);
-  EXPECT_TRUE(ended["receiver"].is_null());
-  EXPECT_EQ(ended["arguments"]["cause"], 2);
-  EXPECT_EQ(ended["text"], publisher + "ended with its process, last message rolled back");
-  EXPECT_THAT(ended["time"].get<std::string>(), MatchesRegex("[0-9]+-[0-9]+-[0-9]+T[0-9:.]+Z"));
-
-  const auto counters = run_ctl(socket, {"status", "-j"}).json()["counters"];
-  EXPECT_EQ(counters["processes_reaped"], 1);
-  EXPECT_EQ(counters["processes_died"], 1);
-  EXPECT_EQ(counters["intents_rolled_back"], 1);
-  EXPECT_EQ(counters["intents_corrupt"], 0);
-  EXPECT_THAT(
-      run_ctl(socket, {"status"}).out,
-      HasSubstr("deaths         1 process: 1 died, 0 let go, 0 revoked\nintents        1 "
-                "rolled back, 0 rolled forward, 0 corrupt\nrestarts       0 of the daemon"));
-}
-
-TEST(CtlJournal, GoesOnOverARestartAndTellsIt) {
-  DaemonProcess daemon;
-  const std::string& socket = daemon.socket_path();
-  die_while_publishing(socket);
-  const auto counters = [&] { return run_ctl(socket, {"status", "-j"}).json()["counters"]; };
-  ASSERT_TRUE(eventually([&] { return counters()["processes_died"] == 1; }));
-  const pid_t old = daemon.kill_worker();
-  ASSERT_TRUE(daemon.wait_for_next(old)) << daemon.log();
-  const auto after = counters();
-  EXPECT_EQ(after["processes_died"], 1) << "counters outlive the daemon";
-  EXPECT_EQ(after["intents_rolled_back"], 1);
-  EXPECT_EQ(after["restarts"], 1);
-  const std::string out = run_ctl(socket, {"journal"}).out;
-  EXPECT_THAT(out, HasSubstr("last message rolled back\n")) << "and so does the journal";
-  EXPECT_THAT(out, HasSubstr("agnocastd (pid " + std::to_string(daemon.pid()) +
-                             "): took over, nothing was under way, 0 processes had died, 0 words "
-                             "of the board written again\n"));
-}
-
-TEST(CtlJournal, SaysThatOlderOnesAreOverwritten) {
-  DaemonProcess daemon;
-  Node a(daemon.socket_path());
-  // A topic that comes and goes is four records.
-  for (int i = 0; i < 1100; ++i) {
-    const auto p = a.publisher("/points");
-    a.wire.reference(Opcode::leave, wire::Kind::publisher, p.topic, p.index, p.generation);
-    a.wire.reference(Opcode::drained, wire::Kind::publisher, p.topic, p.index, p.generation);
-  }
-  const auto lines = [&](std::vector<std::string> words) {
-    words.insert(words.begin(), "journal");
-    const std::string out = run_ctl(daemon.socket_path(), std::move(words)).out;
-    return std::pair(out.substr(0, out.find('\n')), std::count(out.begin(), out.end(), '\n'));
-  };
-  const auto all = lines({"-n", "100000"});
-  EXPECT_THAT(all.first, MatchesRegex("what was before #[0-9]+ has been overwritten"));
-  EXPECT_EQ(all.second, 4096 + 1);
-  EXPECT_EQ(lines({}).second, 20) << "more is there, and was not asked for";
-  EXPECT_THAT(lines({"--process", "nobody"}).first, HasSubstr("has been overwritten"));
-}
-
-TEST(CtlJournal, GoesOnWithWhatComes) {
-  DaemonProcess daemon;
-  Node a(daemon.socket_path());
-  int ends[2];
-  ASSERT_EQ(::pipe2(ends, O_CLOEXEC), 0);
-  const UniqueFd reader(ends[0]);
-  UniqueFd writer(ends[1]);
-  const pid_t pid = ::fork();
-  if (pid == 0) {
-    ::dup2(writer.get(), STDOUT_FILENO);
-    ::execl(AGNOCAST_TEST_CTL, AGNOCAST_TEST_CTL, "journal", "--follow", "--socket",
-            daemon.socket_path().c_str(), nullptr);
-    ::_exit(98);
-  }
-  writer.reset();
-  std::string out;
-  const auto read_until = [&](const std::string& wanted) {
-    char buffer[4096];
-    while (out.find(wanted) == std::string::npos) {
-      const ssize_t count = ::read(reader.get(), buffer, sizeof buffer);
-      if (count <= 0) break;
-      out.append(buffer, static_cast<std::size_t>(count));
-    }
-  };
-  read_until("joined");
-  EXPECT_THAT(out, HasSubstr("joined"));
-  a.publisher("/one");
-  read_until("publisher 0 of /one");
-  a.publisher("/two");
-  read_until("publisher 0 of /two");
-  ::kill(pid, SIGTERM);
-  ::waitpid(pid, nullptr, 0);
-  EXPECT_EQ(std::count(out.begin(), out.end(), '\n'), 5) << out;
 }
 
 // What it writes to a terminal.
@@ -737,168 +508,5 @@ TEST(Ctl, DoesNotDisturbByLooking) {
   const auto status = run_ctl(daemon.socket_path(), {"status", "-j"}).json();
   EXPECT_EQ(status["counters"]["processes_registered"], 2);
 }
-
-// --- verify
-
-TEST(CtlVerify, HoldsForHonestProcesses) {
-  DaemonProcess daemon;
-  Node a(daemon.socket_path()), b(daemon.socket_path());
-  a.open_window();
-  const auto p = a.publisher("/points");
-  const auto s = b.subscription("/points");
-  a.commit(p, 5);
-  b.link(s, p, 3, 2);
-  const CtlResult result = run_ctl(daemon.socket_path(), {"verify"});
-  EXPECT_EQ(result.status, 0) << result.out << result.err;
-  EXPECT_EQ(result.out, "every invariant holds: 2 processes, 1 topic, 1 queue at rest, 1 link\n");
-}
-
-TEST(CtlVerify, NamesEveryBrokenWordAndWhereItIs) {
-  DaemonProcess daemon;
-  Node a(daemon.socket_path()), b(daemon.socket_path());
-  a.open_window();
-  using Words = dataplane::PublisherWords<M>;
-  using Line = dataplane::LinkWords<M>;
-  struct Broken {
-    std::string invariant;
-    std::function<void(const Words&, std::uint64_t first, const Line&)> destroy;
-  };
-  // One topic each, with an honest publisher (five messages) and an honest subscription (three taken,
-  // two held) before.
-  const Broken cases[] = {
-      {"queue_head",
-       [](auto& w, auto first, auto&) { w.head().store(abi::pack_entry(first - 1, 0)); }},
-      {"queue_slot_committed", [](auto& w, auto first, auto&) { w.slot_id(9).store(first + 77); }},
-      {"queue_slot_unique",
-       [](auto& w, auto first, auto&) { w.slot_id(9).store(abi::retired_mark | (first + 2)); }},
-      {"queue_order", [](auto& w, auto first,
-                         auto&) { w.order(first + 500).store(abi::pack_entry(first + 500, 1)); }},
-      {"queue_order_slot",
-       [](auto& w, auto first, auto&) { w.order(first + 2).store(abi::pack_entry(first + 2, 4)); }},
-      {"queue_intent_known", [](auto& w, auto, auto&) { w.intent_op().store(77); }},
-      {"queue_address", [](auto& w, auto, auto&) { w.slot_address(2).store(4096); }},
-      {"link_cursor", [](auto&, auto first, auto& l) { l.cursor().store(first + 50); }},
-      {"link_unlinked_zero", [](auto&, auto, auto& l) { l.publisher_generation().store(0); }},
-      {"link_generation", [](auto&, auto, auto& l) { l.publisher_generation().store(999); }},
-      {"hold_slot_used", [](auto&, auto, auto& l) { l.hold(0).fetch_or(1 << 30); }},
-      {"hold_behind_cursor", [](auto&, auto, auto& l) { l.hold(0).fetch_or(1 << 4); }},
-  };
-  std::map<std::string, std::string> wanted;  // topic to invariant
-  std::vector<std::function<void()>> destroy;
-  for (const Broken& broken : cases) {
-    const std::string topic = "/" + broken.invariant;
-    const auto p = a.publisher(topic);
-    const auto s = b.subscription(topic);
-    a.commit(p, 5);
-    b.link(s, p, 3, 2);
-    wanted[topic] = broken.invariant;
-    destroy.push_back([&, p, s] {
-      broken.destroy({a.region.base(), p.extent}, p.first_sequence,
-                     {b.region.base(), s.extent, p.index});
-    });
-  }
-  ASSERT_EQ(run_ctl(daemon.socket_path(), {"verify"}).status, 0) << "honest before";
-  for (const auto& one : destroy) one();
-  auto& header = *reinterpret_cast<abi::ClientRegionHeader*>(b.region.base());
-  header.generation.store(12345);
-  auto& window = reinterpret_cast<abi::ClientRegionHeader*>(a.region.base())->window[0];
-  window.base.store(1);
-  window.frontier.fetch_add(8);
-  const CtlResult result = run_ctl(daemon.socket_path(), {"verify", "--json"});
-  EXPECT_EQ(result.status, 6);
-  EXPECT_THAT(result.err,
-              MatchesRegex("agnocast-ctl: verify: [0-9]+ invariants are broken\nhint: .*\n"));
-  const auto json = result.json();
-  EXPECT_EQ(json["holds"], false);
-  std::map<std::string, std::string> found;
-  for (const auto& finding : json["broken"]) {
-    const std::string where = finding["where"];
-    const std::string place = where.substr(0, where.find(' '));
-    if (place[0] == '/') {
-      // A head that went back makes whatever is behind it wrong as well.
-      if (place == "/queue_head" && finding["invariant"] != "queue_head") continue;
-      const auto [known, fresh] = found.emplace(place, finding["invariant"]);
-      EXPECT_TRUE(fresh || known->second == finding["invariant"]) << finding;
-    } else {
-      found[finding["invariant"]] = where;
-    }
-  }
-  for (const auto& [topic, invariant] : wanted) EXPECT_EQ(found[topic], invariant);
-  EXPECT_EQ(found.count("region_header"), 1u);
-  EXPECT_EQ(found.count("window_header"), 1u);
-  EXPECT_EQ(found.count("window_frontier"), 1u);
-  EXPECT_EQ(found.size(), wanted.size() + 3) << json["broken"].dump(1);
-  // The same as text.
-  const CtlResult text = run_ctl(daemon.socket_path(), {"verify"});
-  EXPECT_EQ(text.status, 6);
-  EXPECT_THAT(text.out, HasSubstr("hold_slot_used: a held slot is in use (0x000000000000001e 0x"));
-  EXPECT_THAT(text.out, HasSubstr("broken: /link_cursor subscription 0 (generation "));
-}
-
-// Apart from the others: a few seconds later the daemon revokes who holds too much.
-TEST(CtlVerify, NamesASubscriptionThatHoldsTooMuch) {
-  DaemonProcess daemon;
-  Node a(daemon.socket_path()), b(daemon.socket_path());
-  a.open_window();
-  const auto p = a.publisher("/points");
-  const auto s = b.subscription("/points");
-  a.commit(p, 5);
-  b.link(s, p, 3, 2);
-  const dataplane::LinkWords<SharedMemory> line{b.region.base(), s.extent, p.index};
-  line.cursor().store(p.first_sequence + 6);
-  line.hold(0).store(31);
-  const auto json = run_ctl(daemon.socket_path(), {"verify", "--json"}).json();
-  ASSERT_EQ(json["broken"].size(), 1u) << json.dump(1);
-  EXPECT_EQ(json["broken"][0]["invariant"], "hold_quota");
-}
-
-TEST(CtlVerify, LooksAtTheQueueOfTheDead) {
-  DaemonProcess daemon;
-  Node watcher(daemon.socket_path());
-  watcher.subscription("/topic");
-  const pid_t pid = ::fork();
-  if (pid == 0) {
-    Node dying(daemon.socket_path());
-    dying.open_window();
-    const auto p = dying.publisher("/topic");
-    dying.commit(p, 3);
-    dataplane::PublisherWords<M>{dying.region.base(), p.extent}.slot_id(1).store(p.first_sequence +
-                                                                                 1);
-    ::raise(SIGKILL);
-  }
-  ::waitpid(pid, nullptr, 0);
-  watcher.wire.expect<wire::Announcement>(Opcode::announce);
-  watcher.wire.expect<wire::Orphaned>(Opcode::orphaned);
-  const CtlResult result = run_ctl(daemon.socket_path(), {"verify"});
-  EXPECT_EQ(result.status, 6);
-  EXPECT_THAT(result.out, HasSubstr("/topic publisher 0"));
-  EXPECT_THAT(result.out, HasSubstr("pid " + std::to_string(pid)));
-  EXPECT_THAT(result.out, HasSubstr("broken: "));
-}
-
-TEST(CtlVerify, BelievesNothingThatMovesOn) {
-  // A line that is never the same twice is somebody at work, however odd it looks each time.
-  DaemonProcess daemon;
-  Node a(daemon.socket_path()), b(daemon.socket_path());
-  a.open_window();
-  const auto p = a.publisher("/points");
-  const auto s = b.subscription("/points");
-  a.commit(p, 5);
-  b.link(s, p, 3, 2);
-  const dataplane::LinkWords<M> line{b.region.base(), s.extent, p.index};
-  const pid_t pid = ::fork();
-  if (pid == 0) {
-    for (std::uint64_t i = 0; ::getppid() != 1; ++i) {
-      line.cursor().store(p.first_sequence + 100 + i);
-      ::usleep(1000);
-    }
-    ::_exit(0);
-  }
-  const CtlResult result = run_ctl(daemon.socket_path(), {"verify"});
-  ::kill(pid, SIGKILL);
-  ::waitpid(pid, nullptr, 0);
-  EXPECT_EQ(result.status, 0) << result.out;
-}
-
 }  // namespace
 }  // namespace agnocast::test

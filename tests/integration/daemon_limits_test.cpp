@@ -5,10 +5,9 @@
 // configuration, raw clients up to them and one further; clients of another user as children (needs
 // root).
 
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/wire_client.hpp>
+#include <agnocast/abi/client_region.hpp>
+#include <tests/integration/raw_node.hpp>
 
-#include <grp.h>
 #include <gtest/gtest.h>
 #include <sys/resource.h>
 #include <sys/wait.h>
@@ -23,22 +22,8 @@ namespace {
 using abi::Qos;
 using wire::Opcode;
 
-constexpr uid_t other_uid = 65534;
 const char* const small_heap =
     "[daemon]\nsocket_mode = \"0666\"\n[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"1GiB\"\n";
-
-int in_other_user(const std::function<int()>& body) {
-  const pid_t pid = ::fork();
-  if (pid == 0) {
-    if (::setgroups(0, nullptr) != 0 || ::setgid(other_uid) != 0 || ::setuid(other_uid) != 0)
-      ::_exit(99);
-    const int result = body();
-    ::_exit(testing::Test::HasFailure() ? 98 : result);
-  }
-  int status = 0;
-  ::waitpid(pid, &status, 0);
-  return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
-}
 
 std::unique_ptr<WireClient> greeted(const DaemonProcess& daemon) {
   auto client = std::make_unique<WireClient>(daemon.socket_path());
@@ -88,6 +73,62 @@ TEST(DaemonLimits, CountsEndpointsExecutorsAndHeldMessagesOfAUser) {
       << "another user has limits of its own";
 }
 
+/// Takes windows for this user, in processes of its own, until it is refused.
+struct Taker {
+  explicit Taker(const DaemonProcess& daemon) {
+    do {
+      if (got % abi::window_count_max == 0) clients.push_back(greeted(daemon));
+      answer = clients.back()->open_window(got % abi::window_count_max);
+    } while (answer.opcode() == Opcode::window_opened && ++got < 1000);
+  }
+  std::vector<std::unique_ptr<WireClient>> clients;
+  unsigned got = 0;
+  Incoming answer;
+};
+
+TEST(DaemonLimits, KeepsAQuarterOfTheArenaFromAnyOneUser) {
+  const DaemonProcess daemon({.config = small_heap});
+  const Taker taker(daemon);
+  EXPECT_EQ(taker.got, 12u) << "of 16";
+  expect_quota(taker.answer, "[quota] heap_bytes is 805306368");
+}
+
+TEST(DaemonLimits, GivesAWindowOfAnArenaThatHasButOne) {
+  const DaemonProcess daemon(
+      {.config = "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"64MiB\"\n"});
+  EXPECT_EQ(Taker(daemon).got, 1u);
+}
+
+// Each process is two descriptors with the one who keeps them, each window and each executor one.
+TEST(DaemonLimits, KeepsAQuarterOfWhatIsKeptFromAnyOneUser) {
+  if (::geteuid() != 0) GTEST_SKIP() << "needs root and another user";
+  // In a process of its own: the limit of open files is what the supervisor's place depends on.
+  const pid_t pid = ::fork();
+  if (pid == 0) {
+    const rlimit small{512, 512};
+    EXPECT_EQ(::setrlimit(RLIMIT_NOFILE, &small), 0);
+    const DaemonProcess daemon(
+        {.config = "[daemon]\nsocket_mode = \"0666\"\n[heap]\nwindow_bytes = \"64MiB\"\n"
+                   "arena_bytes = \"16GiB\"\n[quota]\nheap_bytes = \"unlimited\"\n"});
+    // 224 are kept: half of what remains of the limit. 16 processes of 8 windows, and one of 6.
+    const Taker taker(daemon);
+    EXPECT_EQ(taker.got, 16u * 8 + 6);
+    expect_quota(taker.answer, "three quarters of FileDescriptorStoreMax is 168");
+    EXPECT_EQ(in_other_user([&] {
+                const auto other = greeted(daemon);
+                EXPECT_EQ(other->open_executor().opcode(), Opcode::executor_opened);
+                EXPECT_EQ(other->open_window(0).opcode(), Opcode::window_opened);
+                return 0;
+              }),
+              0);
+    std::fflush(nullptr);
+    ::_exit(testing::Test::HasFailure() ? 98 : 0);
+  }
+  int status = 0;
+  ::waitpid(pid, &status, 0);
+  EXPECT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) == 0) << status;
+}
+
 TEST(DaemonLimits, GivesBackWhatADeadProcessUsed) {
   DaemonProcess daemon({.config = std::string(small_heap) + "[quota]\npublishers = 1\n"});
   for (int life = 0; life < 3; ++life) {
@@ -133,6 +174,72 @@ TEST(DaemonLimits, CountsConnectionsThatNeverSpeak) {
   }));
 }
 
+void live_and_die(const DaemonProcess& daemon, std::string_view topic) {
+  const pid_t pid = ::fork();
+  if (pid == 0) {
+    { RawNode(daemon).publisher(topic); }
+    ::_exit(testing::Test::HasFailure() ? 1 : 0);
+  }
+  ::waitpid(pid, nullptr, 0);
+}
+
+/// Its own lines say that it holds something of whoever publishes there.
+void hold_something_of_everybody(RawNode& node, const wire::EndpointCreated& subscription) {
+  for (std::uint64_t p = 0; p < abi::publisher_count_max; ++p)
+    SharedMemory::word(node.region.base(),
+                       subscription.extent + abi::link_offset(p) + offsetof(abi::LinkLine, hold))
+        .store(1);
+}
+
+TEST(DaemonLimits, CountsProcessesThatAreGoneWhileSomebodyHasSomethingOfThem) {
+  DaemonProcess daemon({.config = "[quota]\nclients = 4\n"});
+  RawNode holder(daemon);
+  hold_something_of_everybody(holder, holder.subscription("/t"));
+  for (int life = 0; life < 3; ++life) live_and_die(daemon, "/t");
+  const auto four_are_counted = [&] {
+    return WireClient(daemon.socket_path()).hello().refused_text() ==
+           "[quota] clients is 4, this user has as many";
+  };
+  EXPECT_TRUE(four_are_counted());
+  EXPECT_TRUE(daemon.is_running());
+}
+
+// So many dead of one user, kept by that user, that room is made: by that user.
+TEST(DaemonLimits, NobodyLosesWhatIsUnreadBecauseOfTheDeadOfAnotherUser) {
+  if (::geteuid() != 0) GTEST_SKIP() << "needs root and a second uid";
+  DaemonProcess daemon({.config = "[daemon]\nsocket_mode = \"0666\"\n[limits]\nclients = 16\n",
+                        .arguments = {"--log-level", "debug"}});
+  RawNode honest(daemon);
+  honest.subscription("/h");
+  live_and_die(daemon, "/h");  // the oldest of all that are gone
+  ASSERT_TRUE(eventually([&] { return daemon.log().find("client gone") != std::string::npos; }));
+  const auto final_heads = [&] {
+    std::vector<std::uint64_t> heads;
+    for (const auto& packet : honest.wire.drain()) {
+      if (packet.opcode() == Opcode::orphaned)
+        heads.push_back(packet.as<wire::Orphaned>().final_head);
+    }
+    return heads;
+  };
+  const auto first = final_heads();
+  ASSERT_EQ(first.size(), 1u);
+  EXPECT_NE(first[0], 0u);
+  EXPECT_EQ(
+      in_other_user([&] {
+        RawNode holder(daemon);
+        hold_something_of_everybody(holder, holder.subscription("/t"));
+        for (int life = 0; life < 12; ++life) live_and_die(daemon, "/t");
+        std::size_t given_up = 0;
+        for (const auto& packet : holder.wire.drain()) {
+          if (packet.opcode() == Opcode::orphaned && packet.as<wire::Orphaned>().final_head == 0)
+            ++given_up;
+        }
+        return given_up > 0 && !testing::Test::HasFailure() ? 0 : 1;
+      }),
+      0);
+  EXPECT_TRUE(final_heads().empty()) << "it was given up";
+}
+
 TEST(DaemonLimits, BoundsTheTablesOfTheDaemon) {
   DaemonProcess daemon({.config = std::string(small_heap) +
                                   "windows_per_process = 2\n"
@@ -159,8 +266,21 @@ TEST(DaemonLimits, BoundsTheTablesOfTheDaemon) {
   }
 }
 
-TEST(DaemonLimits, SaysWhenTheArenaIsGivenOut) {
-  DaemonProcess daemon({.config = "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"128MiB\"\n"});
+TEST(DaemonLimits, BoundsTheTopicsOfAUser) {
+  DaemonProcess daemon({.config = std::string(small_heap) + "[quota]\ntopics = 2\n"});
+  const auto a = greeted(daemon), b = greeted(daemon);
+  EXPECT_EQ(a->create_publisher("/a").opcode(), Opcode::endpoint_created);
+  const Incoming second = a->create_publisher("/b");
+  ASSERT_EQ(second.opcode(), Opcode::endpoint_created);
+  const Incoming third = b->create_publisher("/c");
+  EXPECT_EQ(third.refused_code(), Errc::quota_exceeded);
+  EXPECT_EQ(third.refused_text(), "[quota] topics is 2, this user has 2 and asks for 1 more");
+  EXPECT_EQ(b->create_publisher("/a").opcode(), Opcode::endpoint_created) << "it has that one";
+}
+
+TEST(DaemonLimits, SaysWhenTheArenaIsGivenOutToAUserWhoMayHaveAll) {
+  DaemonProcess daemon({.config = "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"128MiB\"\n"
+                                  "[quota]\nheap_bytes = \"unlimited\"\n"});
   const auto a = greeted(daemon);
   EXPECT_EQ(a->open_window(0).opcode(), Opcode::window_opened);
   EXPECT_EQ(a->open_window(1).opcode(), Opcode::window_opened);
@@ -258,6 +378,49 @@ TEST(DaemonLimits, SurvivesHavingNoDescriptorLeft) {
     again.send_bytes(std::as_bytes(std::span(&hello, 1)));
     return again.next().opcode() == Opcode::welcome;
   }));
+}
+
+TEST(DaemonLimits, AnnouncesAgainWhatItHadNoDescriptorFor) {
+  DaemonProcess daemon;
+  const auto publisher = greeted(daemon), subscriber = greeted(daemon);
+  ASSERT_EQ(publisher->create_publisher("/topic").opcode(), Opcode::endpoint_created);
+  const Incoming bells = subscriber->open_executor();
+  ASSERT_EQ(bells.opcode(), Opcode::executor_opened);
+  rlimit before{};
+  ASSERT_EQ(::prlimit(daemon.pid(), RLIMIT_NOFILE, nullptr, &before), 0);
+  const rlimit none{3, before.rlim_max};
+  ASSERT_EQ(::prlimit(daemon.pid(), RLIMIT_NOFILE, &none, nullptr), 0);
+  ASSERT_EQ(subscriber->create_subscription("/topic").opcode(), Opcode::endpoint_created);
+  const auto first = publisher->expect<wire::Announcement>(Opcode::announce);
+  EXPECT_EQ(first.doorbell_count, 0u);
+  ASSERT_TRUE(daemon.wait_for_log("announcement waits"));
+  publisher->unlinked(first.kind, first.topic, first.index, first.generation);
+
+  ASSERT_EQ(::prlimit(daemon.pid(), RLIMIT_NOFILE, &before, nullptr), 0);
+  std::vector<UniqueFd> fds;
+  const auto again = publisher->expect<wire::Announcement>(Opcode::announce, &fds);
+  EXPECT_EQ(again.generation, first.generation);
+  EXPECT_EQ(again.doorbell_count, 2u);
+  EXPECT_EQ(fds.size(), 3u);
+  EXPECT_EQ(publisher->drain().size(), 0u) << "once";
+}
+
+TEST(DaemonLimits, AnnouncementsThatNobodyReadsCostNoDescriptorEach) {
+  DaemonProcess daemon;
+  const auto deaf = greeted(daemon), subscriber = greeted(daemon);
+  ASSERT_EQ(deaf->create_publisher("/topic").opcode(), Opcode::endpoint_created);
+  const Incoming bells = subscriber->open_executor();
+  ASSERT_EQ(bells.opcode(), Opcode::executor_opened);
+  const std::size_t before = daemon.descriptor_count();
+  constexpr int count = 700;  // more than a socket holds
+  for (int i = 0; i < count; ++i)
+    ASSERT_EQ(subscriber->create_subscription("/topic").opcode(), Opcode::endpoint_created);
+  EXPECT_LE(daemon.descriptor_count(), before + 8);
+  for (int i = 0; i < count; ++i) {
+    std::vector<UniqueFd> fds;
+    ASSERT_EQ(deaf->expect<wire::Announcement>(Opcode::announce, &fds).doorbell_count, 2u);
+    ASSERT_EQ(fds.size(), 3u) << "and they come all the same";
+  }
 }
 
 }  // namespace

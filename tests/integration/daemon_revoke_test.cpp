@@ -2,7 +2,8 @@
 //
 // Goal: the membership of a process that lives can be ended: nobody else is hurt, waits or loses
 // what was committed; the process is told, may not come back, and its places are used again only
-// after its end. Who lies about what it holds is put out without being asked for.
+// after its end. Who lies about what it holds, or keeps the places of those that are gone from others,
+// is put out without being asked for.
 // All that outlives the daemon.
 // Method: raw clients in processes of their own, SIGSTOP, and an observer that revokes; SIGKILL of the
 // daemon, whose supervisor starts the next one.
@@ -15,11 +16,15 @@
 
 #include <grp.h>
 #include <gtest/gtest.h>
+#include <poll.h>
 #include <signal.h>
+#include <sys/mman.h>
 #include <sys/prctl.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <array>
+#include <cstring>
 #include <map>
 #include <memory>
 #include <optional>
@@ -276,6 +281,64 @@ TEST(DaemonRevoke, IsForgottenWhenTheProcessExecutesAnotherProgramOrEnds) {
   EXPECT_EQ(counters.clients_let_go, 1u) << "the one that was welcome";
 }
 
+// n nothing · d lets go of everything · m makes it slow to look at · h hello: welcome, revoked, connection ended.
+Child forgetful_child(const std::string& socket) {
+  return Child(0, [socket](int commands, std::uint64_t) {
+    ::prctl(PR_SET_PDEATHSIG, SIGKILL);
+    auto node = std::make_unique<WireNode>(socket);
+    serve(commands, [&](char what) -> char {
+      if (what == 'd') node.reset();
+      if (what == 'd' || what == 'n') return '+';
+      if (what == 'm') {
+        // Below the region, where one looks first; neighbours with the same rights would be one.
+        constexpr std::size_t count = 60'000;
+        const auto page = static_cast<std::size_t>(::sysconf(_SC_PAGESIZE));
+        void* const all = ::mmap(nullptr, count * page, PROT_NONE,
+                                 MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+        std::size_t made = 0;
+        while (made < count &&
+               ::mprotect(static_cast<char*>(all) + made * page, page, PROT_READ) == 0)
+          made += 2;
+        return answer(made > count / 2);
+      }
+      auto connected = PacketSocket::connect(socket);
+      if (!connected) return '?';
+      wire::Hello hello{};
+      hello.header = {wire::Opcode::hello, sizeof hello, 1};
+      hello.fingerprint = abi::fingerprint();
+      if (!connected->send(std::as_bytes(std::span(&hello, 1)), {}, Wait::yes)) return '?';
+      pollfd entry{connected->fd(), POLLIN, 0};
+      if (::poll(&entry, 1, 10'000) != 1) return '?';
+      std::array<std::byte, 2048> buffer;
+      const auto packet = connected->receive(buffer);
+      if (!packet || packet->kind != Packet::Kind::data) return 'e';
+      wire::Header header{};
+      std::memcpy(static_cast<void*>(&header), buffer.data(), sizeof header);
+      return header.opcode == wire::Opcode::welcome ? 'w' : 'r';
+    });
+  });
+}
+
+TEST(DaemonRevoke, IsNotSaidOfAProcessThatThereIsNoTimeToLookAt) {
+  DaemonProcess daemon(talkative);
+  Observer observer(daemon.socket_path());
+  Child slow = forgetful_child(daemon.socket_path());
+  ASSERT_EQ(slow.command('m'), '+') << "vm.max_map_count is too small";
+  Child other = forgetful_child(daemon.socket_path());
+  ASSERT_EQ(other.command('n'), '+');
+  for (const auto& [client, process] : observer.processes())
+    ASSERT_EQ(observer.revoke(client, process.generation).opcode(), wire::Opcode::done);
+  // The look at the slow one takes all the time there is for a while.
+  ASSERT_TRUE(eventually([&] { return slow.command('h') == 'r'; }));
+  ASSERT_EQ(other.command('d'), '+');
+  std::optional<char> answer;
+  ASSERT_TRUE(eventually([&] {
+    answer = other.command('h');
+    return answer != 'e';
+  }));
+  EXPECT_EQ(answer, 'w') << "it has nothing left of what was revoked";
+}
+
 // --- and the daemon dies
 
 void restart(DaemonProcess& daemon) {
@@ -418,6 +481,139 @@ TEST(DaemonRevoke, PutsOutASubscriptionThatHoldsMoreThanItsQuota) {
   EXPECT_EQ(honest.command('t'), '+') << "the honest one stays";
   const std::string log = daemon.log();
   EXPECT_EQ(log.find("client revoked"), log.rfind("client revoked"));
+}
+
+std::size_t count_of(const std::string& what, const std::string& text) {
+  std::size_t count = 0;
+  for (auto at = text.find(what); at != std::string::npos; at = text.find(what, at + 1)) ++count;
+  return count;
+}
+
+// The next one in a place that has run short. It is refused until whoever keeps the places is put out.
+std::unique_ptr<Child> next_of(Child (*kind)(const std::string&), const std::string& socket,
+                               char what) {
+  std::unique_ptr<Child> child;
+  EXPECT_TRUE(eventually([&] {
+    if (WireClient(socket).hello().opcode() != wire::Opcode::welcome) return false;
+    child.reset(new Child(kind(socket)));
+    return child->command(what).has_value();
+  }));
+  return child;
+}
+
+TEST(DaemonRevoke, PutsOutWhoIsStoppedBeforePublishersThatDieLockTheTopic) {
+  DaemonProcess daemon(talkative);
+  WireNode living(daemon.socket_path());
+  ASSERT_TRUE(living.create_subscription(topic_name, deep));
+  Child stopped = subscriber_child(daemon.socket_path());
+  ASSERT_EQ(stopped.command('t'), '-');
+  ASSERT_EQ(::kill(stopped.pid(), SIGSTOP), 0);
+  constexpr int lives = 300;
+  static_assert(lives > abi::publisher_count_max);
+  for (int life = 0; life < lives; ++life) {
+    const auto publisher = next_of(publisher_child, daemon.socket_path(), 'p');
+    ASSERT_TRUE(living.wait_for([&] { return living.link_count() == 1; }));
+    ASSERT_EQ(living.take(), 1u);
+    ASSERT_TRUE(living.release());
+    publisher->end();
+    ASSERT_TRUE(living.wait_for([&] { return living.orphaned().size() == 1; }));
+    living.unlink_drained();
+  }
+  EXPECT_TRUE(daemon.wait_for_log("endpoints that are gone, the oldest a publisher of /revoked"));
+  Observer observer(daemon.socket_path());
+  EXPECT_TRUE(eventually([&] { return observer.processes().size() == 2; }))
+      << "those that are gone have places";
+  const auto counters = wire_dump(daemon.socket_path()).daemon.counters;
+  EXPECT_EQ(counters.clients_revoked, 1u);
+  EXPECT_EQ(count_of("client revoked", daemon.log()), 1u);
+  ASSERT_EQ(::kill(stopped.pid(), SIGCONT), 0);
+  EXPECT_EQ(stopped.command('R'), '+');
+}
+
+TEST(DaemonRevoke, PutsOutWhoIsStoppedBeforeSubscriptionsOrProcessesRunShort) {
+  struct Scarce {
+    const char* config;
+    Child (*stops)(const std::string&);
+    Child (*comes_and_goes)(const std::string&);
+    char what;
+  };
+  for (const Scarce& scarce :
+       {Scarce{"[limits]\nsubscriptions_per_topic = 6\n", publisher_child, subscriber_child, 't'},
+        Scarce{"[limits]\nclients = 8\n", subscriber_child, publisher_child, 'p'}}) {
+    SCOPED_TRACE(scarce.config);
+    DaemonProcess daemon({.config = scarce.config, .arguments = {"--log-level", "debug"}});
+    Child stopped = scarce.stops(daemon.socket_path());
+    ASSERT_NE(stopped.command(scarce.what == 't' ? 'p' : 't'), std::nullopt);
+    ASSERT_EQ(::kill(stopped.pid(), SIGSTOP), 0);
+    for (int life = 0; life < 20; ++life) {
+      const auto other = next_of(scarce.comes_and_goes, daemon.socket_path(), scarce.what);
+      ASSERT_FALSE(HasFailure()) << "life " << life << daemon.log();
+      other->end();
+    }
+    EXPECT_EQ(count_of("client revoked", daemon.log()), 1u);
+    ASSERT_EQ(::kill(stopped.pid(), SIGCONT), 0);
+    EXPECT_EQ(stopped.command('R'), '+');
+  }
+}
+
+TEST(DaemonRevoke, GivesMoreTimeToWhoLostItsConnectionButNotForEver) {
+  DaemonProcess daemon(
+      {.config = "[limits]\npublishers_per_topic = 6\n", .arguments = {"--log-level", "debug"}});
+  WireNode slow(daemon.socket_path());
+  ASSERT_TRUE(slow.create_subscription(topic_name, deep));
+  for (int life = 0; life < 5; ++life) {
+    Child publisher = publisher_child(daemon.socket_path());
+    ASSERT_EQ(publisher.command('p'), '+');
+    publisher.end();
+  }
+  const pid_t before = daemon.pid();
+  daemon.kill_worker();
+  ASSERT_TRUE(daemon.wait_for_next(before));
+  // More looks than anybody gets who has a connection.
+  ::sleep(8);
+  // Nor is it spared for coming back, when it is told again and again and does not answer.
+  int returns = 0;
+  EXPECT_TRUE(eventually([&] {
+    WireClient again(daemon.socket_path());
+    if (again.rejoin(slow.welcome()).opcode() == wire::Opcode::rejoined) ++returns;
+    ::sleep(2);
+    return daemon.log().find("client revoked") != std::string::npos;
+  })) << daemon.log();
+  EXPECT_GT(returns, 3);
+}
+
+TEST(DaemonRevoke, SparesWhoHoldsMessagesOfPublishersThatAreGone) {
+  DaemonProcess daemon(
+      {.config = "[limits]\npublishers_per_topic = 6\n", .arguments = {"--log-level", "debug"}});
+  WireNode holder(daemon.socket_path());
+  ASSERT_TRUE(holder.create_subscription(topic_name, deep));
+  Child stopped = subscriber_child(daemon.socket_path());
+  ASSERT_EQ(stopped.command('t'), '-');
+  ASSERT_EQ(::kill(stopped.pid(), SIGSTOP), 0);
+  for (std::size_t life = 0; life < 6; ++life) {
+    Child publisher = publisher_child(daemon.socket_path());
+    ASSERT_EQ(publisher.command('p'), '+');
+    ASSERT_TRUE(holder.wait_for([&] { return holder.link_count() == life + 1; }));
+    ASSERT_EQ(holder.take(), 1u);
+    publisher.end();
+    ASSERT_TRUE(holder.wait_for([&] { return holder.orphaned().size() == life + 1; }));
+  }
+  // The same publishers, as long: one of the two answers for itself by what it holds.
+  ASSERT_TRUE(daemon.wait_for_log("endpoints that are gone"));
+  WireNode next(daemon.socket_path());
+  EXPECT_FALSE(next.create_publisher(topic_name, deep)) << "what is held is not taken away";
+  EXPECT_TRUE(daemon.wait_for_log("has not let go of 6"));
+  holder.pump();
+  EXPECT_EQ(holder.held_count(), 6u);
+  while (holder.release()) {
+  }
+  holder.unlink_drained();
+  EXPECT_TRUE(eventually([&] {
+    return next.wire().create_publisher(topic_name, deep).opcode() ==
+           wire::Opcode::endpoint_created;
+  }));
+  const auto counters = wire_dump(daemon.socket_path()).daemon.counters;
+  EXPECT_EQ(counters.clients_revoked, 1u);
 }
 
 TEST(DaemonRevoke, IsForRootForTheDaemonsUserAndForTheOwner) {

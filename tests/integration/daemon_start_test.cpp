@@ -4,14 +4,22 @@
 // leaves nothing behind at its end. Method: the real program; exact text and exit status.
 
 #include <base/packet_socket.hpp>
+#include <tests/support/child.hpp>
 #include <tests/support/daemon_process.hpp>
+#include <tests/support/listen_at.hpp>
+#include <tests/support/wire_client.hpp>
 
+#include <fcntl.h>
 #include <gtest/gtest.h>
 #include <sys/file.h>
+#include <sys/mman.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <atomic>
+#include <chrono>
 #include <csignal>
+#include <cstdint>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
@@ -100,7 +108,7 @@ TEST(DaemonStart, DoesNotTakeThePlaceOfOneWhoseSocketWasRemoved) {
 TEST(DaemonStart, LeavesASocketAloneThatSomebodyElseAnswers) {
   Directory directory;
   const std::string path = directory / "agnocastd.sock";
-  const auto listener = PacketListener::listen(path);
+  const auto listener = test::listen_at(path);
   ASSERT_TRUE(listener);
   const Ended ended = run_daemon({"--socket", path});
   EXPECT_EQ(ended.status, 1);
@@ -194,7 +202,8 @@ TEST(DaemonStart, PrintsWhatItIsAskedForAndRefusesTheRest) {
   EXPECT_EQ(help.err, "");
   EXPECT_EQ(run_daemon({"--version"}).status, 0);
   for (const char* option : {"--help", "--version", "--print-config"}) {
-    const std::string command = std::string(AGNOCAST_TEST_DAEMON) + " " + option + " >/dev/full 2>&1";
+    const std::string command =
+        std::string(AGNOCAST_TEST_DAEMON) + " " + option + " >/dev/full 2>&1";
     const int status = std::system(command.c_str());
     EXPECT_EQ(WEXITSTATUS(status), 1) << option;
   }
@@ -203,12 +212,123 @@ TEST(DaemonStart, PrintsWhatItIsAskedForAndRefusesTheRest) {
   EXPECT_EQ(unknown.err, "agnocastd: --sokcet: unknown option\nhint: agnocastd --socket\n");
 }
 
+TEST(DaemonStart, WhoMayConnectIsNeverToldOtherwiseWhileItBegins) {
+  if (::geteuid() != 0) GTEST_SKIP() << "needs root and another user";
+  Directory directory;
+  const std::string path = directory / "agnocastd.sock";
+  struct Seen {
+    std::atomic<bool> stop;
+    std::atomic<std::uint64_t> connected, too_early, refused;
+  };
+  auto* const seen = static_cast<Seen*>(
+      ::mmap(nullptr, sizeof(Seen), PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0));
+  ASSERT_NE(static_cast<void*>(seen), MAP_FAILED);
+  const pid_t test = ::getpid();
+  Child other([&] {
+    if (::setuid(other_uid) != 0) return 1;
+    while (!seen->stop && ::getppid() == test) {
+      const auto connected = PacketSocket::connect(path, std::chrono::milliseconds(0));
+      if (connected) {
+        ++seen->connected;
+      } else if (connected.error().code == Errc::daemon_not_running) {
+        ++seen->too_early;
+      } else {
+        ++seen->refused;
+      }
+    }
+    return 0;
+  });
+  for (int i = 0; i < 40; ++i) {
+    DaemonProcess daemon({.socket = path});
+    const std::uint64_t before = seen->connected;
+    EXPECT_TRUE(eventually([&] { return seen->connected > before; }));
+  }
+  seen->stop = true;
+  EXPECT_EQ(other.wait(), 0);
+  EXPECT_EQ(seen->refused, 0u) << "of " << seen->connected << " and " << seen->too_early;
+  ::munmap(seen, sizeof(Seen));
+}
+
 TEST(DaemonStart, NeedsNoRoot) {
   if (::geteuid() != 0) GTEST_SKIP() << "every other test shows it";
   DaemonProcess daemon({.uid = other_uid});
   EXPECT_TRUE(PacketSocket::connect(daemon.socket_path()));
   EXPECT_NE(daemon.log().find("unprivileged=yes"), std::string::npos) << daemon.log();
   EXPECT_EQ(daemon.stop(), 0);
+}
+
+TEST(DaemonStart, SaysOnceThatItsManagerKeepsNothingAndGoesOn) {
+  DaemonProcess daemon({.arguments = {"--fd-store=manager"}});  // the test closes what it is given
+  EXPECT_EQ(WireClient(daemon.socket_path()).hello().opcode(), wire::Opcode::welcome);
+  const std::string log = daemon.log();
+  const std::size_t said = log.find("warning nothing is kept");
+  ASSERT_NE(said, std::string::npos) << log;
+  EXPECT_EQ(log.find("nothing is kept", said + 20), std::string::npos);
+  EXPECT_NE(log.find("FileDescriptorStoreMax="), std::string::npos) << log;
+  EXPECT_EQ(daemon.stop(), 0);
+  EXPECT_FALSE(exists(daemon.socket_path())) << "nobody goes on with it";
+}
+
+TEST(DaemonStart, NobodyWhoReadsWhatItSaysStopsNothing) {
+  int ends[2];
+  ASSERT_EQ(::pipe2(ends, O_CLOEXEC), 0);
+  const UniqueFd reader(ends[0]), writer(ends[1]);  // as a shell leaves it to its children
+  const auto own = [](const UniqueFd& end, int flags) {
+    return UniqueFd(
+        ::open(("/proc/self/fd/" + std::to_string(end.get())).c_str(), flags | O_NONBLOCK));
+  };
+  const UniqueFd filler = own(writer, O_WRONLY), drain = own(reader, O_RDONLY);
+  ASSERT_TRUE(filler && drain);
+  const std::string text(4096, '.');
+  const auto fill = [&](std::size_t bytes) {
+    while (::write(filler.get(), text.data(), bytes) > 0) {
+    }
+  };
+  const auto read_all = [&] {
+    std::string all;
+    char part[4096];
+    for (ssize_t bytes = 0; (bytes = ::read(drain.get(), part, sizeof part)) > 0;)
+      all.append(part, static_cast<std::size_t>(bytes));
+    return all;
+  };
+  fill(text.size());
+  fill(1);
+  const Directory directory;
+  const std::string socket = directory / "run/agnocastd.sock";
+  Child daemon([&] {
+    ::dup2(writer.get(), STDERR_FILENO);
+    ::execl(AGNOCAST_TEST_DAEMON, AGNOCAST_TEST_DAEMON, "--socket", socket.c_str(), "--log-level",
+            "debug", static_cast<char*>(nullptr));
+    return 1;
+  });
+  const auto is_welcome = [&] {
+    return exists(socket) && PacketSocket::connect(socket).has_value() &&
+           WireClient(socket).hello().opcode() == wire::Opcode::welcome;
+  };
+  ASSERT_TRUE(eventually(is_welcome)) << "the daemon says that it is ready";
+  const auto worker = [&]() -> pid_t {
+    const std::string pid = std::to_string(daemon.pid());
+    std::ifstream children("/proc/" + pid + "/task/" + pid + "/children");
+    pid_t child = 0;
+    children >> child;
+    return child;
+  };
+  const pid_t before = worker();
+  ASSERT_GT(before, 0);
+  ASSERT_EQ(::kill(before, SIGKILL), 0);
+  ASSERT_TRUE(eventually([&] { return worker() != before && worker() > 0; }))
+      << "the supervisor says that it died";
+  ASSERT_TRUE(eventually(is_welcome));
+  std::string said = read_all();
+  ASSERT_TRUE(is_welcome());
+  EXPECT_TRUE(eventually([&] {
+    said += read_all();
+    return said.find("lines were lost") != std::string::npos;
+  }));
+  fill(text.size());
+  fill(1);
+  daemon.kill(SIGTERM);
+  EXPECT_EQ(daemon.wait(), 0);
 }
 
 }  // namespace

@@ -61,7 +61,8 @@ std::map<std::string, Struct> in_headers() {
       STRUCT(WindowEntry, FIELD(WindowEntry, base), FIELD(WindowEntry, length),
              FIELD(WindowEntry, frontier), FIELD(WindowEntry, reserved)),
       STRUCT(ExecutorLine, FIELD(ExecutorLine, armed)),
-      STRUCT(PublisherEndpoint, FIELD(PublisherEndpoint, head), FIELD(PublisherEndpoint, intent_op),
+      STRUCT(PublisherEndpoint, FIELD(PublisherEndpoint, head), FIELD(PublisherEndpoint, lineage),
+             FIELD(PublisherEndpoint, inherited), FIELD(PublisherEndpoint, intent_op),
              FIELD(PublisherEndpoint, intent_sequence), FIELD(PublisherEndpoint, intent_slot),
              FIELD(PublisherEndpoint, adopted_messages), FIELD(PublisherEndpoint, adopted_bytes),
              FIELD(PublisherEndpoint, refused_no_slot),
@@ -72,7 +73,8 @@ std::map<std::string, Struct> in_headers() {
       STRUCT(LinkLine, FIELD(LinkLine, publisher_generation), FIELD(LinkLine, cursor),
              FIELD(LinkLine, hold)),
       STRUCT(SubscriptionCounters, FIELD(SubscriptionCounters, lost),
-             FIELD(SubscriptionCounters, malformed), FIELD(SubscriptionCounters, unreachable)),
+             FIELD(SubscriptionCounters, malformed), FIELD(SubscriptionCounters, unreachable),
+             FIELD(SubscriptionCounters, lineage)),
   };
 }
 

@@ -245,7 +245,8 @@ class SubscriberSide {
         sleep_(stage.subscriber_region(), armed_offset) {
     if (in_publisher_process) return;
     reservation_ = Mapping::reserve(stage.heap_base(), heap_bytes).value();
-    if (!heap_.add({0, stage.heap_base(), heap_bytes, 0}, reopen_read_only(stage.heap_fd()).value()))
+    if (!heap_.add({0, stage.heap_base(), heap_bytes, 0},
+                   reopen_read_only(stage.heap_fd()).value()))
       std::abort();
   }
 
@@ -262,7 +263,7 @@ class SubscriberSide {
   enum class Found : std::uint8_t { nothing, intact, damaged };
   Found take(std::uint64_t* number = nullptr) {
     OwnHeap own{stage_.heap_base()};
-    HeapLook windows(heap_, true);
+    HeapLook windows(heap_, Unannounced::ignored);
     const auto taken = in_publisher_process_ ? link_.take(own) : link_.take(windows);
     if (!taken) return link_.malformed() == 0 ? Found::nothing : Found::damaged;
     held_.push_back(*taken);

@@ -7,11 +7,16 @@
 //   pub ID TOPIC QOS · sub ID TOPIC QOS · cb ID TOPIC QOS      QOS: depth, then t (transient local), a (keep-all)
 //       cb: a callback in a thread of the node keeps what it gets
 //   publish ID COUNT · foreign ID COUNT · big ID COUNT         → how many were committed
-//       foreign: built outside the shared heap, so adopted. big: 4 MiB of addresses each
+//       foreign: built outside the shared heap, so adopted. big: 4 MiB of addresses each, hardly any is touched
+//   borrow ID · commit ID               a loan stays open; it is filled and published → as publish
+//   later ID COUNT · done ID COUNT      12 MiB each, in a thread of its own; → ok when it waits for a window or is through,
+//                                       → as publish
 //   take ID → none | PUBLISHER:NUMBER, held · drain ID → all of them, not held · heard ID → what the callback got
 //   release → ok | nothing             the oldest that is held, looked at once more
 //   drop → ok | nothing                 likewise, not looked at
 //   island → why this process is one, when it is
+//   connected · moved · settled         waits until this process is known to the daemon; until all its publishers
+//                                       have moved there; until no former membership is left
 //   unpub ID · unsub ID                 what is held stays
 //   fork                                a child that lives as long as this process, with all it inherits
 //   sync                                everything announced so far has been handled
@@ -28,14 +33,18 @@
 #include <unistd.h>
 
 #include <array>
+#include <atomic>
 #include <cstdlib>
 #include <deque>
+#include <filesystem>
+#include <fstream>
 #include <iostream>
 #include <map>
 #include <memory>
 #include <mutex>
 #include <sstream>
 #include <string>
+#include <thread>
 #include <utility>
 
 namespace agnocast::sweep {
@@ -58,7 +67,8 @@ QoS qos_of(const std::string& text) {
   return qos;
 }
 
-constexpr std::size_t big_bytes = std::size_t{4} << 20;  // of addresses; hardly any is touched
+constexpr std::size_t big_words = (std::size_t{4} << 20) / sizeof(std::uint64_t);
+constexpr std::size_t huge_words = big_words * 3;  // all of them are touched
 
 using Message = ipc_shared_ptr<const Parcel>;
 
@@ -75,13 +85,17 @@ class Actor {
     if (what == "drop") return drop();
     if (what == "island") return await_island();
     if (what == "fork") return fork_child();
+    if (what == "connected" || what == "moved" || what == "settled") return await_move(what);
     line >> id;
     if (what == "take") return take(id);
     if (what == "drain") return drain(id);
     if (what == "heard") return heard(id);
     if (what == "unpub") return publishers_.erase(id), "ok";
     if (what == "unsub") return subscriptions_.erase(id), callbacks_.erase(id), "ok";
-    if (what == "publish" || what == "foreign" || what == "big") {
+    if (what == "borrow") return borrow(id);
+    if (what == "later") return line >> count, publish_later(id, count);
+    if (what == "done") return publishing_.join(), published_later_;
+    if (what == "publish" || what == "foreign" || what == "big" || what == "commit") {
       line >> count;
       return publish(what, id, count);
     }
@@ -102,6 +116,7 @@ class Actor {
   struct OwnPublisher {
     Publisher<Parcel>::SharedPtr publisher;
     std::uint64_t number = 0;
+    ipc_shared_ptr<Parcel> loan = {};  // borrowed and not committed
   };
   struct Heard {
     std::mutex mutex;
@@ -123,21 +138,42 @@ class Actor {
         parcel->fill(id, own.number + 1, words);
         result = own.publisher->publish(std::move(parcel));
       } else {
-        auto loan = own.publisher->borrow_loaned_message();
-        if (how == "big") loan->words.reserve(big_bytes / sizeof loan->words[0]);
-        loan->fill(id, own.number + 1, words);
+        auto loan = how == "commit" ? std::move(own.loan) : own.publisher->borrow_loaned_message();
+        const bool is_huge = how == "huge";
+        if (is_huge || how == "big") loan->words.reserve(is_huge ? huge_words : big_words);
+        loan->fill(id, own.number + 1, is_huge ? huge_words : words);
         // A window may be on its way; what was built meanwhile lies outside the heap.
         for (int i = 0; i < 10'000; ++i) {
           result = own.publisher->publish(std::move(loan));
-          if (how != "big" || result.code != Errc::heap_exhausted) break;
+          if ((how != "big" && how != "huge") || result.code != Errc::heap_exhausted) break;
+          waited_ = i;
           ::usleep(1000);
         }
       }
       if (!result) return std::to_string(committed) + " " + sentence_of(result.code);
-      if (how != "big" && (how == "foreign") != (result.adopted_bytes != 0)) return "bad adoption";
+      if (how != "big" && how != "huge" && (how == "foreign") != (result.adopted_bytes != 0))
+        return "bad adoption";
       ++own.number;
     }
     return std::to_string(committed);
+  }
+
+  std::string publish_later(std::uint64_t id, std::uint64_t count) {
+    waited_ = 0;
+    is_through_ = false;
+    publishing_ = std::thread([this, id, count] {
+      published_later_ = publish("huge", id, count);
+      is_through_ = true;
+    });
+    while (!is_through_ && waited_ < 50) ::usleep(1000);
+    return "ok";
+  }
+
+  std::string borrow(std::uint64_t id) {
+    OwnPublisher& own = publishers_.at(id);
+    own.loan = own.publisher->borrow_loaned_message();
+    own.loan->words.reserve(10);  // begun before, and not enough
+    return "ok";
   }
 
   std::string take(std::uint64_t id) {
@@ -168,6 +204,29 @@ class Actor {
   static std::string await_island() {
     for (int i = 0; i < 10'000 && island_reason() == Errc::ok; ++i) ::usleep(1000);
     return sentence_of(island_reason());
+  }
+
+  static std::size_t count_threads(const char* name) {
+    std::size_t count = 0;
+    std::error_code gone;  // a thread may end while it is looked at
+    for (const auto& task : std::filesystem::directory_iterator("/proc/self/task", gone)) {
+      std::ifstream file(task.path() / "comm");
+      std::string its_name;
+      std::getline(file, its_name);
+      count += its_name == name;
+    }
+    return count;
+  }
+  static std::string await_move(const std::string& how_far) {
+    for (int i = 0; i < 15'000; ++i) {
+      if (connection_state() == ConnectionState::connected &&
+          (how_far == "connected" || count_threads("agnocast-move") == 0) &&
+          (how_far != "settled" || count_threads("agnocast-ctl") == 1))
+        return "ok";
+      ::usleep(1000);
+    }
+    return "bad: it is not " + how_far + ", with " + std::to_string(count_threads("agnocast-ctl")) +
+           " memberships";
   }
 
   void listen(std::uint64_t id, const std::string& topic, const QoS& qos) {
@@ -206,6 +265,10 @@ class Actor {
   std::map<std::uint64_t, Subscription<Parcel>::SharedPtr> subscriptions_;
   std::map<std::uint64_t, Callback> callbacks_;
   std::deque<Message> held_;
+  std::thread publishing_;
+  std::atomic<bool> is_through_{false};
+  std::atomic<int> waited_{0};
+  std::string published_later_;
 };
 
 // What the test writes into the page is obeyed from the first step on.

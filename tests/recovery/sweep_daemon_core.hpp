@@ -26,6 +26,9 @@ using namespace agnocast::daemon;
 
 inline constexpr std::uint32_t core_client_count = 5;
 inline constexpr std::uint64_t core_window_bytes = std::uint64_t{64} << 20;
+constexpr std::uint64_t core_window_base(std::uint32_t client, std::uint64_t window) {
+  return 0x200000000000 + (client * 2 + window) * core_window_bytes;
+}
 
 /// What the processes know of their endpoints, by the number of the request that created each. It
 /// outlives the daemon as well.
@@ -37,8 +40,9 @@ class KeptMemory {
   KeptMemory() : regions_(Regions::create(store_).value()) {
     for (std::uint32_t i = 0; i < core_client_count; ++i) {
       if (!regions_.open_client(ClientIndex{i}, i + 1)) throw std::runtime_error("a client region");
-      for (int window = 0; window < 2; ++window) {
-        if (!regions_.open_window(ClientIndex{i}, core_window_bytes))
+      for (std::uint64_t window = 0; window < 2; ++window) {
+        if (!regions_.open_window(ClientIndex{i}, core_window_base(i, window), core_window_bytes,
+                                  1000))
           throw std::runtime_error("a window");
       }
     }
@@ -77,8 +81,7 @@ class Core final : private Post {
   void open_window(std::uint32_t client, std::uint64_t window, bool again) {
     const ClientIndex index{client};
     if (again && registry_.client(index).window_count > window) return;
-    registry_.open_window(
-        index, {0x200000000000 + (client * 2 + window) * core_window_bytes, core_window_bytes, 0});
+    registry_.open_window(index, {core_window_base(client, window), core_window_bytes, 0});
     membership_.announce_window(index);
   }
   void open_executor(std::uint32_t client) {
@@ -139,6 +142,22 @@ class Core final : private Post {
     statement.seen = sessions_[by]->packet_count();
     require(static_cast<bool>(membership_.unlinked(ClientIndex{by}, statement)), "let go");
   }
+  /// What a process leaves that dies in a publish, before its commit or behind it. No operation of the
+  /// daemon's: it has no crash points.
+  void stop_in_publish(std::uint32_t client, std::uint64_t request, bool committed) {
+    const wire::Reference& of = references_.at(request);
+    const PublisherRecord& record =
+        registry_.publisher(TopicIndex{of.topic}, static_cast<std::uint32_t>(of.index));
+    const dataplane::PublisherWords<SharedMemory> words{regions_.region(ClientIndex{client}),
+                                                        record.extent};
+    const std::uint64_t sequence = abi::sequence_of(words.head().load()) + 1;
+    words.intent_sequence().store(sequence);
+    words.intent_slot().store(0);
+    words.intent_op().store(abi::intent_publish);
+    words.slot_id(0).store(sequence);
+    words.order(sequence).store(abi::pack_entry(sequence, 0));
+    if (committed) words.head().store(abi::pack_entry(sequence, 0));
+  }
   void reap(std::uint32_t client) {
     sessions_[client].reset();
     end_membership(client, journal::DeathReason::died);
@@ -179,6 +198,19 @@ class Core final : private Post {
   std::string state(Generations generations) const;
 
  private:
+  /// What the dead have left, as far as it was open; a region is read as its readers have it.
+  std::string queue_of(const PublisherRecord& record) const {
+    const SharedFd& reader = regions_.region_reader(record.client);
+    if (!reader) return {};
+    const Mapping region =
+        Mapping::map(reader->get(), Registry::client_region_bytes, Mapping::Access::read).value();
+    const dataplane::PublisherWords<SharedMemory> words{region.base(), record.extent};
+    const std::uint64_t first = abi::first_sequence_of(record.generation);
+    const auto is_there = [&](std::uint64_t sequence) { return sequence > first ? "+" : "-"; };
+    return " ends " + std::to_string(abi::sequence_of(record.final_head) - first) + " intent " +
+           std::to_string(words.intent_op().load()) + " slot " + is_there(words.slot_id(0).load()) +
+           " order " + is_there(abi::sequence_of(words.order(first + 1).load()));
+  }
   static void require(bool holds, const char* what) {
     if (!holds) throw std::runtime_error(what);
   }
@@ -202,12 +234,11 @@ class Core final : private Post {
 
   Session* session_of(ClientIndex client) override { return sessions_[number(client)].get(); }
   std::uint64_t user_namespace_of(ClientIndex) override { return 1; }
-  void send(ClientIndex client, std::span<const std::byte> packet,
-            std::vector<SharedFd> fds) override {
+  void send(ClientIndex client, Outgoing packet) override {
     Session* const session = session_of(client);
     if (session == nullptr) return;
     crash_point(Step::B_send);
-    session->push(packet, std::move(fds));
+    session->push(std::move(packet));
     session->drop_output();
     crash_point(Step::B_sent);
   }
@@ -299,6 +330,9 @@ inline std::string Core::state(Generations generations) const {
           text << ' ' << word(field);
         text << " told ";
         set(record.told);
+        // Its repair is no record: what the same records make of it is open until they are all there.
+        if (generations == Generations::order && record.state == EndpointState::orphan)
+          text << queue_of(record);
       }
       text << '\n';
     }

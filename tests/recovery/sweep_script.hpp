@@ -6,6 +6,8 @@
 //   "A sub 1 /s 20; sync; V pub 2 /s 20; …"     V may die; A and B live as long as the performance.
 //       Ids are of the whole script. "sync": everybody who lives. "V arm": points count from here on.
 //       "revoke": V's membership, by an observer. "restart": the daemon is killed, another goes on.
+//       "lose": with its store; the next one knows nobody. Then, everybody: "connected", "moved", "settled"
+//       (sweep_actor). "A stop", "A cont": SIGSTOP and SIGCONT; whoever is stopped goes on when V dies.
 //
 // What the death of V may change, and nothing else:
 //   - V's commands after it are not given;
@@ -21,9 +23,12 @@
 
 #include <algorithm>
 #include <cstdint>
+#include <cstring>
+#include <iterator>
 #include <map>
 #include <memory>
 #include <optional>
+#include <set>
 #include <sstream>
 #include <string>
 #include <utility>
@@ -34,6 +39,7 @@ namespace agnocast::sweep {
 struct Script {
   const char* name;
   const char* commands;
+  bool loses_store() const { return std::strstr(commands, "lose;") != nullptr; }
 };
 
 struct Command {
@@ -51,7 +57,9 @@ inline std::vector<Command> parse(const char* text) {
   for (std::string line; std::getline(lines, line, ';');) {
     line.erase(0, line.find_first_not_of(' '));
     Command command;
-    if (line != "sync" && line != "revoke" && line != "restart") {
+    static constexpr const char* of_all[] = {"sync",  "revoke",    "restart", "lose",
+                                             "moved", "connected", "settled"};
+    if (std::find(std::begin(of_all), std::end(of_all), line) == std::end(of_all)) {
       command.who = line[0];
       line.erase(0, 2);
     }
@@ -74,7 +82,7 @@ struct Run {
   std::map<std::uint64_t, std::uint64_t>
       interrupted;  // publisher → numbers V was asked for when it died
   std::map<std::uint64_t, std::uint64_t> acknowledged;  // publisher → numbers
-  bool committed = false;                               // what was interrupted is behind a commit
+  std::uint64_t committed = 0;                          // of what V was asked for when it died
   std::optional<std::size_t> noticed_dead;              // before or at this command
   std::size_t last_answer = 0;                          // of V
   std::string wrong;
@@ -83,7 +91,10 @@ struct Run {
 class Performance {
  public:
   Performance(SweepStage& stage, const Script& script)
-      : stage_(stage), commands_(parse(script.commands)), control_(stage.directory() + "/victim") {
+      : stage_(stage),
+        commands_(parse(script.commands)),
+        loses_store_(script.loses_store()),
+        control_(stage.directory() + "/victim") {
     for (const Command& command : commands_) {
       if (command.what == "pub") publishers_[command.id] = {command.who, command.topic};
     }
@@ -102,7 +113,9 @@ class Performance {
     stage_.set_living(survivors_.size());
     for (int i = 0; i < 2; ++i) {
       stage_.daemon_control().arm(0);
+      daemon_deadly_ = {0, 0};
       reference_ = play(0);
+      daemon_deadly_.reset();
       if (!reference_.wrong.empty()) return "rehearsal: " + reference_.wrong;
       if (i == 0) {
         baseline_ = state_at_rest();
@@ -122,21 +135,38 @@ class Performance {
   struct Ended {
     std::optional<Step> died_at;
     std::string wrong;
-    bool both = false;  // of a pair: the daemon has died as well
+    // Of a pair:
+    std::optional<Step> daemon_died_at = {};
+    std::uint64_t reap_points = 0;
   };
   /// The daemon dies at its n-th point, and the next one `then` points later. Nobody notices.
+  /// In a script where the store is lost: the daemon that begins then, and points are its own.
   Ended perform_daemon(std::uint64_t n, std::uint64_t then) {
-    stage_.daemon_control().arm(n, then);
-    return perform_without_victim();
+    stage_.daemon_control().arm(loses_store_ ? 0 : n, loses_store_ ? 0 : then);
+    daemon_deadly_ = {n, then};
+    Ended ended = perform_without_victim();
+    daemon_deadly_.reset();
+    return ended;
   }
-  /// V dies at its n-th point, and the daemon at the m-th point of what it does about it.
+  /// V dies at its n-th point, and the daemon at the m-th point of its reap; 0: it lives, and the points
+  /// are counted.
   Ended perform_pair(std::uint64_t n, std::uint64_t m) {
-    stage_.daemon_control().arm_from(Step::B_reap, m);
-    daemon_dies_ = true;
-    Ended ended = perform(n);
-    stage_.daemon_control().disarm();
-    ended.both = ended.died_at && stage_.daemon_control().died_at();
-    if (ended.wrong.empty()) ended.wrong = lost();
+    stage_.daemon_control().arm_between(Step::B_reap, Step::B_reaped, m);
+    return perform_both(n);
+  }
+  /// V dies when it comes to this step for the first time, and the daemon as above.
+  Ended perform_pair_from(Step step, std::uint64_t m) {
+    from_ = step;
+    Ended ended = perform_pair(1, m);
+    from_.reset();
+    return ended;
+  }
+  /// Both die when they come to these steps for the first time.
+  Ended perform_pair_at(Step step, Step of_daemon) {
+    from_ = step;
+    stage_.daemon_control().arm_from(of_daemon, 1);
+    Ended ended = perform_both(1);
+    from_.reset();
     return ended;
   }
   /// The daemon dies at the n-th point from the next time that it comes to this step.
@@ -151,10 +181,23 @@ class Performance {
     from_.reset();
     return ended;
   }
+  /// Nobody dies, and nobody notices that processes and daemon are held up at points of each seed's own.
+  std::string perform_slowly(std::uint64_t seed, std::uint64_t points_per_million) {
+    const auto slow_down = [&](std::uint64_t points) {
+      std::uint64_t each = seed;
+      for (const auto& page : pages_) page->slow_down(each++, points);
+      control_.slow_down(each++, points);
+      stage_.daemon_control().slow_down(each, points);
+    };
+    slow_down(points_per_million);
+    const Run run = play(0);
+    slow_down(0);
+    return run.wrong.empty() ? compare_answers(run) : run.wrong;
+  }
   /// V dies at its n-th point; then everything once more without a death.
   Ended perform(std::uint64_t n) {
     Run run = play(n);
-    Ended ended{control_.died_at(), std::move(run.wrong), false};
+    Ended ended{control_.died_at(), std::move(run.wrong)};
     if (ended.wrong.empty()) ended.wrong = compare(run);
     if (!ended.wrong.empty() || !ended.died_at) return ended;
     run = play(0);
@@ -164,11 +207,20 @@ class Performance {
   }
 
  private:
+  Ended perform_both(std::uint64_t n) {
+    daemon_dies_ = true;
+    Ended ended = perform(n);
+    ended.reap_points = stage_.daemon_control().reached();
+    stage_.daemon_control().disarm();
+    if (ended.died_at) ended.daemon_died_at = stage_.daemon_control().died_at();
+    if (ended.wrong.empty()) ended.wrong = lost();
+    return ended;
+  }
   Ended perform_without_victim() {
     daemon_dies_ = true;
     const Run run = play(0);
     stage_.daemon_control().disarm();
-    Ended ended{stage_.daemon_control().died_at(), run.wrong, false};
+    Ended ended{stage_.daemon_control().died_at(), run.wrong};
     if (ended.wrong.empty()) ended.wrong = compare_answers(run);
     if (ended.wrong.empty()) ended.wrong = stage_.verify();
     if (ended.wrong.empty()) ended.wrong = lost();
@@ -189,6 +241,7 @@ class Performance {
     Run run;
     run.answers.resize(commands_.size());
     left_something_ = revoked_ = false;
+    windows_before_.clear();
     const bool armed_later = std::any_of(commands_.begin(), commands_.end(),
                                          [](const Command& c) { return c.text == "arm"; });
     arm(armed_later ? 0 : n);
@@ -201,6 +254,15 @@ class Performance {
       } else if (command.what == "restart") {
         run.answers[at_] = "another";
         if (!stage_.restart()) complain(run, "no daemon goes on");
+      } else if (command.what == "lose") {
+        lose_store(run);
+      } else if (command.who == '*' && command.what != "sync") {
+        await_everybody(command.what, run);
+      } else if (command.text == "stop" || command.text == "cont") {
+        run.answers[at_] = command.text;
+        survivors_.at(command.who)->signal(command.text == "stop" ? SIGSTOP : SIGCONT);
+        stopped_.clear();
+        if (command.text == "stop") stopped_.insert(command.who);  // one at a time
       } else if (command.who == '*') {
         sync(run);
       } else if (command.who != 'V') {
@@ -211,6 +273,8 @@ class Performance {
     }
     if (victim_ != nullptr && run.wrong.empty()) run.wrong = "the script does not end V";
     victim_.reset();
+    at_ = commands_.size() - 1;
+    if (run.wrong.empty() && loses_store_) await_everybody("settled", run);
     if (run.wrong.empty()) await_nothing_left(run);
     return run;
   }
@@ -226,6 +290,7 @@ class Performance {
   void tell_victim(const Command& command, std::uint64_t n, Run& run) {
     if (command.text == "arm") return arm(n);
     if (victim_ == nullptr) victim_ = stage_.make(control_);
+    if (command.text == "connected") await_registration();
     if (command.text == "quit") {
       run.answers[at_] = "quit";
       if (revoked_ && !stage_.is_revoked(victim_->pid()) && !victim_->is_dead())
@@ -235,14 +300,20 @@ class Performance {
       mourn(run, control_.died_at().has_value());
       return;
     }
+    const std::uint64_t commits = control_.commits();
     const auto answer = victim_->ask(command.text);
     if (!answer) {
-      if (publishes(command)) run.interrupted[command.id] = command.count();
+      if (publishes(command)) {
+        run.interrupted[command.id] = command.count();
+        run.committed = control_.commits() - commits;
+      }
       return mourn(run);
     }
     run.answers[at_] = *answer;
     run.last_answer = at_;
     if (answer->rfind("bad", 0) == 0) return complain(run, *answer);
+    if (command.what == "later") run.interrupted[command.id] = command.count();  // until it is done
+    if (command.what == "done") run.interrupted.erase(command.id);
     if (publishes(command))
       run.acknowledged[command.id] += std::strtoull(answer->c_str(), nullptr, 10);
   }
@@ -254,22 +325,72 @@ class Performance {
     if (!stage_.revoke(victim_->pid())) return complain(run, "it stays a member");
     if (const std::string broken = stage_.verify(); !broken.empty()) complain(run, broken);
   }
-  static bool publishes(const Command& command) {
-    return command.what == "publish" || command.what == "foreign" || command.what == "big";
+  /// Everybody's windows are where they were when all are back.
+  void lose_store(Run& run) {
+    run.answers[at_] = "lost";
+    if (windows_before_.empty()) windows_before_ = windows();
+    stage_.end_daemon();
+    // One that dies before it ever served takes its supervisor along: from the first connection on.
+    if (daemon_deadly_)
+      stage_.daemon_control().arm_from(Step::B_accepted, daemon_deadly_->first,
+                                       daemon_deadly_->second);
+    stage_.begin_daemon();
   }
-
-  // Steps that no other pass than that of a publish has.
-  static bool is_behind_commit(Step step) {
-    return step == Step::P8_armed || step == Step::P8_asleep || step == Step::P8_rung ||
-           step == Step::P8_ring || step == Step::P11_idle;
+  void await_everybody(const std::string& what, Run& run) {
+    run.answers[at_] = what;
+    await_registration();
+    for (auto& [who, survivor] : survivors_) {
+      const std::string answer = survivor->ask(what).value_or("it has ended");
+      if (answer != "ok") return complain(run, std::string(1, who) + ": " + answer);
+    }
+    if (victim_ != nullptr) {
+      const auto answer = victim_->ask(what);
+      if (!answer) return mourn(run);
+      if (*answer != "ok") return complain(run, "V: " + *answer);
+    }
+    for (const auto& [who, bases] : windows()) {
+      const auto before = windows_before_.find(who);
+      if (before == windows_before_.end()) continue;
+      const auto& wanted = before->second;
+      if (bases.size() < wanted.size() || !std::equal(wanted.begin(), wanted.end(), bases.begin()))
+        complain(run, std::string(1, who) + "'s windows are not where they were");
+    }
+    windows_before_.clear();
+  }
+  // A process that has not noticed the loss yet still says that it is connected.
+  void await_registration() {
+    (void)test::eventually([&] {
+      const auto all = windows();
+      const bool has_victim = victim_ == nullptr || all.count('V') != 0 || victim_->is_dead();
+      return has_victim &&
+             std::all_of(survivors_.begin(), survivors_.end(), [&](const auto& entry) {
+               return all.count(entry.first) != 0 || stopped_.count(entry.first) != 0;
+             });
+    });
+  }
+  /// By process, its windows' addresses.
+  std::map<char, std::vector<std::uint64_t>> windows() {
+    std::map<char, std::vector<std::uint64_t>> all;
+    for (const auto& [index, process] : stage_.look_in_time().processes) {
+      if (process.facts.state == ctl::wire::ProcessState::dead) continue;
+      auto& bases = all[name_of_process(process.facts.pid)];
+      for (std::uint32_t w = 0; w < process.facts.window_count; ++w)
+        bases.push_back(process.facts.window[w].base);
+    }
+    return all;
+  }
+  static bool publishes(const Command& command) {
+    return command.what == "publish" || command.what == "commit" || command.what == "later" ||
+           command.what == "done" || command.what == "foreign" || command.what == "big";
   }
 
   /// V is dead: the daemon has to deal with it before anything else happens.
   void mourn(Run& run, bool by_crash = true) {
+    for (const auto& [who, survivor] : survivors_) survivor->signal(SIGCONT);
+    stopped_.clear();
     if (!victim_->wait_for_end()) run.wrong = "V neither answers nor ends";
     if (by_crash && !control_.died_at()) return complain(run, "V ended, and not at a crash point");
     if (by_crash) run.noticed_dead = at_;
-    if (by_crash) run.committed = is_behind_commit(*control_.died_at());
     const pid_t pid = victim_->pid();
     victim_.reset();
     if (!stage_.wait_until_recovered(pid)) return complain(run, "the daemon does not recover");
@@ -306,17 +427,21 @@ class Performance {
     }
     return count;
   }
-  /// Messages that have to arrive: publish has returned, or V died in it behind the commit.
+  /// Messages that have to arrive: publish has returned, or V died behind the commit.
   static std::uint64_t committed_by(const Run& run, std::uint64_t publisher) {
-    const bool one_more = run.committed && number_in(run.interrupted, publisher) > 0;
-    return number_in(run.acknowledged, publisher) + (one_more ? 1 : 0);
+    const bool is_interrupted = number_in(run.interrupted, publisher) > 0;
+    return number_in(run.acknowledged, publisher) + (is_interrupted ? run.committed : 0);
   }
-  static void note(std::uint64_t subscription, const std::string& answer, Run& run) {
+  void note(std::uint64_t subscription, const std::string& answer, Run& run) const {
     std::istringstream names(answer);
     for (std::string name; names >> name;) {
       const std::size_t colon = name.find(':');
       if (colon == std::string::npos) continue;
-      run.got[subscription][std::stoull(name)].push_back(std::stoull(name.substr(colon + 1)));
+      Run::Names& got = run.got[subscription][std::stoull(name)];
+      const std::uint64_t number = std::stoull(name.substr(colon + 1));
+      if (!got.empty() && got.back() >= number)
+        complain(run, name + " comes twice, or after a newer one");
+      got.push_back(number);
     }
   }
 
@@ -335,7 +460,7 @@ class Performance {
       run.answers[at_] = state();
   }
 
-  void complain(Run& run, const std::string& what) {
+  void complain(Run& run, const std::string& what) const {
     if (run.wrong.empty())
       run.wrong = "command " + std::to_string(at_ + 1) + " (" + commands_[at_].who + " " +
                   commands_[at_].text + "): " + what;
@@ -346,12 +471,8 @@ class Performance {
     const ctl::System system = stage_.look_in_time();
     std::string text = "connections " + std::to_string(system.daemon.connections) + ", windows " +
                        std::to_string(system.daemon.windows_used) + "\n";
-    const auto name_of = [&](std::uint32_t pid) -> std::string {
-      for (const auto& [who, survivor] : survivors_) {
-        if (static_cast<std::uint32_t>(survivor->pid()) == pid) return {who};
-      }
-      return victim_ != nullptr && static_cast<std::uint32_t>(victim_->pid()) == pid ? "V" : "?";
-    };
+    if (loses_store_) return text + state_in_any_order(system);
+    const auto name_of = [&](std::uint32_t pid) { return std::string{name_of_process(pid)}; };
     for (const auto& [index, process] : system.processes) {
       text += "process " + std::to_string(index) + " " + name_of(process.facts.pid) +
               (process.facts.state == ctl::wire::ProcessState::dead ? " dead" : "") +
@@ -372,6 +493,38 @@ class Performance {
                   std::to_string(endpoint.facts.executor) + "\n";
       }
     }
+    return text;
+  }
+
+  char name_of_process(std::uint32_t pid) const {
+    for (const auto& [who, survivor] : survivors_) {
+      if (static_cast<std::uint32_t>(survivor->pid()) == pid) return who;
+    }
+    return victim_ != nullptr && static_cast<std::uint32_t>(victim_->pid()) == pid ? 'V' : '?';
+  }
+
+  // Who comes to a new daemon first, and where the arena of that daemon begins, is different each time.
+  std::string state_in_any_order(const ctl::System& system) const {
+    std::multiset<std::string> lines;
+    std::map<std::uint64_t, char> names;
+    for (const auto& [index, process] : system.processes) {
+      const char name = names[index] = name_of_process(process.facts.pid);
+      const bool dead = process.facts.state == ctl::wire::ProcessState::dead;
+      lines.insert(std::string("process ") + name + (dead ? " dead" : "") + " executors " +
+                   std::to_string(process.facts.executors) + " windows " +
+                   std::to_string(process.facts.window_count));
+    }
+    for (const auto& [index, topic] : system.topics) {
+      for (const auto* endpoints : {&topic.publishers, &topic.subscriptions}) {
+        for (const ctl::Endpoint& endpoint : *endpoints)
+          lines.insert("topic " + topic.name +
+                       (endpoint.is_publisher() ? " publisher of " : " subscription of ") +
+                       names[endpoint.facts.client] + " slots " +
+                       std::to_string(endpoint.facts.slot_count));
+      }
+    }
+    std::string text;
+    for (const std::string& line : lines) text += line + "\n";
     return text;
   }
 
@@ -477,6 +630,9 @@ class Performance {
 
   SweepStage& stage_;
   std::vector<Command> commands_;
+  bool loses_store_;
+  std::set<char> stopped_;
+  std::map<char, std::vector<std::uint64_t>> windows_before_;
   ControlPage control_;
   std::map<std::uint64_t, Publisher> publishers_;
   std::vector<std::unique_ptr<ControlPage>> pages_;
@@ -485,6 +641,7 @@ class Performance {
   std::size_t at_ = 0;
   bool left_something_ = false, revoked_ = false;
   std::optional<Step> from_;
+  std::optional<std::pair<std::uint64_t, std::uint64_t>> daemon_deadly_;  // counted from a loss
   Run reference_;
   std::string baseline_;
   std::size_t descriptors_ = 0;

@@ -8,6 +8,7 @@
 
 #include <cstdint>
 #include <cstdlib>
+#include <string>
 
 namespace agnocast::sweep {
 
@@ -103,11 +104,56 @@ inline const Script scripts[] = {
      "A sub 1 /s 20; A pub 4 /t 20; sync; V pub 2 /s 20; V sub 3 /t 20; sync; V publish 2 1; A "
      "publish 4 1; V take 3; V arm; restart; V publish 2 1; sync; A publish 4 1; V take 3; V quit; "
      "A publish 4 1; A drain 1; A unsub 1; A unpub 4"},
+    // After a loss "take" finds what was there before; only when all have moved, also what came after.
+    {"the store is lost under a publisher with a loan",
+     "A sub 1 /s 20; B sub 4 /s 20; sync; V pub 2 /s 20; sync; V publish 2 3; A take 1; V borrow "
+     "2; V arm; lose; V publish 2 1; A take 1; connected; V publish 2 1; V commit 2 1; moved; "
+     "sync; V publish 2 1; A drain 1; B take 4; A release; A release; B drain 4; B release; "
+     "settled; V publish 2 1; A take 1; V sync; V unpub 2; V sync; V quit; A release; B drain 4; A "
+     "drain 1; A unsub 1; B unsub 4"},
+    {"the store is lost under subscriptions, one with a callback",
+     "A pub 1 /s 20; B sub 4 /s 20; sync; V sub 2 /s 20; V cb 6 /s 20; sync; A publish 1 3; V take "
+     "2; B take 4; V arm; lose; A publish 1 1; V take 2; connected; A publish 1 1; moved; sync; A "
+     "publish 1 1; V drain 2; V release; V release; B drain 4; B release; settled; A publish 1 1; "
+     "V take 2; V unsub 2; V unsub 6; V sync; V release; V quit; A publish 1 1; B drain 4; A unpub "
+     "1; sync; B unsub 4"},
+    {"the store is lost under both, with history",
+     "V pub 2 /s 3t; V sub 3 /s 5t; A pub 4 /t 3t; V sub 5 /t 5t; A sub 1 /s 5t; sync; V publish 2 "
+     "4; A publish 4 "
+     "4; V take 5; A take 1; V take 3; V borrow 2; V arm; lose; connected; moved; sync; B sub 7 /s "
+     "5t; sync; B "
+     "take 7; V commit 2 1; A publish 4 1; A drain 1; V drain 3; V drain 5; V release; A release; "
+     "V unsub 3; V "
+     "unpub 2; V sync; V release; V quit; B drain 7; B release; A drain 1; A unsub 1; B unsub 7; A "
+     "unpub 4"},
+    {"the store is lost while a reader is stopped, and a publisher ends",
+     "A sub 1 /s 20; B sub 4 /s 20; sync; V pub 2 /s 20; sync; V publish 2 2; A take 1; V arm; A "
+     "stop; lose; V "
+     "connected; V publish 2 1; V unpub 2; A cont; connected; moved; A drain 1; A release; B drain "
+     "4; V sync; V "
+     "quit; A unsub 1; B unsub 4"},
+    {"the store is lost, and the heap has to grow while a reader is stopped",
+     "A cb 1 /s 30t; V pub 2 /s 30t; sync; V big 2 8; V sync; V arm; A stop; lose; V connected; V "
+     "later 2 3; A cont; connected; V done 2 3; moved; V sync; A sync; V big 2 1; A heard 1; V "
+     "unpub 2; V sync; V quit; A unsub 1"},
+    {"the store is lost again and again",
+     "A sub 1 /s 20; A pub 4 /t 20; sync; V pub 2 /s 20; V sub 3 /t 20; sync; V publish 2 2; A "
+     "publish 4 2; A take "
+     "1; V take 3; V arm; lose; moved; V publish 2 1; A publish 4 1; lose; lose; V publish 2 1; A "
+     "publish 4 1; A "
+     "take 1; V take 3; moved; sync; V publish 2 1; A publish 4 1; A drain 1; V drain 3; V "
+     "release; A release; V "
+     "quit; A release; A unsub 1; A unpub 4"},
 };
 
 inline std::uint64_t number_of(const char* name, std::uint64_t otherwise) {
   const char* const text = std::getenv(name);
   return text != nullptr ? std::strtoull(text, nullptr, 0) : otherwise;
+}
+
+inline bool runs_everything() {
+  const char* const extent = std::getenv("AGNOCAST_SWEEP");
+  return extent != nullptr && std::string(extent) == "all";
 }
 
 }  // namespace agnocast::sweep

@@ -13,6 +13,7 @@
 #include <ctl/system.hpp>
 #include <journal/crash_point.hpp>
 #include <tests/support/daemon_process.hpp>
+#include <tests/support/listen_at.hpp>
 #include <tests/support/steered_process.hpp>
 
 #include <fcntl.h>
@@ -46,13 +47,21 @@ class ControlPage {
     words().last.store(0);
     words().deadly.store(0);
     words().from.store(0);
+    words().until.store(0);
     words().reached.store(0);
     words().then.store(then);
     words().deadly.store(n);
   }
   /// The same, counted from the next time that it comes to this step.
-  void arm_from(Step step, std::uint64_t n) {
+  void arm_from(Step step, std::uint64_t n, std::uint64_t then = 0) {
+    arm(0, then);
+    words().from.store(static_cast<std::uint64_t>(step) + 1);
+    words().deadly.store(n);
+  }
+  /// The same, and nothing counts any more when it comes to `until`.
+  void arm_between(Step step, Step until, std::uint64_t n) {
     arm(0);
+    words().until.store(static_cast<std::uint64_t>(until) + 1);
     words().from.store(static_cast<std::uint64_t>(step) + 1);
     words().deadly.store(n);
   }
@@ -60,8 +69,16 @@ class ControlPage {
     words().deadly.store(0);
     words().then.store(0);
     words().from.store(0);
+    words().until.store(0);
+  }
+  /// From now on it takes its time at so many of a million points; at which says the seed. 0: at none.
+  void slow_down(std::uint64_t seed, std::uint64_t points_per_million) {
+    words().sleeps.store(points_per_million);
+    words().seed.store(seed);
   }
   std::uint64_t reached() const { return words().reached.load(); }
+  /// By its main thread, since the page exists.
+  std::uint64_t commits() const { return words().commits.load(); }
   /// Where it died, if at a crash point.
   std::optional<Step> died_at() const {
     const std::uint64_t last = words().last.load();
@@ -99,6 +116,7 @@ class SweepProcess {
     return sent && *sent == Sent::sent;
   }
   bool is_dead() const { return wait(0); }
+  void signal(int number) const { ::kill(pid_, number); }
   bool wait_for_end() const { return wait(patience_ms); }
 
  private:
@@ -118,21 +136,17 @@ class SweepStage {
   SweepStage()
       : directory_(test::make_directory()),
         daemon_control_(directory_ + "/daemon"),
-        daemon_({.config = "[daemon]\nsocket_mode = \"0666\"\n[limits]\ndepth_max = 100\n"
-                           "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"4GiB\"\n",
-                 .arguments = {"--log-level", "debug"},
-                 .program = AGNOCAST_CRASH_DAEMON,
-                 .environment = {"AGNOCAST_CRASH_CONTROL=" + daemon_control_.path()}}),
-        listener_(PacketListener::listen(directory_ + "/actors").value()),
+        daemon_(std::make_unique<test::DaemonProcess>(daemon_options())),
+        listener_(test::listen_at(directory_ + "/actors").value()),
         maker_({AGNOCAST_SWEEP_ACTOR},
-               {"AGNOCAST_SOCKET=" + daemon_.socket_path(), "LD_PRELOAD=" AGNOCAST_HOOK}) {}
+               {"AGNOCAST_SOCKET=" + daemon_->socket_path(), "LD_PRELOAD=" AGNOCAST_HOOK}) {}
   ~SweepStage() {
     observer_.reset();
     maker_.kill();
     test::remove_directory(directory_);
   }
 
-  test::DaemonProcess& daemon() { return daemon_; }
+  test::DaemonProcess& daemon() { return *daemon_; }
   ControlPage& daemon_control() { return daemon_control_; }
   const std::string& directory() const { return directory_; }
 
@@ -153,7 +167,7 @@ class SweepStage {
   /// What the daemon knows now; nothing when there is none.
   ctl::System look() {
     if (!observer_) {
-      auto connected = ctl::Observer::connect(daemon_.socket_path());
+      auto connected = ctl::Observer::connect(daemon_->socket_path());
       if (!connected) return {};
       observer_.emplace(std::move(*connected));
     }
@@ -234,13 +248,36 @@ class SweepStage {
       return pid != 0 && pid != former;
     });
   }
+  /// SIGKILL to supervisor and daemon.
+  void end_daemon() {
+    observer_.reset();
+    daemon_.reset();
+  }
+  /// Another one at the same place, which knows nobody.
+  void begin_daemon() { daemon_ = std::make_unique<test::DaemonProcess>(daemon_options()); }
+  /// Both. It dies at its n-th point from the first time that it comes to this step.
+  void lose(Step step, std::uint64_t n) {
+    end_daemon();
+    daemon_control_.arm_from(step, n);
+    begin_daemon();
+  }
   /// How many processes are connected when everybody else is gone.
   void set_living(std::uint64_t count) { living_ = count; }
 
  private:
+  test::DaemonOptions daemon_options() const {
+    return {.config =
+                "[daemon]\nsocket_mode = \"0666\"\n[limits]\ndepth_max = 100\n"
+                "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"4GiB\"\n",
+            .arguments = {"--log-level", "debug"},
+            .socket = directory_ + "/agnocastd.sock",
+            .program = AGNOCAST_CRASH_DAEMON,
+            .environment = {"AGNOCAST_CRASH_CONTROL=" + daemon_control_.path()}};
+  }
+
   std::string directory_;
   ControlPage daemon_control_;
-  test::DaemonProcess daemon_;
+  std::unique_ptr<test::DaemonProcess> daemon_;
   PacketListener listener_;
   test::SteeredProcess maker_;
   std::optional<ctl::Observer> observer_;

@@ -5,6 +5,9 @@
 
 #include <tests/support/steered_process.hpp>
 
+#include <gtest/gtest.h>
+
+#include <initializer_list>
 #include <string>
 
 namespace agnocast::test {
@@ -14,5 +17,36 @@ class ClientTool : public SteeredProcess {
   explicit ClientTool(const std::string& socket_path)
       : SteeredProcess({AGNOCAST_CLIENT_TOOL}, {"AGNOCAST_SOCKET=" + socket_path}) {}
 };
+
+/// Takes and releases until nothing is there any more: the numbers, each followed by a space.
+inline std::string take_all(ClientTool& subscriber) {
+  std::string numbers;
+  for (;;) {
+    const std::string number = subscriber.ask("take");
+    if (number == "none") return numbers;
+    numbers += number + " ";
+    EXPECT_EQ(subscriber.ask("release"), "ok");
+  }
+}
+
+/// `sub` and `pub` are what each is asked; the subscription comes first and hears everything.
+inline testing::AssertionResult meet(ClientTool& subscriber, const std::string& sub,
+                                     ClientTool& publisher, const std::string& pub) {
+  if (const std::string said = subscriber.ask(sub); said != "ok")
+    return testing::AssertionFailure() << sub << ": " << said;
+  if (const std::string said = publisher.ask(pub); said != "ok")
+    return testing::AssertionFailure() << pub << ": " << said;
+  if (publisher.eventually("matched", "1")) return testing::AssertionSuccess();
+  return testing::AssertionFailure() << "matched: " << publisher.ask("matched");
+}
+
+/// In time, and by themselves.
+inline testing::AssertionResult are_connected(std::initializer_list<ClientTool*> tools) {
+  for (ClientTool* const tool : tools) {
+    if (!tool->eventually("state", "connected"))
+      return testing::AssertionFailure() << "process " << tool->pid() << ": " << tool->ask("state");
+  }
+  return testing::AssertionSuccess();
+}
 
 }  // namespace agnocast::test

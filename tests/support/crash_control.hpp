@@ -6,6 +6,7 @@
 
 #include <agnocast/abi/limits.hpp>
 #include <base/mapping.hpp>
+#include <base/step.hpp>
 #include <base/unique_fd.hpp>
 
 #include <fcntl.h>
@@ -35,6 +36,14 @@ class CrashControl {
     word(0).store(0);
     word(1).store(n);
   }
+  /// Whoever comes to this step first dies there.
+  void arm_at(Step step) {
+    arm(0);
+    word(3).store(static_cast<std::uint64_t>(step) + 1);
+    word(1).store(1);
+  }
+  /// Did the last one that died die there?
+  bool died_at(Step step) { return word(2).load() == static_cast<std::uint64_t>(step) + 1; }
 
  private:
   std::atomic<std::uint64_t>& word(std::size_t i) {

@@ -37,6 +37,8 @@ namespace agnocast::test {
 struct DaemonOptions {
   /// Text of the configuration; empty: small windows, everything else by default.
   std::string config = {};
+  /// Behind that text.
+  std::string more_config = {};
   /// Run as this user and group (the test must be root).
   std::optional<uid_t> uid = {};
   std::vector<std::string> arguments = {};
@@ -86,7 +88,7 @@ class DaemonProcess {
   std::size_t kept_count() const;
   /// Resident memory in bytes.
   std::size_t resident_bytes() const;
-  /// Of it, what lies in files and memfds: tables and board, and not what a sanitizer adds.
+  /// Of it, what lies in memfds: tables, board and regions.
   std::size_t shared_bytes() const;
 
  private:

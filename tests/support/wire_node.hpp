@@ -133,7 +133,7 @@ class WireNode {
   /// The next message of any publisher, held; nothing when there is none. Its content is checked.
   std::optional<std::uint64_t> take() {
     for (auto& [index, link] : links_) {
-      HeapLook windows(*peers_.at(link.client).heap, false);
+      HeapLook windows(*peers_.at(link.client).heap, Unannounced::awaited);
       if (const auto taken = link.core.take(windows)) {
         const auto& message = *reinterpret_cast<const Message*>(taken->address);
         EXPECT_TRUE(intact(message)) << "message " << message.number;

@@ -70,7 +70,7 @@ struct Node {
     int pair[2];
     if (::socketpair(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0, pair) != 0) abort();
     datagram.reset(pair[1]);
-    callbacks = std::make_shared<NodeCallbacks>("/node", std::make_shared<Sleeper>());
+    callbacks = std::make_shared<NodeCallbacks>("/node", Sleeper::make().value());
     EXPECT_TRUE(callbacks->sleeper()->add(
         this, std::make_shared<Sleeper::Place>(
                   region.base(), 0,
@@ -169,8 +169,11 @@ std::chrono::steady_clock::time_point deadline_of_all_rounds() {
 TEST(ExecutorThreads, EveryHostFallsAsleepAndIsWokenAfterAHandOver) {
   const auto deadline = deadline_of_all_rounds();
   const auto wait_for = [&](auto condition) {
-    while (!condition() && std::chrono::steady_clock::now() < deadline) std::this_thread::yield();
-    return condition();
+    while (!condition()) {  // asked once more it may be over: a host arms itself and looks again
+      if (std::chrono::steady_clock::now() > deadline) return false;
+      std::this_thread::yield();
+    }
+    return true;
   };
   Node node;
   Spinner one(false), other(false);

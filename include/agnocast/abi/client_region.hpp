@@ -41,6 +41,10 @@ static_assert(sizeof(QueueSlot) == 32 && offsetof(QueueSlot, address) == 8 &&
 //
 //    0  head      u64  sequence<<16 | slot of the newest message
 //                      [sync:publish] COMMIT: release at P5, acquire at T1
+//    8  lineage   u64  not 0; the same for the endpoints by which one publisher is in several
+//                      memberships of its process, one after the other
+//   16  inherited u64  sequence up to which messages were published in an earlier membership: history,
+//                      for those that ask for it; 0 = none
 //   64  intent         op, sequence, slot; read by the daemon after the owner's death
 //   88  counters       adopted messages and bytes, refused publishes by reason; for people. They share
 //                      the intent's line, which no other process reads while the owner lives
@@ -49,6 +53,8 @@ static_assert(sizeof(QueueSlot) == 32 && offsetof(QueueSlot, address) == 8 &&
 //    …  slot[N]        QueueSlot, from 128 + R×8
 struct PublisherEndpoint {
   alignas(cache_line_bytes) SharedWord head;
+  SharedWord lineage;
+  SharedWord inherited;
   alignas(cache_line_bytes) SharedWord intent_op;
   SharedWord intent_sequence;
   SharedWord intent_slot;
@@ -59,7 +65,8 @@ struct PublisherEndpoint {
   SharedWord refused_heap_exhausted;
 };
 static_assert(sizeof(PublisherEndpoint) == 128);
-static_assert(offsetof(PublisherEndpoint, head) == 0 &&
+static_assert(offsetof(PublisherEndpoint, head) == 0 && offsetof(PublisherEndpoint, lineage) == 8 &&
+              offsetof(PublisherEndpoint, inherited) == 16 &&
               offsetof(PublisherEndpoint, intent_op) == 64 &&
               offsetof(PublisherEndpoint, intent_sequence) == 72 &&
               offsetof(PublisherEndpoint, intent_slot) == 80 &&
@@ -89,19 +96,23 @@ struct alignas(cache_line_bytes) LinkLine {
 static_assert(sizeof(LinkLine) == 64 && offsetof(LinkLine, cursor) == 8 &&
               offsetof(LinkLine, hold) == 16);
 
-// What a subscription has not got, for people.   W = the subscriber's process.
+// What a subscription has not got, for people, and who it is.   W = the subscriber's process.
 //
 //    0  lost         u64  messages that fell out of its depth, or were gone when it looked
 //    8  malformed    u64  of them, what no honest publisher writes
 //   16  unreachable  u64  of them, what lies where this process cannot map it
+//   24  lineage      u64  not 0; the same for the endpoints by which one subscription is in several
+//                         memberships of its process
 struct alignas(cache_line_bytes) SubscriptionCounters {
   SharedWord lost;
   SharedWord malformed;
   SharedWord unreachable;
+  SharedWord lineage;
 };
 static_assert(sizeof(SubscriptionCounters) == 64 &&
               offsetof(SubscriptionCounters, malformed) == 8 &&
-              offsetof(SubscriptionCounters, unreachable) == 16);
+              offsetof(SubscriptionCounters, unreachable) == 16 &&
+              offsetof(SubscriptionCounters, lineage) == 24);
 
 // Subscription endpoint: link lines of all publisher indexes, counters, then the hold words of slots
 // 384… of each.   All zero at join.

@@ -56,7 +56,7 @@ constexpr std::uint64_t fingerprint() noexcept {
           pack_member(0x123456789abc, MemberState::leaving), generation_of(0xfedcba9876543210),
           pack_qos({0x1234, true, false, false, false}), pack_qos({0, false, true, false, false}),
           pack_qos({0, false, false, true, false}), window_of({7, false, true, true, false}),
-          intent_idle, intent_publish, intent_moved);
+          intent_idle, intent_publish, intent_moved, cursor_aside);
   sum.add(QosPolicy::none, QosPolicy::durability, QosPolicy::reliability);
   sum.add(MemberState::free, MemberState::active, MemberState::leaving, MemberState::orphan,
           MemberState::revoked, MemberState::dead);
@@ -65,6 +65,7 @@ constexpr std::uint64_t fingerprint() noexcept {
   sum.add(sizeof(QueueSlot), offsetof(QueueSlot, id), offsetof(QueueSlot, address),
           offsetof(QueueSlot, stamp_ns), offsetof(QueueSlot, size));
   sum.add(sizeof(PublisherEndpoint), offsetof(PublisherEndpoint, head),
+          offsetof(PublisherEndpoint, lineage), offsetof(PublisherEndpoint, inherited),
           offsetof(PublisherEndpoint, intent_op), offsetof(PublisherEndpoint, intent_sequence),
           offsetof(PublisherEndpoint, intent_slot), offsetof(PublisherEndpoint, adopted_messages),
           offsetof(PublisherEndpoint, adopted_bytes), offsetof(PublisherEndpoint, refused_no_slot),
@@ -72,7 +73,7 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(PublisherEndpoint, refused_heap_exhausted));
   sum.add(subscription_counters_offset(5), sizeof(SubscriptionCounters),
           offsetof(SubscriptionCounters, lost), offsetof(SubscriptionCounters, malformed),
-          offsetof(SubscriptionCounters, unreachable));
+          offsetof(SubscriptionCounters, unreachable), offsetof(SubscriptionCounters, lineage));
   sum.add(sizeof(LinkLine), offsetof(LinkLine, publisher_generation), offsetof(LinkLine, cursor),
           offsetof(LinkLine, hold));
   sum.add(sizeof(ExecutorLine), offsetof(ExecutorLine, armed));

@@ -99,5 +99,8 @@ inline constexpr std::uint64_t intent_publish = 1;
 // After the daemon's store was lost: the queue gets no more, its publisher has another one now. Only
 // readers of a former membership look; no daemon ever does, because the one that made the region is gone.
 inline constexpr std::uint64_t intent_moved = 2;
+// Of a link whose subscription is closed, when there is no daemon to say so: publishers wait for nothing
+// of it. A sequence number has 48 bits, so this is beyond every one.
+inline constexpr std::uint64_t cursor_aside = std::uint64_t{1} << 62;
 
 }  // namespace agnocast::abi

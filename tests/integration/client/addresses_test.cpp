@@ -230,8 +230,8 @@ TEST(Addresses, AMessageThatWasBegunBeforeTheHeapMovedIsCopied) {
   EXPECT_EQ(told.total_count, 1);
   EXPECT_THAT(told.last_text,
               HasSubstr("cannot map heap window 0 of process " + std::to_string(::getpid()) +
-                        "; it goes on in another window; what is there: "
-                        "300000200000-300000201000 r--p"));
+                        "; it goes on in another window; it has something at "
+                        "0x0000300000200000, 2097152 bytes: 300000200000-300000201000 r--p"));
   EXPECT_EQ(publisher->get_heap_collision_status().total_count_change, 0);
   ASSERT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 1; }));
   PublishResult result = publisher->publish(std::move(begun));

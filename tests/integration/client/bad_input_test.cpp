@@ -8,6 +8,7 @@
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <tests/support/daemon_process.hpp>
+#include <tests/support/listen_at.hpp>
 #include <tests/support/wire_client.hpp>
 
 #include <gtest/gtest.h>
@@ -134,7 +135,7 @@ TEST(BadInput, NoPermissionIsNamedWithTheSocketOrTheRule) {
 TEST(BadInput, AnotherLayoutIsNamedByBothSides) {
   DaemonProcess daemon;
   const std::string path = daemon.directory() + "/between.sock";
-  auto listener = PacketListener::listen(path);
+  auto listener = test::listen_at(path);
   ASSERT_TRUE(listener);
   std::thread between([&] {
     pollfd waiting{listener->fd(), POLLIN, 0};

@@ -4,7 +4,9 @@
 // answers each line with one line. Linked with the heap hook, so it can publish. Used by the
 // integration tests.
 //
-//   sub TOPIC DEPTH [tl|all]     pub TOPIC DEPTH [tl|all]      → ok | error CODE WHAT
+//   sub TOPIC DEPTH [tl] [all]   pub TOPIC DEPTH [tl] [all]    → ok | error CODE WHAT
+//   lineage                                                     → of the publisher
+//   forge LINEAGE              → ok      says that it is that publisher, and that it has moved
 //   connect                                        → ok | error …
 //   state                                          → connected | reconnecting | island CODE | …
 //   publish COUNT ELEMENTS                               → ok | error …          numbers go on from
@@ -15,6 +17,7 @@
 //   unreachable · malformed · first_window      → a number
 //   occupy ADDRESS BYTES                        → ok | error       maps something there
 //   address                                     → of the oldest held | none
+//   fork                                        → PID of a child that lives until it is killed
 
 #include <client/context.hpp>
 
@@ -90,7 +93,10 @@ class Tool {
       return held_.empty() ? "none" : std::to_string(held_.front().taken.address);
     if (what == "links") return std::to_string(subscription_->link_count());
     if (what == "allocated") return std::to_string(publisher_->allocated_count());
+    if (what == "lineage") return std::to_string(publisher_->lineage());
+    if (what == "forge") return forge(line);
     if (what == "state") return state();
+    if (what == "fork") return fork_child();
     if (what == "connect") return connect();
     if (what == "matched") return std::to_string(publisher_->subscription_count());
     if (what == "unsub") {
@@ -147,10 +153,29 @@ class Tool {
     request.type = "tests/Cloud";
     request.node = "/client_tool";
     request.layout_hash = sizeof(Cloud);
-    request.qos.transient_local = flag == "tl";
-    request.qos.keep_all = flag == "all";
+    for (; !flag.empty(); flag.clear(), line >> flag) {
+      request.qos.transient_local = request.qos.transient_local || flag == "tl";
+      request.qos.keep_all = request.qos.keep_all || flag == "all";
+    }
     request.quota = 16;
     return request;
+  }
+
+  static std::string fork_child() {
+    const pid_t pid = ::fork();
+    if (pid == 0) {
+      ::close_range(0, 2, 0);  // not the pipe by which the parent's end is seen
+      for (;;) ::pause();
+    }
+    return std::to_string(pid);
+  }
+  std::string forge(std::istringstream& line) {
+    std::uint64_t lineage = 0;
+    line >> lineage;
+    const auto& words = publisher_->identity().words;
+    words.lineage().store(lineage, std::memory_order_relaxed);
+    words.intent_op().store(abi::intent_moved, std::memory_order_release);
+    return "ok";
   }
 
   static std::string occupy(std::istringstream& line) {

@@ -18,6 +18,7 @@
 
 #include <cerrno>
 #include <cstdint>
+#include <cstring>
 #include <fstream>
 #include <functional>
 #include <memory>
@@ -27,6 +28,7 @@
 namespace agnocast {
 namespace {
 
+using test::are_connected;
 using test::ClientTool;
 using test::DaemonProcess;
 using test::end_connection;
@@ -53,23 +55,10 @@ class Stopped {
   pid_t pid_;
 };
 
-/// Takes and releases until nothing is there any more: the numbers, each followed by a space.
-std::string take_all(ClientTool& subscriber) {
-  std::string numbers;
-  for (;;) {
-    const std::string number = subscriber.ask("take");
-    if (number == "none") return numbers;
-    numbers += number + " ";
-    EXPECT_EQ(subscriber.ask("release"), "ok");
-  }
-}
-
 TEST(Rejoin, NoMessageIsLostOrComesTwice) {
   DaemonProcess daemon;
   ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
-  ASSERT_EQ(subscriber.ask("sub /t 100"), "ok");
-  ASSERT_EQ(publisher.ask("pub /t 1"), "ok");
-  ASSERT_TRUE(publisher.eventually("matched", "1"));
+  ASSERT_TRUE(meet(subscriber, "sub /t 100", publisher, "pub /t 1"));
   int ended = 0;
   for (int number = 1; number <= 1000; ++number) {
     // Also while it is coming back: what is ended is whatever there is.
@@ -81,8 +70,7 @@ TEST(Rejoin, NoMessageIsLostOrComesTwice) {
     ASSERT_EQ(take_all(subscriber), std::to_string(number) + " ");
   }
   EXPECT_GT(ended, 10);
-  ASSERT_TRUE(subscriber.eventually("state", "connected"));
-  ASSERT_TRUE(publisher.eventually("state", "connected"));
+  ASSERT_TRUE(are_connected({&subscriber, &publisher}));
   EXPECT_EQ(subscriber.ask("lost"), "0");
   EXPECT_EQ(subscriber.ask("links"), "1");
   EXPECT_EQ(publisher.ask("matched"), "1");
@@ -164,9 +152,7 @@ TEST(Rejoin, APublisherHearsOfSubscriptionsThatCameAndWentMeanwhile) {
 TEST(Rejoin, AHeapThatGrewMeanwhileIsRead) {
   DaemonProcess daemon;
   ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
-  ASSERT_EQ(subscriber.ask("sub /t 100"), "ok");
-  ASSERT_EQ(publisher.ask("pub /t 1"), "ok");
-  ASSERT_TRUE(publisher.eventually("matched", "1"));
+  ASSERT_TRUE(meet(subscriber, "sub /t 100", publisher, "pub /t 1"));
   constexpr int count = 90;
   {
     const Stopped away(subscriber.pid());
@@ -251,6 +237,20 @@ TEST(Rejoin, WhatAProcessHadNoDescriptorForIsSaidAgain) {
   })) << "its second window";
   EXPECT_EQ(heard, expected);
   EXPECT_EQ(subscriber.ask("lost"), "0");
+}
+
+TEST(Rejoin, WhoHasNoDescriptorForAnAnswerIsToldSo) {
+  DaemonProcess daemon;
+  ClientTool process(daemon.socket_path());
+  ASSERT_EQ(process.ask("sub /t 1"), "ok");
+  {
+    const NoDescriptorLeft full(process.pid());
+    const std::string refused = process.ask("pub /t 1");
+    EXPECT_TRUE(refused.starts_with("error " + std::to_string(static_cast<int>(Errc::os_failure))))
+        << refused;
+    EXPECT_NE(refused.find(std::strerror(EMFILE)), std::string::npos) << refused;
+  }
+  EXPECT_EQ(process.ask("pub /t 1"), "ok");
 }
 
 TEST(Rejoin, ARequestWhoseAnswerIsLostIsDoneOnce) {
@@ -377,9 +377,7 @@ TEST(Rejoin, WhatIsDestroyedMeanwhileHasLeftAfterwards) {
 TEST(Rejoin, ADaemonThatDiesAgainAndAgainIsNotMissed) {
   DaemonProcess daemon;
   ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
-  ASSERT_EQ(subscriber.ask("sub /t 100"), "ok");
-  ASSERT_EQ(publisher.ask("pub /t 1"), "ok");
-  ASSERT_TRUE(publisher.eventually("matched", "1"));
+  ASSERT_TRUE(meet(subscriber, "sub /t 100", publisher, "pub /t 1"));
   for (int round = 1; round <= 12; ++round) {
     const pid_t before = daemon.kill_worker();
     // Nobody waits for its successor before all this.

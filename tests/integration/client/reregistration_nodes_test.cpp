@@ -6,16 +6,11 @@
 // Method: the public interface, real daemons that are killed with their supervisors and begun anew at
 // the same socket, a second process that publishes.
 
-#include <agnocast/agnocast.hpp>
-#include <tests/integration/client/second_process.hpp>
-#include <tests/support/daemon_process.hpp>
+#include <tests/integration/client/reregistration_in_process.hpp>
 
-#include <gtest/gtest.h>
-
-#include <chrono>
+#include <algorithm>
 #include <cstdint>
-#include <cstdlib>
-#include <memory>
+#include <functional>
 #include <mutex>
 #include <string>
 #include <thread>
@@ -24,48 +19,9 @@
 namespace agnocast {
 namespace {
 
-using test::eventually;
-using test::Number;
 using test::SecondProcess;
 
-class ReregistrationOfNodes : public testing::Test {
- protected:
-  // The library is in one process, so all tests here have one place for their daemons.
-  static void SetUpTestSuite() {
-    directory = new std::string(test::make_directory());
-    ::setenv("AGNOCAST_SOCKET", (*directory + "/agnocastd.sock").c_str(), 1);
-    begin();
-  }
-  static void TearDownTestSuite() {
-    delete daemon;
-    test::remove_directory(*directory);
-  }
-  static void begin() {
-    test::DaemonOptions options;
-    options.socket = *directory + "/agnocastd.sock";
-    daemon = new test::DaemonProcess(options);
-  }
-  static void end() {
-    daemon->kill();
-    delete daemon;
-    daemon = nullptr;
-  }
-  static void lose() {
-    end();
-    begin();
-    ASSERT_TRUE(eventually([] { return connection_state() != ConnectionState::connected; }));
-    ASSERT_TRUE(eventually([] { return connection_state() == ConnectionState::connected; }));
-  }
-  static void publish(Publisher<Number>& publisher, std::uint64_t value) {
-    auto number = publisher.borrow_loaned_message();
-    number->value = value;
-    ASSERT_TRUE(publisher.publish(std::move(number)));
-  }
-  static std::string* directory;
-  static test::DaemonProcess* daemon;
-};
-std::string* ReregistrationOfNodes::directory = nullptr;
-test::DaemonProcess* ReregistrationOfNodes::daemon = nullptr;
+class ReregistrationOfNodes : public ReregistrationInProcess {};
 
 /// What a callback saw, in the thread that it ran in.
 struct Seen {
@@ -80,12 +36,6 @@ struct Seen {
     return values.size();
   }
 };
-
-std::vector<std::uint64_t> up_to(std::uint64_t last) {
-  std::vector<std::uint64_t> values;
-  for (std::uint64_t value = 1; value <= last; ++value) values.push_back(value);
-  return values;
-}
 
 TEST_F(ReregistrationOfNodes, CallbacksAreWokenWhereverTheySleep) {
   Node library_node("by_library"), executor_node("by_executor"), talker("talker");
@@ -115,10 +65,53 @@ TEST_F(ReregistrationOfNodes, CallbacksAreWokenWhereverTheySleep) {
   }
   executor.cancel();
   spins.join();
-  EXPECT_EQ(by_library.values, up_to(value));
-  EXPECT_EQ(by_executor.values, up_to(value));
+  EXPECT_EQ(by_library.values, range(1, value));
+  EXPECT_EQ(by_executor.values, range(1, value));
   EXPECT_EQ(one->get_lost_count(), 0u);
   EXPECT_TRUE(eventually([&] { return one->get_publisher_count() == 1; }));
+}
+
+// Callbacks are rung for each message of history that their publisher brings along, and look at the
+// queue while it brings the next ones.
+TEST_F(ReregistrationOfNodes, HistoryComesOnceToThoseWhoLookWhileItIsBrought) {
+  constexpr std::uint64_t kept = 300;
+  Node talker("talker");
+  const auto publisher =
+      talker.create_publisher<Number>("/brought", test::qos_of(std::to_string(kept) + "rt"));
+  struct Listener {
+    Node node;
+    Seen seen;
+    Subscription<Number>::SharedPtr subscription;
+    Listener(const char* name, const char* qos) : node(name) {
+      subscription = node.create_subscription<Number>(
+          "/brought", test::qos_of(qos),
+          [this](ipc_shared_ptr<const Number> number) { seen.add(number->value); });
+    }
+  };
+  Listener keeps_history("keeps_history", "1000rt"), keeps_none("keeps_none", "1000rv"),
+      keeps_one("keeps_one", "1rt");
+  Listener* const listeners[] = {&keeps_history, &keeps_none, &keeps_one};
+  std::uint64_t value = 0;
+  const auto publish_one = [&] {
+    EXPECT_TRUE(eventually([&] { return publisher->get_subscription_count() == 3; }));
+    publish(*publisher, ++value);
+    for (Listener* const listener : listeners)
+      EXPECT_TRUE(eventually([&] { return listener->seen.count() >= value; })) << value;
+  };
+  while (value < kept) publish_one();
+  for (int round = 0; round < 5; ++round) {
+    lose();
+    publish_one();
+  }
+  for (Listener* const listener : listeners) {
+    const std::lock_guard lock(listener->seen.mutex);
+    const auto& values = listener->seen.values;
+    const auto wrong = std::adjacent_find(values.begin(), values.end(), std::greater_equal<>());
+    EXPECT_EQ(wrong - values.begin(), values.end() - values.begin())
+        << listener->node.get_name() << ": " << wrong[1] << " behind " << wrong[0];
+    EXPECT_EQ(values.size(), value) << listener->node.get_name();
+    EXPECT_EQ(listener->subscription->get_lost_count(), 0u) << listener->node.get_name();
+  }
 }
 
 TEST_F(ReregistrationOfNodes, LoansAndHeldMessagesStayWhatTheyAre) {
@@ -164,7 +157,7 @@ TEST_F(ReregistrationOfNodes, AStreamOfAnotherProcessArrivesWhole) {
     lose();
   }
   EXPECT_TRUE(eventually([&] { return seen.count() >= count; }));
-  EXPECT_EQ(seen.values, up_to(count));
+  EXPECT_EQ(seen.values, range(1, count));
   EXPECT_EQ(subscription->get_lost_count(), 0u);
 }
 

@@ -2,73 +2,35 @@
 //
 // Goal: when the daemon's store is lost and another daemon begins, processes that were there before
 // come to it by themselves, with everything they have, and nobody who publishes or takes has to do
-// anything: nothing comes twice, in another order, or damaged; and nothing is left behind.
-// Method: real daemons, killed with their supervisors (or stopped) and begun anew at the same socket;
-// real processes, some of them stopped (SIGSTOP) meanwhile.
+// anything; and nothing is left behind.
+// Method: real daemons at the same socket (reregistration.hpp); real processes, some of them stopped
+// (SIGSTOP) meanwhile. In which order their messages come: reregistration_order_test.cpp.
 
+#include <agnocast/abi/wire.hpp>
 #include <agnocast/error.hpp>
-#include <tests/support/client_tool.hpp>
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/own_process.hpp>
+#include <base/packet_socket.hpp>
+#include <tests/integration/client/reregistration.hpp>
+#include <tests/support/foreign_socket.hpp>
+#include <tests/support/listen_at.hpp>
 #include <tests/support/wire_dump.hpp>
 
-#include <gtest/gtest.h>
+#include <poll.h>
 
+#include <array>
+#include <atomic>
 #include <csignal>
 #include <cstdint>
+#include <cstring>
 #include <filesystem>
 #include <fstream>
-#include <memory>
 #include <optional>
-#include <string>
+#include <ostream>
+#include <span>
+#include <thread>
 #include <vector>
 
 namespace agnocast {
 namespace {
-
-using test::ClientTool;
-using test::DaemonProcess;
-using test::eventually;
-
-/// One daemon after the other at the same place, each with nothing of the former's.
-class Reregistration : public testing::Test {
- protected:
-  Reregistration() : directory_(test::make_directory()) { begin(); }
-  ~Reregistration() override {
-    daemon_.reset();
-    test::remove_directory(directory_);
-  }
-  std::string socket() const { return directory_ + "/agnocastd.sock"; }
-  void begin(const std::string& program = {}) {
-    daemon_ = std::make_unique<DaemonProcess>(
-        test::DaemonOptions{.socket = socket(), .program = program});
-  }
-  void end(bool cleanly = false) {
-    if (cleanly) {
-      daemon_->stop();
-    } else {
-      daemon_->kill();
-    }
-  }
-  void lose(bool cleanly = false) {
-    end(cleanly);
-    begin();
-  }
-
-  std::string directory_;
-  std::unique_ptr<DaemonProcess> daemon_;
-};
-
-/// Takes and releases until nothing is there any more: the numbers, each followed by a space.
-std::string take_all(ClientTool& subscriber) {
-  std::string numbers;
-  for (;;) {
-    const std::string number = subscriber.ask("take");
-    if (number == "none") return numbers;
-    numbers += number + " ";
-    EXPECT_EQ(subscriber.ask("release"), "ok");
-  }
-}
 
 std::size_t count_in(const std::string& directory) {
   std::size_t count = 0;
@@ -95,9 +57,7 @@ Use use_of(pid_t pid) {
 
 TEST_F(Reregistration, AStreamGoesOn) {
   ClientTool publisher(socket()), subscriber(socket());
-  ASSERT_EQ(subscriber.ask("sub /t 100"), "ok");
-  ASSERT_EQ(publisher.ask("pub /t 100"), "ok");
-  ASSERT_TRUE(publisher.eventually("matched", "1"));
+  ASSERT_TRUE(meet(subscriber, "sub /t 100", publisher, "pub /t 100"));
   int number = 0;
   const auto pass_on = [&](int count) {
     for (int i = 0; i < count; ++i) {
@@ -117,84 +77,13 @@ TEST_F(Reregistration, AStreamGoesOn) {
       if (publisher.ask("state") == "connected" && subscriber.ask("state") == "connected") break;
     }
     pass_on(200);
-    ASSERT_TRUE(publisher.eventually("state", "connected"));
-    ASSERT_TRUE(subscriber.eventually("state", "connected"));
+    ASSERT_TRUE(are_connected({&publisher, &subscriber}));
     pass_on(20);
   }
   EXPECT_EQ(subscriber.ask("lost"), "0");
   EXPECT_TRUE(subscriber.eventually("links", "1")) << "what is former has ended";
   EXPECT_EQ(publisher.ask("matched"), "1");
   EXPECT_TRUE(publisher.eventually("allocated", "0"));
-}
-
-TEST_F(Reregistration, WhatIsUnreadComesBeforeWhatIsNew) {
-  ClientTool publisher(socket()), subscriber(socket());
-  ASSERT_EQ(subscriber.ask("sub /t 100"), "ok");
-  ASSERT_EQ(publisher.ask("pub /t 100"), "ok");
-  ASSERT_TRUE(publisher.eventually("matched", "1"));
-  ASSERT_EQ(publisher.ask("publish 5 10"), "ok");
-  ASSERT_EQ(subscriber.ask("take"), "1");  // held over all this
-  lose();
-  ASSERT_EQ(publisher.ask("publish 5 10"), "ok");
-  ASSERT_TRUE(publisher.eventually("state", "connected"));
-  ASSERT_TRUE(subscriber.eventually("state", "connected"));
-  // It has moved as soon as a process that was never in the former membership gets its messages.
-  ClientTool newcomer(socket());
-  ASSERT_EQ(newcomer.ask("sub /t 100"), "ok");
-  ASSERT_TRUE(publisher.eventually("matched", "2"));
-  ASSERT_EQ(publisher.ask("publish 5 10"), "ok");
-  lose();
-  ASSERT_TRUE(publisher.eventually("state", "connected"));
-  ASSERT_TRUE(subscriber.eventually("state", "connected"));
-  ASSERT_TRUE(newcomer.eventually("state", "connected"));
-  ASSERT_TRUE(publisher.eventually("matched", "2"));
-  ASSERT_EQ(publisher.ask("publish 5 10"), "ok");
-  // The first one stays held: it is the oldest, and what is taken after it is released in its turn.
-  std::string heard;
-  for (int i = 2; i <= 20; ++i) {
-    heard += subscriber.ask("take") + " ";
-    if (i > 10) {
-      ASSERT_EQ(subscriber.ask("release"), "ok");
-    }
-  }
-  EXPECT_EQ(heard, "2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20 ");
-  EXPECT_EQ(subscriber.ask("take"), "none");
-  while (subscriber.ask("release") == "ok") {
-  }
-  EXPECT_EQ(take_all(newcomer), "11 12 13 14 15 16 17 18 19 20 ");
-  EXPECT_EQ(subscriber.ask("lost"), "0");
-  EXPECT_TRUE(publisher.eventually("allocated", "0"));
-  EXPECT_TRUE(subscriber.eventually("links", "1"));
-}
-
-TEST_F(Reregistration, HistoryGoesAlongAndComesOnce) {
-  ClientTool publisher(socket()), subscriber(socket());
-  ASSERT_EQ(publisher.ask("pub /t 3 tl"), "ok");
-  ASSERT_EQ(subscriber.ask("sub /t 10 tl"), "ok");
-  ASSERT_TRUE(publisher.eventually("matched", "1"));
-  ASSERT_EQ(publisher.ask("publish 5 10"), "ok");
-  EXPECT_EQ(take_all(subscriber), "1 2 3 4 5 ");
-  for (int round = 1; round <= 2; ++round) {
-    lose();
-    ASSERT_TRUE(publisher.eventually("state", "connected"));
-    ASSERT_TRUE(subscriber.eventually("state", "connected"));
-    ClientTool late(socket());
-    ASSERT_EQ(late.ask("sub /t 10 tl"), "ok");
-    ASSERT_TRUE(publisher.eventually("matched", "2"));
-    std::string heard;
-    EXPECT_TRUE(eventually([&] {
-      heard += take_all(late);
-      return heard.size() >= 6;
-    }));
-    EXPECT_EQ(heard, "3 4 5 ");
-    EXPECT_EQ(take_all(subscriber), "");
-  }
-  // A machine under load may take longer than publishers wait.
-  ASSERT_TRUE(subscriber.eventually("links", "1"));
-  ASSERT_EQ(publisher.ask("publish 2 10"), "ok");
-  EXPECT_EQ(take_all(subscriber), "6 7 ");
-  EXPECT_EQ(subscriber.ask("malformed"), "0");
-  EXPECT_TRUE(publisher.eventually("allocated", "3")) << "each has one owner in the end";
 }
 
 TEST_F(Reregistration, NewcomersMeetThoseWhoWereThereBefore) {
@@ -223,8 +112,7 @@ TEST_F(Reregistration, WhoWasStoppedComesLater) {
   ASSERT_EQ(publisher.ask("publish 3 10"), "ok");
   ::kill(stopped.pid(), SIGSTOP);
   lose();
-  ASSERT_TRUE(publisher.eventually("state", "connected"));
-  ASSERT_TRUE(subscriber.eventually("state", "connected"));
+  ASSERT_TRUE(are_connected({&publisher, &subscriber}));
   ASSERT_EQ(publisher.ask("publish 3 10"), "ok");
   // It waits for a while for the one that does not come.
   ASSERT_TRUE(publisher.eventually("matched", "1"));
@@ -264,6 +152,37 @@ TEST_F(Reregistration, WhoDiesMeanwhileKeepsNothing) {
   EXPECT_EQ(take_all(subscriber), "4 5 ");
 }
 
+TEST_F(Reregistration, AChildOfTheDeadDoesNotKeepThemAlive) {
+  ClientTool publisher(socket()), subscriber(socket());
+  auto reads = std::make_unique<ClientTool>(socket()),
+       writes = std::make_unique<ClientTool>(socket());
+  for (ClientTool* const tool : {&subscriber, reads.get()}) ASSERT_EQ(tool->ask("sub /t 10"), "ok");
+  ASSERT_EQ(publisher.ask("pub /t 10"), "ok");
+  ASSERT_EQ(writes->ask("pub /t 10"), "ok");
+  ASSERT_TRUE(publisher.eventually("matched", "2"));
+  ASSERT_TRUE(writes->eventually("matched", "2"));
+  ASSERT_EQ(publisher.ask("publish 1 10"), "ok");
+  ASSERT_EQ(writes->ask("publish 1 10"), "ok");
+  std::vector<pid_t> children;
+  for (ClientTool* const tool : {reads.get(), writes.get()})
+    children.push_back(std::stoi(tool->ask("fork")));
+  end();
+  for (auto* const tool : {&reads, &writes}) tool->reset();
+  begin();
+  for (ClientTool* const tool : {&publisher, &subscriber}) {
+    EXPECT_TRUE(tool->eventually("state", "connected"));
+    EXPECT_TRUE(eventually([&] {
+      take_all(subscriber);
+      return use_of(tool->pid()).threads == 2;
+    })) << "the former membership has not ended";
+  }
+  EXPECT_TRUE(publisher.eventually("allocated", "0"));
+  for (const pid_t child : children) {
+    EXPECT_EQ(::kill(child, 0), 0) << "or this test shows nothing";
+    ::kill(child, SIGKILL);
+  }
+}
+
 TEST_F(Reregistration, WhatIsCreatedAndDestroyedMeanwhileIsSo) {
   ClientTool publisher(socket()), subscriber(socket()), other(socket());
   ASSERT_EQ(subscriber.ask("sub /t 10"), "ok");
@@ -277,8 +196,7 @@ TEST_F(Reregistration, WhatIsCreatedAndDestroyedMeanwhileIsSo) {
     other.tell("sub /t 10");  // waits for the next daemon
     begin();
     ASSERT_EQ(other.answer(), "ok");
-    ASSERT_TRUE(other.eventually("state", "connected"));
-    ASSERT_TRUE(publisher.eventually("state", "connected"));
+    ASSERT_TRUE(are_connected({&other, &publisher}));
     ASSERT_TRUE(publisher.eventually("matched", "2"));
     ASSERT_EQ(publisher.ask("unpub"), "ok");
     ASSERT_EQ(publisher.ask("pub /t 10"), "ok");
@@ -293,9 +211,7 @@ TEST_F(Reregistration, WhatIsCreatedAndDestroyedMeanwhileIsSo) {
 
 TEST_F(Reregistration, TenLossesLeaveNothingBehind) {
   ClientTool publisher(socket()), subscriber(socket());
-  ASSERT_EQ(subscriber.ask("sub /t 100"), "ok");
-  ASSERT_EQ(publisher.ask("pub /t 10"), "ok");
-  ASSERT_TRUE(publisher.eventually("matched", "1"));
+  ASSERT_TRUE(meet(subscriber, "sub /t 100", publisher, "pub /t 10"));
   std::optional<Use> publishers_use, subscribers_use;
   std::string expected, heard;
   for (int round = 1; round <= 11; ++round) {
@@ -371,9 +287,7 @@ TEST_F(Reregistration, AddressesThatAreInUseAreNotMappedOver) {
 
 TEST_F(Reregistration, AnotherDaemonGivesOtherAddresses) {
   ClientTool publisher(socket()), subscriber(socket());
-  ASSERT_EQ(subscriber.ask("sub /t 10"), "ok");
-  ASSERT_EQ(publisher.ask("pub /t 10"), "ok");
-  ASSERT_TRUE(publisher.eventually("matched", "1"));
+  ASSERT_TRUE(meet(subscriber, "sub /t 10", publisher, "pub /t 10"));
   ASSERT_EQ(publisher.ask("publish 1 10"), "ok");
   ASSERT_EQ(subscriber.ask("take"), "1");
   const std::uint64_t before = std::stoull(subscriber.ask("address"));
@@ -394,16 +308,161 @@ TEST_F(Reregistration, AnotherDaemonGivesOtherAddresses) {
 
 TEST_F(Reregistration, AnotherLayoutLeavesAnIsland) {
   ClientTool publisher(socket()), subscriber(socket());
-  ASSERT_EQ(subscriber.ask("sub /t 100"), "ok");
-  ASSERT_EQ(publisher.ask("pub /t 10"), "ok");
-  ASSERT_TRUE(publisher.eventually("matched", "1"));
+  ASSERT_TRUE(meet(subscriber, "sub /t 100", publisher, "pub /t 10"));
   end();
-  begin(AGNOCAST_TEST_OTHER_LAYOUT);
+  begin({.program = AGNOCAST_TEST_OTHER_LAYOUT});
   const std::string island = "island " + std::to_string(static_cast<int>(Errc::layout_mismatch));
   ASSERT_TRUE(publisher.eventually("state", island));
   ASSERT_TRUE(subscriber.eventually("state", island));
   ASSERT_EQ(publisher.ask("publish 3 10"), "ok");
   EXPECT_EQ(take_all(subscriber), "1 2 3 ");
+  // Whoever put that daemon there puts the right one back.
+  end();
+  begin();
+  ASSERT_TRUE(are_connected({&publisher, &subscriber}));
+  ASSERT_TRUE(publisher.eventually("matched", "1"));
+  ASSERT_EQ(publisher.ask("publish 3 10"), "ok");
+  EXPECT_EQ(take_all(subscriber), "4 5 6 ");
+}
+
+/// Stands in the daemon's place and refuses: who says rejoin with one code, everybody else with another.
+class Refusing {
+ public:
+  Refusing(const std::string& path, Errc to_rejoin, Errc to_others)
+      : path_(path),
+        listener_((std::filesystem::remove(path), test::listen_at(path)).value()),
+        thread_([=, this] {
+          while (!over_) serve(to_rejoin, to_others);
+        }) {}
+  ~Refusing() {
+    over_ = true;
+    thread_.join();
+    std::filesystem::remove(path_);
+  }
+
+ private:
+  void serve(Errc to_rejoin, Errc to_others) {
+    namespace wire = abi::wire;
+    pollfd waiting{listener_.fd(), POLLIN, 0};
+    if (::poll(&waiting, 1, 10) != 1) return;
+    auto caller = listener_.accept();
+    if (!caller || !*caller) return;
+    pollfd readable{(*caller)->fd(), POLLIN, 0};
+    std::array<std::byte, wire::packet_bytes_max> buffer;
+    if (::poll(&readable, 1, 10'000) != 1) return;
+    const auto said = (*caller)->receive(buffer);
+    wire::Header header{};
+    if (!said || said->bytes < sizeof header) return;
+    std::memcpy(static_cast<void*>(&header), buffer.data(), sizeof header);
+    wire::Refused refused{};
+    refused.header = {wire::Opcode::refused, sizeof refused, header.request};
+    const Errc code = header.opcode == wire::Opcode::rejoin ? to_rejoin : to_others;
+    refused.code = static_cast<std::uint32_t>(code);
+    static_cast<void>((*caller)->send(std::as_bytes(std::span(&refused, 1))));
+  }
+  std::string path_;
+  PacketListener listener_;
+  std::atomic<bool> over_{false};
+  std::thread thread_;
+};
+
+TEST_F(Reregistration, ADamagedStoreLeavesAnIslandUntilAnotherDaemonHasBegun) {
+  // To rejoin our daemon says that later; whoever is told at once is no worse off.
+  for (const Errc to_rejoin : {Errc::started_anew, Errc::store_damaged}) {
+    ClientTool publisher(socket()), subscriber(socket());
+    ASSERT_TRUE(meet(subscriber, "sub /t 100", publisher, "pub /t 10"));
+    end();
+    const std::string island = "island " + std::to_string(static_cast<int>(Errc::store_damaged));
+    {
+      const Refusing refusing(socket(), to_rejoin, Errc::store_damaged);
+      ASSERT_TRUE(publisher.eventually("state", island));
+      ASSERT_TRUE(subscriber.eventually("state", island));
+      ASSERT_EQ(publisher.ask("publish 3 10"), "ok");
+      EXPECT_EQ(take_all(subscriber), "1 2 3 ");
+    }
+    begin();
+    ASSERT_TRUE(are_connected({&publisher, &subscriber}));
+    ASSERT_TRUE(publisher.eventually("matched", "1"));
+    ASSERT_EQ(publisher.ask("publish 3 10"), "ok");
+    EXPECT_EQ(take_all(subscriber), "4 5 6 ");
+  }
+}
+
+// The daemon lives, but its socket is for a while another's, who refuses: what is destroyed meanwhile
+// has to leave when the process is taken back.
+TEST_F(Reregistration, WhatIsDestroyedWhileSomebodyRefusesHasLeftAfterwards) {
+  ClientTool publisher(socket()), subscriber(socket()), others(socket());
+  ASSERT_EQ(subscriber.ask("sub /t 5 all"), "ok");
+  ASSERT_EQ(others.ask("pub /t 100 all"), "ok");
+  ASSERT_TRUE(others.eventually("matched", "1"));
+  ASSERT_EQ(others.ask("publish 1 10"), "ok");
+  ASSERT_EQ(subscriber.ask("take"), "1");
+  ASSERT_EQ(publisher.ask("pub /u 1"), "ok");
+  const std::string away = socket() + ".away";
+  std::filesystem::rename(socket(), away);
+  {
+    const Refusing refusing(socket(), Errc::permission_denied, Errc::permission_denied);
+    const std::string island =
+        "island " + std::to_string(static_cast<int>(Errc::permission_denied));
+    for (ClientTool* const tool : {&publisher, &subscriber}) {
+      ASSERT_TRUE(test::end_connection(tool->pid()));
+      ASSERT_TRUE(tool->eventually("state", island));
+    }
+    ASSERT_EQ(publisher.ask("unpub"), "ok");
+    ASSERT_EQ(subscriber.ask("unsub"), "ok");  // and holds a message still
+  }
+  std::filesystem::rename(away, socket());
+  for (ClientTool* const tool : {&publisher, &subscriber})
+    ASSERT_TRUE(tool->eventually("state", "connected"));
+  EXPECT_TRUE(others.eventually("publish 20 10", "ok")) << "nobody reads any more";
+  EXPECT_EQ(subscriber.ask("release"), "ok");
+  EXPECT_TRUE(others.eventually("matched", "0"));
+  EXPECT_TRUE(eventually([&] { return test::wire_dump(socket()).endpoints.size() == 1; }))
+      << "the publisher of others alone is left";
+}
+
+TEST_F(Reregistration, APublisherWaitsForThoseWhomItHadNotForAsManyOthers) {
+  ClientTool publisher(socket()), first(socket()), slow(socket());
+  for (ClientTool* const tool : {&first, &slow}) ASSERT_EQ(tool->ask("sub /t 100"), "ok");
+  ASSERT_EQ(publisher.ask("pub /t 100"), "ok");
+  ASSERT_TRUE(publisher.eventually("matched", "2"));
+  ::kill(slow.pid(), SIGSTOP);
+  lose();
+  ClientTool newcomer(socket());
+  ASSERT_EQ(newcomer.ask("sub /t 100"), "ok");
+  ASSERT_TRUE(first.eventually("links", "2"));
+  ASSERT_TRUE(newcomer.eventually("links", "1"));
+  EXPECT_EQ(newcomer.ask("wait 200"), "timeout");  // long enough for one that does not wait
+  ASSERT_EQ(publisher.ask("publish 5 10"), "ok");
+  EXPECT_EQ(take_all(first), "1 2 3 4 5 ");
+  EXPECT_EQ(take_all(newcomer), "") << "it has not moved";
+  ::kill(slow.pid(), SIGCONT);
+  ASSERT_TRUE(slow.eventually("state", "connected"));
+  ASSERT_TRUE(publisher.eventually("matched", "3"));
+  ASSERT_EQ(publisher.ask("publish 1 10"), "ok");
+  EXPECT_EQ(take_all(slow), "1 2 3 4 5 6 ");
+  EXPECT_EQ(take_all(newcomer), "6 ");
+}
+
+TEST_F(Reregistration, AMembershipThatIsLostBeforeAnybodyMovedToItEnds) {
+  ClientTool both(socket()), slow(socket());
+  for (ClientTool* const tool : {&both, &slow}) ASSERT_EQ(tool->ask("sub /t 100"), "ok");
+  ASSERT_EQ(both.ask("pub /t 100"), "ok");
+  ASSERT_TRUE(both.eventually("matched", "2"));
+  const Use before = use_of(both.pid());
+  ::kill(slow.pid(), SIGSTOP);  // for whom the publisher waits
+  lose();
+  ASSERT_TRUE(both.eventually("state", "connected"));
+  ASSERT_TRUE(both.eventually("links", "2"));
+  lose();
+  ::kill(slow.pid(), SIGCONT);
+  ASSERT_TRUE(are_connected({&both, &slow}));
+  ASSERT_EQ(both.ask("publish 3 10"), "ok");
+  EXPECT_EQ(take_all(both), "1 2 3 ");
+  EXPECT_EQ(take_all(slow), "1 2 3 ");
+  EXPECT_TRUE(both.eventually("links", "1"));
+  EXPECT_TRUE(eventually([&] { return use_of(both.pid()).threads == before.threads; }))
+      << use_of(both.pid()) << " after " << before;
 }
 
 }  // namespace

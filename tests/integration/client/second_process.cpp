@@ -11,6 +11,7 @@
 
 #include <gmock/gmock.h>
 
+#include <atomic>
 #include <cerrno>
 #include <chrono>
 #include <cstdio>
@@ -59,6 +60,12 @@ int play(const std::vector<std::string>& role) {
   } else if (what == "subscribe") {
     auto subscription = node.create_subscription<Number>(role[1], qos_of(role[2]));
     wait_for_end_of_input();
+  } else if (what == "blocks") {
+    auto subscription = node.create_subscription<Block>(role[1], qos_of(role[2]));
+    wait_for_end_of_input();
+    bool is_damaged = false;
+    while (const auto block = subscription->take()) is_damaged = is_damaged || !block->is_intact();
+    return is_damaged ? 5 : 0;
   } else if (what == "other_type") {
     const auto refused = try_create_subscription<Other>(node, role[1], 1);
     if (refused || refused.error().code != Errc::type_mismatch) return 4;

@@ -6,16 +6,20 @@
 //
 //   publish TOPIC QOS COUNT   waits for a subscription, publishes Number 1 … COUNT, stays
 //   subscribe TOPIC QOS       stays
+//   blocks TOPIC QOS          stays; then takes all Blocks, and ends with 5 if one is damaged
 //   other_type TOPIC          asks for the topic with another type, is refused, stays
 //
 // QOS: a depth, then r/b (reliable, best effort), v/t (volatile, transient local), a for keep-all:
 // "10rv", "100rva".
 #pragma once
 
+#include <agnocast/message_traits.hpp>
 #include <agnocast/qos.hpp>
 
 #include <sys/types.h>
 
+#include <algorithm>
+#include <cstddef>
 #include <cstdint>
 #include <string>
 #include <vector>
@@ -24,6 +28,20 @@ namespace agnocast::test {
 
 struct Number {
   std::uint64_t value = 0;
+};
+
+/// Its words lie elsewhere in the heap.
+struct Block {
+  std::uint64_t value = 0;
+  std::vector<std::uint64_t> words;
+  void fill(std::uint64_t with, std::size_t count) {
+    value = with;
+    words.assign(count, with);
+  }
+  bool is_intact() const {
+    return !words.empty() &&
+           std::all_of(words.begin(), words.end(), [this](auto word) { return word == value; });
+  }
 };
 
 QoS qos_of(const std::string& text);
@@ -46,3 +64,11 @@ class SecondProcess {
 };
 
 }  // namespace agnocast::test
+
+template <>
+struct agnocast::MessageTraits<agnocast::test::Block> {
+  static constexpr const char* name = "tests/Block";
+  static void for_each_pointer(const test::Block& block, PointerVisitor& visit) noexcept {
+    visit("words", block.words);
+  }
+};

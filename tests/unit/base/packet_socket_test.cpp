@@ -9,6 +9,7 @@
 
 #include "tests/support/child.hpp"
 #include "tests/support/descriptors.hpp"
+#include "tests/support/listen_at.hpp"
 #include "tests/support/temporary_directory.hpp"
 
 #include <gmock/gmock.h>
@@ -300,7 +301,7 @@ TEST(PacketSocket, RefusedDescriptorsStayWithTheSender) {
 
 TEST(PacketListener, AcceptsConnectionsThatDoNotSleepAndAreCloseOnExec) {
   test::TemporaryDirectory directory;
-  const auto listener = PacketListener::listen(directory.path("socket"));
+  const auto listener = test::listen_at(directory.path("socket"));
   ASSERT_TRUE(listener);
   EXPECT_FALSE(listener->accept().value()) << "nobody has connected";
   const auto client = PacketSocket::connect(directory.path("socket"));
@@ -318,29 +319,42 @@ TEST(PacketListener, AcceptsConnectionsThatDoNotSleepAndAreCloseOnExec) {
   EXPECT_EQ((*session)->receive(buffer).value().bytes, 5U);
 }
 
-TEST(PacketListener, EntryIsTheOwnersAloneWhateverTheUmask) {
+TEST(PacketListener, NobodyIsTurnedAwayOrLetInBeforeItListens) {
   test::TemporaryDirectory directory;
-  const mode_t old = ::umask(0);
-  const auto listener = PacketListener::listen(directory.path("socket"));
-  ::umask(old);
+  ASSERT_EQ(::chmod(directory.path("").c_str(), 0755), 0);
+  const std::string path = directory.path("socket");
+  // What another user hears, where this test may be one.
+  const auto answer_to_other = [&] {
+    test::Child other([&] {
+      if (::geteuid() == 0 && ::setuid(65534) != 0) return 99;
+      const auto connected = PacketSocket::connect(path, std::chrono::milliseconds(0));
+      return connected ? 0 : static_cast<int>(connected.error().code);
+    });
+    return static_cast<Errc>(other.wait());
+  };
+  const mode_t mask = ::umask(077);
+  const auto listener = PacketListener::bind(path);
+  EXPECT_EQ(::umask(mask), 077u) << "it is as it was";
   ASSERT_TRUE(listener);
-  struct stat entry {};
-  ASSERT_EQ(::stat(directory.path("socket").c_str(), &entry), 0);
-  EXPECT_EQ(entry.st_mode & 07777, 0600U);
+  EXPECT_EQ(answer_to_other(), Errc::daemon_not_running);
+  ASSERT_EQ(::chmod(path.c_str(), 0600), 0);
+  ASSERT_TRUE(listener->listen());
+  EXPECT_TRUE(PacketSocket::connect(path));
+  EXPECT_EQ(answer_to_other(), ::geteuid() == 0 ? Errc::permission_denied : Errc::ok);
 }
 
 TEST(PacketListener, SecondListenerIsToldThatOneExists) {
   test::TemporaryDirectory directory;
-  const auto first = PacketListener::listen(directory.path("socket"));
+  const auto first = test::listen_at(directory.path("socket"));
   ASSERT_TRUE(first);
-  const auto second = PacketListener::listen(directory.path("socket"));
+  const auto second = test::listen_at(directory.path("socket"));
   ASSERT_FALSE(second);
   EXPECT_EQ(second.error().code, Errc::already_running);
 }
 
 TEST(PacketListener, CredentialsComeFromTheFirstPacketOn) {
   test::TemporaryDirectory directory;
-  const auto listener = PacketListener::listen(directory.path("socket"));
+  const auto listener = test::listen_at(directory.path("socket"));
   ASSERT_TRUE(listener->want_credentials(true));
   const auto client = PacketSocket::connect(directory.path("socket"));
   const auto session = listener->accept();
@@ -359,7 +373,7 @@ TEST(PacketSocket, ConnectSaysWhyNot) {
   EXPECT_EQ(refused.error().code, Errc::daemon_not_running);
   EXPECT_EQ(refused.error().os_errno, ENOENT);
 
-  { ASSERT_TRUE(PacketListener::listen(directory.path("stale"))); }
+  { ASSERT_TRUE(test::listen_at(directory.path("stale"))); }
   refused = PacketSocket::connect(directory.path("stale"));
   ASSERT_FALSE(refused);
   EXPECT_EQ(refused.error().code, Errc::daemon_not_running);
@@ -402,8 +416,9 @@ TEST(PacketSocket, ConnectWithoutPermissionSaysSo) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root to become somebody else";
   test::TemporaryDirectory directory;
   ASSERT_EQ(::chmod(directory.path().c_str(), 0711), 0);
-  const auto listener = PacketListener::listen(directory.path("socket"));
+  const auto listener = test::listen_at(directory.path("socket"));
   ASSERT_TRUE(listener);
+  ASSERT_EQ(::chmod(directory.path("socket").c_str(), 0600), 0);
   test::Child child([&] {
     if (::setuid(65534) != 0) return 1;
     const auto client = PacketSocket::connect(directory.path("socket"));

@@ -9,6 +9,7 @@
 
 #include "tests/support/child.hpp"
 #include "tests/support/descriptors.hpp"
+#include "tests/support/listen_at.hpp"
 #include "tests/support/seccomp_filter.hpp"
 #include "tests/support/temporary_directory.hpp"
 
@@ -52,7 +53,7 @@ struct Daemon {
 
   Daemon() {
     ::chmod(directory.path().c_str(), 0711);
-    listener = std::move(PacketListener::listen(path()).value());
+    listener = std::move(test::listen_at(path()).value());
     ::chmod(path().c_str(), 0666);
     EXPECT_TRUE(listener.want_credentials(true));
   }

@@ -242,11 +242,32 @@ TEST(Reconnection, PausesLongerAndLongerUntilAConnectionLasts) {
   EXPECT_FALSE(reconnection.is_due(now + std::chrono::hours(1)));
 }
 
+TEST(Reconnection, ARefusalThatCanBeMendedIsAskedAboutSeldomUntilItIs) {
+  using State = Reconnection::State;
+  Reconnection reconnection;
+  auto now = Reconnection::Clock::time_point{} + std::chrono::hours(1);
+  for (int i = 0; i < 3; ++i) {
+    reconnection.ended(now);
+    reconnection.refused_until_mended(now);
+    EXPECT_TRUE(reconnection.is_refused());
+    EXPECT_EQ(reconnection.state(), State::waiting);
+    EXPECT_FALSE(reconnection.is_due(now + Reconnection::pause_refused - std::chrono::seconds(1)));
+    now += Reconnection::pause_refused;
+    ASSERT_TRUE(reconnection.is_due(now));
+    reconnection.asked();
+  }
+  reconnection.succeeded(now);
+  EXPECT_FALSE(reconnection.is_refused());
+  reconnection.ended(now + Reconnection::lasting);
+  EXPECT_TRUE(reconnection.is_due(now + Reconnection::lasting + Reconnection::pause_first));
+}
+
 TEST(Departure, IsSaidOnceWhenItIsWanted) {
   Departure departure;
   EXPECT_FALSE(departure.is_due());
   departure.want();
   EXPECT_TRUE(departure.is_due());
+  departure.said();
   EXPECT_FALSE(departure.is_due());
   EXPECT_FALSE(departure.is_known());
   departure.known();

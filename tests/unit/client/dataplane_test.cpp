@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: whatever a peer writes, the data plane stays inside its own arrays, ends its loops, hands
-// out nothing outside the announced window, and an honest pair beside the liar loses nothing. Also:
-// the table of recovery decisions, row by row. Method: seeded random garbage in the publisher's
-// queue while an honest subscription takes; seeded garbage in a subscription's lines while an
-// honest publisher publishes to it and to an honest one.
+// out nothing outside the announced window, and an honest pair beside the liar loses nothing. History
+// is no news, whenever it is brought. Also: the table of recovery decisions, row by row. Method: seeded
+// random garbage in the publisher's queue while an honest subscription takes; seeded garbage in a
+// subscription's lines while an honest publisher publishes to it and to an honest one; a publisher that
+// commits between any two loads of a subscription.
 
 #include <client/dataplane/publisher_core.hpp>
 #include <client/dataplane/subscription_core.hpp>
@@ -16,6 +17,7 @@
 
 #include <cstdint>
 #include <cstdio>
+#include <functional>
 #include <memory>
 #include <random>
 #include <set>
@@ -219,6 +221,78 @@ TEST(Dataplane, AnHonestSubscriptionLosesNothingBesideALyingOne) {
     }
     EXPECT_EQ(honest.lost(), 0u);
     EXPECT_EQ(honest.malformed(), 0u);
+  }
+}
+
+/// Shared memory whose publisher does something ahead of each load of whoever reads it by this policy.
+struct Interrupted : SharedMemory {
+  static inline std::function<void()> before_load;
+  struct Word {
+    abi::SharedWord& word;
+    std::uint64_t load(std::memory_order order) const {
+      before_load();
+      return word.load(order);
+    }
+    void store(std::uint64_t value, std::memory_order order) const { word.store(value, order); }
+    std::uint64_t fetch_or(std::uint64_t bits, std::memory_order order) const {
+      return word.fetch_or(bits, order);
+    }
+    std::uint64_t fetch_and(std::uint64_t bits, std::memory_order order) const {
+      return word.fetch_and(bits, order);
+    }
+  };
+  static Word word(Region region, std::uint64_t offset) noexcept {
+    return {SharedMemory::word(region, offset)};
+  }
+};
+
+TEST(Dataplane, HistoryThatIsBroughtWhileSomebodyLooksIsNoNews) {
+  constexpr std::uint64_t history = 60;
+  for (const std::uint64_t depth : {1u, 100u}) {
+    SCOPED_TRACE("depth " + std::to_string(depth));
+    Pair pair;
+    pair.offered = {static_cast<std::uint32_t>(history), true, true, false, false};
+    pair.requested = {static_cast<std::uint32_t>(depth), true, true, false, false};
+    auto publisher = std::make_unique<PublisherCore<M>>(PublisherCore<M>::Identity{
+        pair.topic(), pair.words(), 0, generation, Pair::first(), pair.offered, 64, 0});
+    Freed environment;
+    NumberWindow window;
+    const auto publish = [&] {
+      const std::uint64_t next = publisher->head_sequence() - Pair::first() + 1;
+      const std::uint64_t address = window.base + next * 16;
+      environment.live.insert(address);
+      ASSERT_EQ(publisher->publish({address, 16, next}, environment), PublishOutcome::published);
+    };
+    Interrupted::before_load = [&] {
+      const std::uint64_t head = publisher->head_sequence();
+      if (head >= Pair::first() + history) return;
+      pair.words().inherited().store(head + 1);
+      publish();
+    };
+    LinkCore<Interrupted> link({{pair.board.base(), 0},
+                                {pair.publisher.base(), extent},
+                                {pair.subscriber[0].base(), extent, 0},
+                                0,
+                                generation,
+                                Pair::first(),
+                                pair.offered,
+                                pair.requested,
+                                0,
+                                8});
+    link.want_history(0);
+    ASSERT_TRUE(link.link(true));
+    while (publisher->head_sequence() != Pair::first() + history) {
+      EXPECT_FALSE(link.take(window));
+      EXPECT_EQ(link.unread(), 0u);
+      link.skip();
+    }
+    EXPECT_FALSE(link.take(window));
+    EXPECT_EQ(link.lost(), 0u);
+    publish();
+    EXPECT_EQ(link.unread(), 1u);
+    const auto news = link.take(window);
+    ASSERT_TRUE(news);
+    EXPECT_EQ(news->sequence, Pair::first() + history + 1);
   }
 }
 

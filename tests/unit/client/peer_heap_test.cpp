@@ -45,7 +45,7 @@ class PeerHeapTest : public testing::Test {
     ASSERT_TRUE(heap_.add(announced(window, first), make_memfd("window", window_bytes).value()));
   }
   Place place_of(std::uint64_t window, std::uint64_t offset = 0, std::uint64_t size = 64) {
-    HeapLook look(heap_, all_announced_);
+    HeapLook look(heap_, others_);
     look.open();
     return look.place_of(base_of(window) + offset, size);
   }
@@ -53,7 +53,7 @@ class PeerHeapTest : public testing::Test {
   Mapping arena_ = Mapping::reserve(0, 8 * window_bytes).value();
   test::AlignedRegion header_{abi::page_bytes};
   PeerHeap heap_{header_.base()};
-  bool all_announced_ = false;
+  Unannounced others_ = Unannounced::awaited;
 };
 
 TEST_F(PeerHeapTest, WhatIsInUseOfAWindowCanBeRead) {
@@ -65,8 +65,8 @@ TEST_F(PeerHeapTest, WhatIsInUseOfAWindowCanBeRead) {
   EXPECT_EQ(place_of(0, window_bytes - 8), Place::outside);
   EXPECT_EQ(place_of(0, 0, ~std::uint64_t{0}), Place::outside);
   EXPECT_EQ(place_of(3), Place::outside);
-  EXPECT_EQ(heap_.place_of(0, 8, 1, false), Place::outside);
-  EXPECT_EQ(heap_.place_of(~std::uint64_t{0}, 8, 1, false), Place::outside);
+  EXPECT_EQ(heap_.place_of(0, 8, 1, Unannounced::awaited), Place::outside);
+  EXPECT_EQ(heap_.place_of(~std::uint64_t{0}, 8, 1, Unannounced::awaited), Place::outside);
   shown(0).frontier.store(~std::uint64_t{0});  // a lie: clamped to the length
   EXPECT_EQ(place_of(0, window_bytes - 64), Place::readable);
   EXPECT_EQ(place_of(0, window_bytes - 63), Place::outside);
@@ -80,7 +80,7 @@ TEST_F(PeerHeapTest, AMessageIsAwaitedThatMayPointIntoAWindowThatWasNotAnnounced
   EXPECT_EQ(place_of(1), Place::awaited);
   EXPECT_EQ(place_of(0), Place::awaited) << "its members may lie in window 1";
   add(1, 0);
-  EXPECT_EQ(heap_.place_of(base_of(0), 64, 1, false), Place::awaited)
+  EXPECT_EQ(heap_.place_of(base_of(0), 64, 1, Unannounced::awaited), Place::awaited)
       << "added, and not opened yet";
   EXPECT_EQ(place_of(0), Place::readable);
   EXPECT_EQ(place_of(1), Place::readable);
@@ -90,9 +90,19 @@ TEST_F(PeerHeapTest, NothingIsAwaitedOfAPublisherThatIsGone) {
   show(0, abi::page_bytes);
   add(0, 0);
   show(1, abi::page_bytes);
-  all_announced_ = true;
+  others_ = Unannounced::ignored;
   EXPECT_EQ(place_of(0), Place::readable);
   EXPECT_EQ(place_of(1), Place::outside);
+}
+
+TEST_F(PeerHeapTest, WhatMayPointWhereNobodyAnnouncesAnyMoreIsNotRead) {
+  show(0, abi::page_bytes);
+  add(0, 0);
+  others_ = Unannounced::lost;
+  EXPECT_EQ(place_of(0), Place::readable) << "there is no other window";
+  show(1, abi::page_bytes);
+  EXPECT_EQ(place_of(0), Place::unreachable) << "its members may lie in window 1";
+  EXPECT_EQ(place_of(1), Place::unreachable);
 }
 
 TEST_F(PeerHeapTest, OfAGroupWithAClosedWindowNothingIsRead) {

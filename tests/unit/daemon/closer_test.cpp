@@ -52,8 +52,12 @@ class Manager {
     address.sun_path[0] = '@';
     const std::string name(address.sun_path, bytes - offsetof(sockaddr_un, sun_path));
     ::setenv("NOTIFY_SOCKET", name.c_str(), 1);
+    ::setenv("FDSTORE", "100", 1);
   }
-  ~Manager() { ::unsetenv("NOTIFY_SOCKET"); }
+  ~Manager() {
+    ::unsetenv("NOTIFY_SOCKET");
+    ::unsetenv("FDSTORE");
+  }
   UniqueFd receive_barrier() const {
     pollfd entry{socket_.get(), POLLIN, 0};
     if (::poll(&entry, 1, patience_ms) != 1) return UniqueFd();

@@ -85,6 +85,7 @@ publishers_per_topic = 13
 subscriptions_per_topic = 14
 [quota]
 clients = 15
+topics = 19
 publishers = 0
 subscriptions = 17
 heap_bytes = 2147483648
@@ -116,6 +117,7 @@ publish = []
   EXPECT_EQ(config->limits.publishers_per_topic, 13U);
   EXPECT_EQ(config->limits.subscriptions_per_topic, 14U);
   EXPECT_EQ(config->quota.clients, 15U);
+  EXPECT_EQ(config->quota.topics, 19U);
   EXPECT_EQ(config->quota.publishers, 0U);
   EXPECT_EQ(config->quota.subscriptions, 17U);
   EXPECT_EQ(config->quota.heap_bytes, std::uint64_t{1} << 31);
@@ -125,7 +127,7 @@ publish = []
   const AccessRule& first = config->access[0];
   EXPECT_EQ(first.topic, "/lidar/**");
   EXPECT_EQ(first.domain, 7U);
-  EXPECT_EQ(first.line, 27U);
+  EXPECT_EQ(first.line, 28U);
   EXPECT_THAT(first.publish->uids, ElementsAre(1000U, 0U));
   EXPECT_FALSE(first.publish->everybody);
   EXPECT_THAT(first.subscribe->gids, ElementsAre(50U, 4294967294U));
@@ -202,7 +204,7 @@ TEST(Config, MistakesAreToldWithPlaceAndRemedy) {
        "like \"16GiB\" (B, KiB, MiB, GiB, TiB), or \"auto\""},
       {"[quota]\nheap_bytes = \"1KiB\"\n",
        "f.toml:2:14: quota.heap_bytes: \"1KiB\" is out of range; use 64MiB to 32768TiB, or "
-       "\"unlimited\""},
+       "\"auto\", or \"unlimited\""},
       {"[daemon]\nlog_level = \"loud\"\n",
        "f.toml:2:13: daemon.log_level: \"loud\" is no level; use error, warning, notice, info, "
        "debug"},
@@ -367,6 +369,7 @@ TEST(Config, PrintedConfigurationsReadBackTheSame) {
     config.quota.publishers = below(1 << 20);
     if (below(2)) config.quota.clients = unlimited;
     if (below(2)) config.quota.heap_bytes = (std::uint64_t{1} << 40) + below(1 << 20);
+    if (below(3) == 0) config.quota.heap_bytes = unlimited;
     for (std::uint64_t i = below(3); i > 0; --i) {
       AccessRule rule;
       rule.topic = "/topic" + std::to_string(i) + "/**";

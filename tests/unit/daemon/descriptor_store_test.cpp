@@ -44,8 +44,12 @@ class Manager {
     address.sun_path[0] = '@';
     const std::string name(address.sun_path, bytes - offsetof(sockaddr_un, sun_path));
     ::setenv("NOTIFY_SOCKET", name.c_str(), 1);
+    ::setenv("FDSTORE", "100", 1);
   }
-  ~Manager() { ::unsetenv("NOTIFY_SOCKET"); }
+  ~Manager() {
+    ::unsetenv("NOTIFY_SOCKET");
+    ::unsetenv("FDSTORE");
+  }
   Received receive() {
     Received received;
     std::array<char, 512> text{};
@@ -110,7 +114,6 @@ TEST(DescriptorStore, StopsWhereTheManagerDoes) {
   Manager manager;
   ::setenv("FDSTORE", "1", 1);
   auto store = DescriptorStore::of_manager();
-  ::unsetenv("FDSTORE");
   ASSERT_TRUE(store);
   const UniqueFd event(::eventfd(0, EFD_CLOEXEC));
   ASSERT_TRUE(store->put("r1", event.get()));
@@ -119,6 +122,30 @@ TEST(DescriptorStore, StopsWhereTheManagerDoes) {
   EXPECT_EQ(full.error().code, Errc::limit_reached);
   store->remove("r1");
   EXPECT_TRUE(store->put("r2", event.get()));
+}
+
+TEST(DescriptorStore, FindsOutWhetherAManagerThatSaysNothingKeepsAnything) {
+  for (const char* said : {"", "0"}) {
+    for (const bool keeps : {true, false}) {
+      Manager manager;
+      said[0] == '\0' ? ::unsetenv("FDSTORE") : ::setenv("FDSTORE", said, 1);
+      std::thread answering([&] {
+        Received probe = manager.receive();
+        EXPECT_EQ(probe.text, "FDSTORE=1\nFDPOLL=0\nFDNAME=agnocastd-probe");
+        EXPECT_EQ(probe.fds.size(), 1u);
+        if (!keeps) probe.fds.clear();
+        EXPECT_EQ(manager.receive().text, "BARRIER=1");
+        if (keeps) {
+          EXPECT_EQ(manager.receive().text, "FDSTOREREMOVE=1\nFDNAME=agnocastd-probe");
+        }
+      });
+      const auto store = DescriptorStore::of_manager();
+      answering.join();
+      ASSERT_TRUE(store);
+      EXPECT_EQ(store->keeps(), keeps);
+      EXPECT_EQ(store->is_refused(), !keeps);
+    }
+  }
 }
 
 TEST(DescriptorStore, TakesEachOnceAndRemovesWhatNobodyTakes) {

@@ -143,10 +143,11 @@ TEST_F(FlightRecorder, SaysWhatAnEndWasAndCountsIt) {
   registry.client_died(b, journal::DeathReason::revoked);
   registry.client_died(c, journal::DeathReason::let_go);
   EXPECT_EQ(ask(0, 1).records.at(0).argument[2], 1u) << "let go";
-  registry.note_recovered({.pid = 44, .away_ns = 5, .dead_count = 2, .board_word_count = 3});
+  registry.note_recovered({.pid = 44, .dead_count = 2, .board_word_count = 3});
   const auto recovered = ask(0, 1).records.at(0);
   EXPECT_EQ(recovered.argument[0], 44u);
-  EXPECT_EQ(recovered.argument[1], 5u);
+  EXPECT_EQ(recovered.argument[2], 2u);
+  EXPECT_EQ(recovered.argument[3], 3u);
   const wire::DaemonCounters& counters = registry.counters();
   EXPECT_EQ(counters.clients_registered, 3u);
   EXPECT_EQ(counters.clients_died, 1u);

@@ -30,11 +30,16 @@ constexpr std::uint64_t second = 1'000'000'000;
 
 struct Lines : testing::Test {
   std::vector<std::string> lines;
+  bool has_room = true;
   std::uint64_t now = 1'769'860'800 * second;  // 2026-01-31T12:00:00Z
 
   Log make(Log::Format format = Log::Format::journald, LogLevel level = LogLevel::info) {
     return Log(
-        level, format, [this](std::string_view line) { lines.emplace_back(line); },
+        level, format,
+        [this](std::string_view line) {
+          if (has_room) lines.emplace_back(line);
+          return has_room;
+        },
         [this] { return now; });
   }
 };
@@ -45,6 +50,16 @@ TEST_F(Lines, JournaldGetsThePriorityAndPeopleTheTime) {
   make(Log::Format::people).write(LogLevel::error, "out of descriptors", {{"errno", -24}});
   EXPECT_THAT(lines, ElementsAre("<4>client refused uid=1000 why=\"no rule\"\n",
                                  "2026-01-31T12:00:00.007Z error out of descriptors errno=-24\n"));
+}
+
+TEST_F(Lines, WhatWasLostIsCountedAndSaidOnce) {
+  Log log = make();
+  has_room = false;
+  for (int i = 0; i < 3; ++i) log.write(LogLevel::info, "lost");
+  has_room = true;
+  log.write(LogLevel::info, "a");
+  log.write(LogLevel::info, "b");
+  EXPECT_THAT(lines, ElementsAre("<4>lines were lost count=3\n", "<6>a\n", "<6>b\n"));
 }
 
 TEST_F(Lines, EveryLevelHasItsPriorityAndItsName) {

@@ -82,6 +82,18 @@ TEST(Obstacles, AUserHasABoundedNumberOfDifferentRanges) {
   EXPECT_TRUE(obstacles.of(ClientIndex{101}).back().counts);
 }
 
+TEST(Obstacles, ProcessesOfAUserWhoseClaimsDoNotCountEndOneAfterTheOther) {
+  Obstacles obstacles(arena);
+  for (const ClientIndex client : {mine, other}) {
+    ASSERT_TRUE(obstacles.add(client, 1000, base_of(0), arena.bytes, "everything"));
+    EXPECT_FALSE(obstacles.of(client).front().counts);
+  }
+  EXPECT_EQ(choice_of(obstacles, mine), std::nullopt);
+  obstacles.forget(mine);
+  obstacles.forget(other);
+  EXPECT_EQ(choice_of(obstacles, mine), 0u);
+}
+
 TEST(Obstacles, AMoreCrowdedWindowIsAvoidedMore) {
   Obstacles obstacles(arena);
   ASSERT_TRUE(obstacles.add(mine, 1000, base_of(0), 8 * window, ""));

@@ -178,7 +178,7 @@ TEST_F(Redo, MakesEveryChangeWholeWhateverPartOfItWasMade) {
   step(RecordType::announced, [&](R& r) { r.tell(subscription, a); });
   step(RecordType::rejoined, [&](R& r) { r.note_rejoined(a); });
   step(RecordType::recovered, [&](R& r) {
-    r.note_recovered({.pid = 4, .away_ns = 5, .dead_count = 6, .board_word_count = 7});
+    r.note_recovered({.pid = 4, .dead_count = 6, .board_word_count = 7});
   });
   step(RecordType::leave_publisher,
        [&](R& r) { r.orphan_publisher(t, 0, abi::pack_entry(99, 3), LeaveCause::rolled_back); });
@@ -243,7 +243,7 @@ TEST_F(Redo, RefusesAChangeThatItCannotCarryOutAndTouchesNothing) {
     Registry next(fresh.parts());
     const auto opened = next.open();
     ASSERT_FALSE(opened);
-    EXPECT_EQ(opened.error().code, Errc::internal);
+    EXPECT_EQ(opened.error().code, Errc::store_damaged);
     EXPECT_EQ(all.state(), before);
     EXPECT_TRUE(log.pending()) << "the build that wrote it can carry it out";
   }

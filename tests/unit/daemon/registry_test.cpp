@@ -13,6 +13,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <bit>
 #include <cstdio>
 #include <cstring>
 #include <map>
@@ -151,8 +152,10 @@ TEST_F(RegistryTest, CountsPerUser) {
   EXPECT_EQ(usage.publishers, 1u);
   EXPECT_EQ(usage.subscriptions, 1u);
   EXPECT_EQ(usage.executors, 2u);
+  EXPECT_EQ(usage.windows, 1u);
   EXPECT_EQ(usage.heap_bytes, 4096u);
   EXPECT_EQ(usage.held_messages, 7u);
+  EXPECT_EQ(usage.topics, 1u);
   EXPECT_EQ(registry.usage_of(3).clients, 0u);
 }
 
@@ -282,7 +285,7 @@ TEST_F(RegistryTest, RefusesDamageAndSaysWhich) {
     const auto opened = Registry(memory.parts()).open();
     EXPECT_FALSE(opened) << what;
     if (!opened) {
-      EXPECT_EQ(opened.error().code, Errc::internal);
+      EXPECT_EQ(opened.error().code, Errc::store_damaged);
       EXPECT_NE(std::string(detail_of(opened.error())).find(what), std::string::npos)
           << detail_of(opened.error());
     }
@@ -317,6 +320,31 @@ TEST_F(RegistryTest, RefusesDamageAndSaysWhich) {
   refused_with([&] { log_word(16).store(2); }, "not of one incarnation");
 }
 
+TEST_F(RegistryTest, GivesOutNoFreePlaceThatSomebodyIsStillToldOf) {
+  const ClientIndex a = client();
+  const TopicIndex t = topic();
+  const abi::Qos qos{1, false, true, false, false};
+  publisher(a, t);
+  subscription(a, t);
+  Tables& tables = *reinterpret_cast<Tables*>(memory.parts().tables);
+  tables.publisher[number(t)][1].told.tell(5);
+  tables.subscription[number(t)][1].told.tell(5);
+  const auto of_publisher = registry.plan_publisher(a, t, qos);
+  ASSERT_FALSE(of_publisher);
+  EXPECT_EQ(of_publisher.error().code, Errc::store_damaged);
+  const auto of_subscription = registry.plan_subscription(a, t, qos, 1);
+  ASSERT_FALSE(of_subscription);
+  EXPECT_EQ(of_subscription.error().code, Errc::store_damaged);
+  // One that was used before is passed over.
+  const EndpointRef ref{Kind::subscription, t, 0};
+  registry.change_subscription(t, 0, EndpointState::over);
+  registry.free_subscription(t, 0);
+  tables.subscription[number(t)][1].told.let_go(5, 0);
+  tables.subscription[number(t)][0].told.tell(5);
+  EXPECT_TRUE(registry.was_used(ref));
+  EXPECT_EQ(registry.plan_subscription(a, t, qos, 1).value().index, 1u);
+}
+
 TEST_F(RegistryTest, MakesTheBoardSayWhatTheTablesSay) {
   const ClientIndex a = client();
   const TopicIndex t = topic();
@@ -339,6 +367,108 @@ TEST_F(RegistryTest, MakesTheBoardSayWhatTheTablesSay) {
     EXPECT_EQ(later.repair_board(), 1u) << field;
     EXPECT_EQ(word.load(std::memory_order_relaxed), before) << field;
   }
+}
+
+/// As the tables say it, counted from the beginning.
+Usage counted(const Registry& registry, std::uint32_t uid) {
+  Usage usage;
+  std::set<TopicIndex> topics;
+  for (std::uint32_t i = 0; i < registry.client_high(); ++i) {
+    const ClientRecord& record = registry.client(ClientIndex{i});
+    if (record.state == ClientState::free || record.uid != uid) continue;
+    ++usage.clients;
+    for (const EndpointRef& ref : registry.endpoints_of(ClientIndex{i})) {
+      topics.insert(ref.topic);
+      ++(ref.kind == Kind::publisher ? usage.publishers : usage.subscriptions);
+      if (ref.kind == Kind::subscription)
+        usage.held_messages += registry.subscription(ref.topic, ref.index).quota;
+    }
+    usage.executors += static_cast<std::uint64_t>(std::popcount(record.executors));
+    usage.windows += record.window_count;
+    for (std::uint64_t w = 0; w < record.window_count; ++w)
+      usage.heap_bytes += record.window[w].bytes;
+  }
+  usage.topics = topics.size();
+  return usage;
+}
+
+// Places of processes are given to other users, and changes are completed by another life.
+TEST_F(RegistryTest, KeepsTheUsageThatACountWouldFind) {
+  std::mt19937 random(7);
+  auto life = std::make_unique<Registry>(memory.parts());
+  ASSERT_TRUE(life->open());
+  const abi::Qos qos{1, false, true, false, false};
+  std::vector<TopicIndex> topics;
+  for (const char* const name : {"/a", "/b", "/c"})
+    topics.push_back(life->add_topic({0, name, "T", 1}).value());
+  std::vector<ClientIndex> clients;
+  std::uint64_t ended = 0;
+  for (int step = 0; step < 4000; ++step) {
+    if (clients.size() < 6) {
+      const std::uint32_t uid = 1 + static_cast<std::uint32_t>(random() % 3);
+      clients.push_back(life->add_client({uid, uid, 1, 0, "process"}).value());
+    }
+    const ClientIndex one = clients[random() % clients.size()];
+    const TopicIndex at = topics[random() % topics.size()];
+    const auto& endpoints = life->endpoints_of(one);
+    switch (random() % 6) {
+      case 0:
+        life->add_publisher(one, at, qos, life->plan_publisher(one, at, qos).value(), "node");
+        break;
+      case 1: {
+        const std::uint64_t quota = random() % 9;
+        const auto plan = life->plan_subscription(one, at, qos, quota).value();
+        for (const SlotRaise& raise : plan.raises) life->raise_slots(at, raise);
+        life->add_subscription(one, at, qos, quota, 0, plan, "node");
+        break;
+      }
+      case 2:
+        if (life->client(one).window_count < abi::window_count_max)
+          life->open_window(one, {0x1000, 4096 * (1 + random() % 9), 0});
+        break;
+      case 3:
+        life->open_executor(one, static_cast<std::uint32_t>(random() % 8));
+        break;
+      case 4:
+        for (int i = 0; i < 3 && !endpoints.empty(); ++i) {
+          const EndpointRef ref = endpoints[random() % endpoints.size()];
+          if (ref.kind == Kind::publisher) {
+            life->orphan_publisher(ref.topic, ref.index, 0);
+            life->end_publisher(ref.topic, ref.index, EndpointState::over);
+            life->end_publisher(ref.topic, ref.index, EndpointState::free);
+          } else {
+            life->change_subscription(ref.topic, ref.index, EndpointState::over);
+            life->free_subscription(ref.topic, ref.index);
+          }
+        }
+        break;
+      default:
+        if (!endpoints.empty()) break;
+        life->client_died(one, journal::DeathReason::died);
+        life->client_forgotten(one);
+        life->end_client(one);
+        std::erase(clients, one);
+        ++ended;
+    }
+    if (random() % 10 == 0) {
+      auto& applied = SharedMemory::word(memory.parts().log, 128);  // as below
+      applied.store(applied.load() - 1);
+      life = std::make_unique<Registry>(memory.parts());
+      ASSERT_TRUE(life->open());
+    }
+    for (const std::uint32_t uid : {0U, 1U, 2U, 3U}) {
+      ASSERT_TRUE(life->usage_of(uid) == counted(*life, uid)) << "step " << step << " user " << uid;
+      for (const TopicIndex topic : topics) {
+        bool takes_part = false;
+        for (const ClientIndex c : clients) {
+          for (const EndpointRef& ref : life->endpoints_of(c))
+            takes_part = takes_part || (ref.topic == topic && life->client(c).uid == uid);
+        }
+        ASSERT_EQ(life->takes_part(uid, topic), takes_part) << "step " << step;
+      }
+    }
+  }
+  EXPECT_GT(ended, 20u);
 }
 
 // A trivial model of what the tables must say, kept by hand beside random operations. Every now and

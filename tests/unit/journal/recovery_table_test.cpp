@@ -94,6 +94,9 @@ TEST(RecoveryTables, HaveExactlyOneRowForEverythingAndTheDocumentExplainsEach) {
   check_table<RequestDecision, 3>(request::rows, {5, 2, 3}, document);
   check_table<RejoinDecision, 6>(rejoin::rows, {2, 2, 2, 2, 3, 2}, document);
   check_table<StoredDecision, 3>(stored::rows, {6, 2, 4}, document);
+  check_table<FoundDecision, 3>(found::rows, {3, 2, 2}, document);
+  check_table<EndDecision, 3>(end::rows, {3, 2, 2}, document);
+  check_table<BroughtDecision, 6>(brought::rows, {3, 2, 2, 2, 2, 2}, document);
   // Redo: one row for every kind of record; tests/unit/daemon/redo_test.cpp runs them.
 #define AGNOCAST_CHECK_RECORD(name, number, arguments)                                           \
   if (number != 0) {                                                                             \

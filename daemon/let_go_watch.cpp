@@ -1,0 +1,117 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <daemon/let_go_watch.hpp>
+
+#include <client/dataplane/views.hpp>
+
+#include <algorithm>
+#include <set>
+#include <utility>
+
+namespace agnocast::daemon {
+namespace {
+
+// Looks in a row that make it certain of one that is deaf, at most one a second: five seconds are long
+// for a thread that only has to read a packet.
+constexpr unsigned deaf_looks_needed = 5;
+// The same of any other. A library that was refused asks every five seconds
+// (Reconnection::pause_refused), and a slow machine has hundreds of them to take back and to tell.
+constexpr unsigned looks_needed = 30;
+// Records and words of shared memory that one call looks at: below a millisecond. An endpoint that is
+// begun is finished: another 25,000 at most.
+constexpr std::uint64_t steps_per_call = 16'384;
+
+}  // namespace
+
+// Its own lines say so. A process that sets bits for nothing is bounded by its quota: see hold_watch.hpp.
+bool LetGoWatch::holds(const SubscriptionRecord& subscription, const EndpointRef& of) {
+  if ((subscription.state != EndpointState::active &&
+       subscription.state != EndpointState::leaving) ||
+      !regions_.is_open(subscription.client))
+    return false;
+  const dataplane::LinkWords<SharedMemory> line{regions_.region(subscription.client),
+                                                subscription.extent, of.index};
+  // The words behind the line have memory only when there are slots for them.
+  const std::uint64_t slots = std::max<std::uint64_t>(
+      registry_.publisher(of.topic, of.index).slot_count, abi::near_slot_count);
+  for (std::uint64_t word = 0; word < (slots + 63) / 64; ++word) {
+    ++steps_;
+    if (line.hold(word).load(std::memory_order_acquire) != 0) return true;
+  }
+  return false;
+}
+
+void LetGoWatch::note_debtors(std::uint64_t generation, const EndpointRef& ref) {
+  const AnnounceSet& told = registry_.told_of(ref);
+  std::set<ClientIndex> holders;
+  if (ref.kind == Kind::publisher) {
+    registry_.for_each_subscription(
+        ref.topic, [&](std::uint32_t, const SubscriptionRecord& subscription) {
+          ++steps_;
+          if (told.contains(number(subscription.client)) &&
+              holders.count(subscription.client) == 0 && holds(subscription, ref))
+            holders.insert(subscription.client);
+        });
+  }
+  steps_ += registry_.client_high() / 64 + 1;
+  for (std::uint32_t i = 0; i < registry_.client_high(); ++i) {
+    const ClientIndex client{i};
+    if (told.contains(i) && registry_.is_alive(client) && holders.count(client) == 0)
+      ++debts_.try_emplace(client, Finding{client, ref, generation, 0}).first->second.count;
+  }
+}
+
+std::vector<LetGoWatch::Finding> LetGoWatch::look() {
+  const auto& given_up = membership_.given_up();  // oldest first
+  for (steps_ = 0; steps_ < steps_per_call; ++next_) {
+    const auto found = given_up.lower_bound(next_);
+    if (found == given_up.end()) return conclude();
+    next_ = found->first;
+    note_debtors(found->first, found->second);
+  }
+  return {};
+}
+
+void LetGoWatch::told_again(ClientIndex client) {
+  if (const auto found = suspects_.find(client); found != suspects_.end()) found->second.deaf = 0;
+}
+
+bool LetGoWatch::is_true(const Finding& finding) const {
+  const EndpointRef& ref = finding.oldest;
+  return registry_.was_used(ref) && registry_.generation_of(ref) == finding.generation &&
+         registry_.told_of(ref).contains(number(finding.client));
+}
+
+LetGoWatch::Suspect LetGoWatch::looked_at(const Finding& debt) const {
+  const auto before = suspects_.find(debt.client);
+  const bool same = before != suspects_.end() && before->second.generation == debt.generation;
+  Suspect suspect = same ? before->second : Suspect{debt.generation};
+  ++suspect.looks;
+  const Session* const session = post_.session_of(debt.client);
+  const std::uint64_t sent =
+      session == nullptr ? 0 : session->packet_count() - session->queued_count();
+  const bool is_deaf = session != nullptr && !session->held_back() &&
+                       (!session->has_output() || (same && sent == suspect.sent));
+  suspect.deaf = is_deaf ? suspect.deaf + 1 : 0;
+  suspect.sent = sent;
+  return suspect;
+}
+
+std::vector<LetGoWatch::Finding> LetGoWatch::conclude() {
+  std::vector<Finding> found;
+  std::map<ClientIndex, Suspect> suspects;
+  for (const auto& [client, debt] : debts_) {
+    const Suspect suspect = looked_at(debt);
+    if (suspect.deaf >= deaf_looks_needed || suspect.looks >= looks_needed) {
+      found.push_back(debt);
+    } else {
+      suspects.emplace(client, suspect);
+    }
+  }
+  suspects_ = std::move(suspects);
+  debts_.clear();
+  next_ = 0;
+  return found;
+}
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,240 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: whoever looks at a system (agnocast-ctl) is not harmed by what it finds there: packets of a
+// daemon of any shape, and regions in which hostile processes have stored any words.
+// Method: a real Observer on a real socket. The other end says what the input says: a dump that is
+// nearly whole, or not, with memfds as regions. Then one audit of it.
+//   look      a system whose indexes are in their tables, or a problem in words
+//   audit     ends; every invariant that it names exists, and every place has a name
+
+#include <ctl/audit.hpp>
+
+#include <agnocast/abi/fingerprint.hpp>
+#include <base/packet_socket.hpp>
+
+#include <tests/support/listen_at.hpp>
+
+#include <fuzzer/FuzzedDataProvider.h>
+#include <sys/mman.h>
+#include <unistd.h>
+
+#include <cstdlib>
+#include <cstring>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+namespace {
+
+using namespace agnocast;
+namespace wire = abi::wire;
+using wire::Opcode;
+
+constexpr std::uint64_t region_bytes = std::uint64_t{16} << 20;
+
+void require(bool condition) {
+  if (!condition) std::abort();
+}
+
+struct Message {
+  std::vector<std::byte> bytes;
+  UniqueFd fd;
+};
+
+UniqueFd memory(std::uint64_t bytes) {
+  UniqueFd fd(::memfd_create("fuzz", MFD_CLOEXEC));
+  require(fd && ::ftruncate(fd.get(), static_cast<off_t>(bytes)) == 0);
+  return fd;
+}
+
+/// What the daemon says, and what the regions hold.
+class Script {
+ public:
+  explicit Script(FuzzedDataProvider& input) : input_(input) {}
+
+  std::vector<Message> dump() {
+    add(daemon(), Opcode::dump_daemon);
+    const int processes = input_.ConsumeIntegralInRange(0, 3);
+    const int topics = input_.ConsumeIntegralInRange(0, 2);
+    const int endpoints = input_.ConsumeIntegralInRange(0, 6);
+    wire::DumpEnd end{};
+    for (int i = 0; i < processes; ++i) add_process(static_cast<std::uint64_t>(i), end);
+    for (int i = 0; i < topics; ++i) {
+      wire::DumpTopic topic{};
+      topic.topic = static_cast<std::uint32_t>(some(static_cast<std::uint64_t>(i)));
+      name(topic.name);
+      name(topic.type);
+      add(topic, Opcode::dump_topic);
+      ++end.topic_count;
+    }
+    for (int i = 0; i < endpoints; ++i) {
+      add(endpoint(), Opcode::dump_endpoint);
+      ++end.endpoint_count;
+    }
+    if (input_.ConsumeBool()) {
+      add(wire::DumpUser{}, Opcode::dump_user);
+      ++end.user_count;
+    }
+    add(end, Opcode::dump_end);
+    return std::move(messages_);
+  }
+
+  UniqueFd board() {
+    UniqueFd board = memory(abi::board_bytes);
+    const std::uint64_t topic = abi::topic_offset(0);
+    for (int i = input_.ConsumeIntegralInRange(0, 16); i > 0; --i)
+      store(board.get(),
+            topic + 8 * input_.ConsumeIntegralInRange<std::uint64_t>(0, abi::topic_bytes / 8 - 1));
+    return board;
+  }
+
+ private:
+  /// Mostly what is usual, sometimes anything.
+  std::uint64_t some(std::uint64_t usual) {
+    return input_.ConsumeIntegralInRange(0, 15) == 0 ? input_.ConsumeIntegral<std::uint64_t>()
+                                                     : usual;
+  }
+  void store(int fd, std::uint64_t at) {
+    const std::uint64_t value = input_.ConsumeBool() ? input_.ConsumeIntegral<std::uint64_t>()
+                                                     : input_.ConsumeIntegral<std::uint8_t>();
+    require(::pwrite(fd, &value, sizeof value, static_cast<off_t>(at)) == sizeof value);
+  }
+  void name(wire::Name& name) {
+    const std::string text = input_.ConsumeRandomLengthString(12);
+    std::memcpy(name.text, text.data(), text.size());
+    if (input_.ConsumeIntegralInRange(0, 15) == 0) std::memset(name.text, 'x', sizeof name.text);
+  }
+  wire::DumpDaemon daemon() {
+    wire::DumpDaemon daemon{};
+    daemon.arena_base = some(0x200000000000);
+    daemon.arena_bytes = some(std::uint64_t{1} << 32);
+    daemon.window_bytes = some(std::uint64_t{1} << 26);
+    return daemon;
+  }
+  void add_process(std::uint64_t index, wire::DumpEnd& end) {
+    wire::DumpProcess process{};
+    process.client = some(index);
+    process.generation = some(index + 1);
+    process.state = static_cast<wire::ProcessState>(some(1));
+    process.window_count = static_cast<std::uint32_t>(some(index + 1));
+    for (std::uint64_t w = 0; w < abi::window_count_max; ++w) {
+      process.window[w].base = some(0x200000000000 + ((index * 8 + w) << 26));
+      process.window[w].bytes = some(std::uint64_t{1} << 26);
+      process.window[w].first = some(0);
+    }
+    name(process.name);
+    const bool has_region = input_.ConsumeIntegralInRange(0, 15) != 0;
+    process.region_count = has_region ? 1 : 0;
+    add(process, Opcode::dump_process, has_region ? region(index + 1) : UniqueFd());
+    ++end.process_count;
+  }
+  UniqueFd region(std::uint64_t generation) {
+    const bool is_short = input_.ConsumeIntegralInRange(0, 15) == 0;
+    UniqueFd fd = memory(is_short ? input_.ConsumeIntegral<std::uint16_t>() : region_bytes);
+    if (is_short) return fd;
+    abi::ClientRegionHeader header{};
+    header.magic.store(abi::client_region_magic);
+    header.fingerprint.store(abi::fingerprint());
+    header.generation.store(generation);
+    require(::pwrite(fd.get(), static_cast<const void*>(&header), sizeof header, 0) ==
+            sizeof header);
+    for (int i = input_.ConsumeIntegralInRange(0, 40); i > 0; --i) {
+      // The header, or the beginning of an extent, or anywhere in one.
+      const std::uint64_t where = input_.ConsumeIntegralInRange<std::uint64_t>(0, 4);
+      const std::uint64_t within =
+          8 * (input_.ConsumeBool() ? input_.ConsumeIntegralInRange<std::uint64_t>(0, 63)
+                                    : input_.ConsumeIntegralInRange<std::uint64_t>(0, 65535));
+      store(fd.get(), where == 0 ? within % abi::page_bytes : extent(where - 1) + within);
+    }
+    return fd;
+  }
+  static std::uint64_t extent(std::uint64_t which) {
+    return abi::page_bytes +
+           which * ((abi::publisher_extent_bytes + abi::page_bytes - 1) & ~(abi::page_bytes - 1));
+  }
+  wire::DumpEndpoint endpoint() {
+    wire::DumpEndpoint endpoint{};
+    endpoint.kind = input_.ConsumeBool() ? wire::Kind::publisher : wire::Kind::subscription;
+    endpoint.topic = static_cast<std::uint32_t>(some(0));
+    endpoint.index = some(input_.ConsumeIntegralInRange<std::uint64_t>(0, 2));
+    endpoint.generation = some(input_.ConsumeIntegralInRange<std::uint64_t>(1, 3));
+    endpoint.member = some(abi::pack_member(endpoint.generation, abi::MemberState::active));
+    endpoint.client = some(input_.ConsumeIntegralInRange<std::uint64_t>(0, 2));
+    endpoint.client_generation = some(endpoint.client + 1);
+    endpoint.extent = input_.ConsumeIntegralInRange(0, 15) == 0
+                          ? input_.ConsumeIntegralInRange<std::uint64_t>(0, 2 * region_bytes)
+                          : extent(input_.ConsumeIntegralInRange<std::uint64_t>(0, 3));
+    endpoint.slot_count = some(input_.ConsumeIntegralInRange<std::uint64_t>(0, 3) * 128);
+    endpoint.first_sequence = some(0);
+    endpoint.quota = some(4);
+    name(endpoint.node);
+    return endpoint;
+  }
+  template <class Body>
+  void add(Body body, Opcode opcode, UniqueFd fd = {}) {
+    body.header = {opcode, sizeof body, 1};
+    std::vector<std::byte> bytes(sizeof body);
+    std::memcpy(bytes.data(), &body, sizeof body);
+    if (input_.ConsumeIntegralInRange(0, 63) == 0)  // another shape
+      bytes.resize(input_.ConsumeIntegralInRange<std::size_t>(1, wire::packet_bytes_max));
+    messages_.push_back({std::move(bytes), std::move(fd)});
+  }
+
+  FuzzedDataProvider& input_;
+  std::vector<Message> messages_;
+};
+
+const std::string& socket_path() {
+  static const std::string path = "/tmp/agnocast-fuzz-" + std::to_string(::getpid());
+  return path;
+}
+
+void serve(PacketListener& listener, const UniqueFd& board, const std::vector<Message>& messages) {
+  Result<std::optional<PacketSocket>> accepted = std::optional<PacketSocket>();
+  while (accepted && !*accepted) accepted = listener.accept();
+  require(accepted.has_value());
+  const PacketSocket& socket = **accepted;
+  wire::Observed observed{};
+  observed.header = {Opcode::observed, sizeof observed, 1};
+  observed.client_region_bytes = region_bytes;
+  const int board_fd = board.get();
+  (void)socket.send(std::as_bytes(std::span(&observed, 1)), {&board_fd, 1}, Wait::yes);
+  for (const Message& message : messages) {
+    const int fd = message.fd.get();
+    for (;;) {  // until it has read enough, or is gone
+      const auto sent = socket.send(message.bytes, {&fd, fd >= 0 ? 1u : 0u});
+      if (!sent || *sent != Sent::would_block) break;
+      std::this_thread::yield();
+    }
+  }
+}
+
+}  // namespace
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+  static PacketListener* const listener = [] {
+    ::unlink(socket_path().c_str());
+    auto made = test::listen_at(socket_path());
+    require(made.has_value());
+    (void)std::atexit([] { ::unlink(socket_path().c_str()); });
+    return new PacketListener(std::move(*made));
+  }();
+  FuzzedDataProvider input(data, size);
+  Script script(input);
+  const UniqueFd board = script.board();
+  const std::vector<Message> messages = script.dump();
+  std::thread daemon([&] { serve(*listener, board, messages); });
+  {
+    auto observer = ctl::Observer::connect(socket_path());
+    require(observer.has_value());
+    if (auto system = observer->look()) {
+      for (const auto& [index, topic] : system->topics) require(index < abi::topic_count_max);
+      const ctl::Audit audit = ctl::audit(*system, observer->region_bytes());
+      for (const ctl::Finding& finding : audit.findings)
+        require(!finding.where.empty() && *journal::sentence_of(finding.invariant) != '\0');
+    }
+  }
+  daemon.join();
+  return 0;
+}

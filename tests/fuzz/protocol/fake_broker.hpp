@@ -1,0 +1,84 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Fake broker: the daemon without sockets. It has the parts of the real one that decide about
+// membership and memory (registry, regions, address plan, obstacles, doorbells, membership), over
+// real memory, and stands in Broker's place around them: a packet comes from a Process and goes to
+// a Process, and the oracle hears what is sent and what became of each request. Quotas and access
+// rules, which are Broker's own, are not there.
+//
+// Everything is made anew for each input.
+#pragma once
+
+#include <base/unique_fd.hpp>
+#include <daemon/address_plan.hpp>
+#include <daemon/membership.hpp>
+#include <daemon/obstacles.hpp>
+
+#include <tests/fuzz/protocol/oracle.hpp>
+#include <tests/fuzz/protocol/processes.hpp>
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+
+namespace agnocast::daemon::fuzz {
+
+/// A descriptor that comes with a packet: the window at `base` as a daemon made it for a user.
+struct BroughtWindow {
+  const UniqueFd* fd = nullptr;
+  std::uint64_t base = 0;
+  std::uint32_t uid = 0;
+};
+
+class FakeBroker final : public Post {
+ public:
+  FakeBroker();
+
+  Processes& processes() { return processes_; }
+  const Registry& registry() const { return registry_; }
+  const AddressPlan& plan() const { return plan_; }
+  Registry::Memory memory() const { return regions_.memory(); }
+  /// The region of a process, as the process itself can write it.
+  std::byte* region(ClientIndex client) const { return regions_.region(client); }
+
+  /// A packet of a process, on the connection that it has or on a new one.
+  void serve(Process& from, std::span<const std::byte> packet, const Envelope& envelope = {},
+             const BroughtWindow* brought = nullptr);
+  /// A packet of the observer.
+  void serve_observer(std::span<const std::byte> packet);
+  void accept_observer() { observer_ = Session(PacketSocket(), PeerIdentity{}); }
+  /// The process ends, and somebody may come in its place.
+  void die(Process& process);
+
+  // --- Post
+  using Post::send;
+  Session* session_of(ClientIndex client) override;
+  std::uint64_t user_namespace_of(ClientIndex) override { return 1; }
+  void send(ClientIndex client, Outgoing packet) override;
+
+ private:
+  Process* process_of(ClientIndex client);
+  void greet(Process& from, const wire::Hello& hello);
+  journal::RejoinDecision decide(const Process& from, const wire::Rejoin& request);
+  void rejoin(Process& from, const wire::Rejoin& request);
+  void open_window(Process& from, const wire::WindowRequest& request);
+  void bring_window(Process& from, const wire::BringWindow& request, const BroughtWindow& brought);
+  void begin_window(Process& owner, const WindowRecord& window);
+  void open_executor(const Process& from, const ExecutorRequest& request);
+  void create(Process& from, const CreateRequest& request);
+  void block(Process& from, const wire::Blocked& request);
+  void revoke(const wire::Revoke& request);
+
+  DescriptorStore store_;
+  Regions regions_;
+  Registry registry_;
+  AddressPlan plan_;
+  Obstacles obstacles_;
+  Doorbells doorbells_;
+  Membership membership_;
+  Processes processes_;
+  Oracle oracle_{processes_};
+  Session observer_{PacketSocket(), PeerIdentity{}};
+};
+
+}  // namespace agnocast::daemon::fuzz

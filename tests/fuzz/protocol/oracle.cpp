@@ -1,0 +1,282 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Oracle: see the header. Rule RU is in three places: no client is given the place of one that
+// somebody knows (greeted), no window is given out that somebody has (window_given), no extent and
+// no place of an endpoint that somebody was told of (create_served).
+
+#include <tests/fuzz/protocol/oracle.hpp>
+
+#include <agnocast/abi/fingerprint.hpp>
+#include <base/check.hpp>
+#include <daemon/registry.hpp>
+
+#include <algorithm>
+#include <cstring>
+#include <iterator>
+
+namespace agnocast::daemon::fuzz {
+
+namespace {
+
+Range extent_of(Kind kind, std::uint64_t at) {
+  return {at, at + (kind == Kind::publisher ? abi::publisher_extent_bytes
+                                            : abi::subscription_extent_bytes)};
+}
+
+wire::Header header_of(const Outgoing& packet) {
+  wire::Header header;
+  AGNOCAST_CHECK(packet.bytes.size() >= sizeof header);
+  AGNOCAST_CHECK(packet.bytes.size() <= wire::packet_bytes_max);
+  std::memcpy(&header, packet.bytes.data(), sizeof header);
+  AGNOCAST_CHECK(header.bytes == packet.bytes.size());
+  AGNOCAST_CHECK(packet.fds.size() <= wire::descriptor_count_max);
+  for (const SharedFd& fd : packet.fds) AGNOCAST_CHECK(fd != nullptr && fd->get() >= 0);
+  return header;
+}
+
+template <class Body>
+Body read(const Outgoing& packet) {
+  AGNOCAST_CHECK(packet.bytes.size() == sizeof(Body));
+  Body body;
+  std::memcpy(static_cast<void*>(&body), packet.bytes.data(), sizeof body);
+  return body;
+}
+
+std::vector<Endpoint>::iterator own_of(Process& who, const wire::Reference& reference) {
+  return std::find_if(who.own.begin(), who.own.end(), [&](const Endpoint& endpoint) {
+    return endpoint.kind == reference.kind && endpoint.topic == reference.topic &&
+           endpoint.index == reference.index && endpoint.generation == reference.generation;
+  });
+}
+
+auto own_of(const Process& who, std::uint64_t generation) {
+  return std::find_if(who.own.begin(), who.own.end(),
+                      [&](const Endpoint& endpoint) { return endpoint.generation == generation; });
+}
+
+/// Whether a statement names what was told: the same one, and not announced once more meanwhile.
+bool is_about(const wire::Unlinked& statement, const Told& told) {
+  return told.generation == statement.generation && told.packet <= statement.seen;
+}
+
+}  // namespace
+
+// --- what the daemon says
+
+void Oracle::hear(Process& to, std::uint64_t number, const Outgoing& packet) {
+  switch (header_of(packet).opcode) {
+    case Opcode::announce:
+      hear_announcement(to, read<wire::Announcement>(packet), number, packet.fds.size());
+      break;
+    case Opcode::window_announced: {
+      const auto body = read<wire::WindowAnnounced>(packet);
+      AGNOCAST_CHECK(packet.fds.size() == 1);
+      AGNOCAST_CHECK(to.regions.count(body.client) == 1);
+      to.regions[body.client].packet = number;
+      to.windows[body.client].push_back({body.base, body.base + body.bytes});
+      break;
+    }
+    case Opcode::endpoint_created:
+      created_ = read<wire::EndpointCreated>(packet);
+      break;
+    case Opcode::done:
+      done_ = true;
+      break;
+    case Opcode::region: {
+      const auto body = read<wire::Reference>(packet);
+      AGNOCAST_CHECK(body.kind == Kind::region);
+      to.regions[body.index] = {number, body.generation, body.index, {}, {}};
+      break;
+    }
+    case Opcode::own:
+      hear_own(to, read<wire::Own>(packet));
+      break;
+    case Opcode::forget:
+      AGNOCAST_CHECK(read<wire::Reference>(packet).kind == Kind::subscription);
+      break;
+    default:
+      break;
+  }
+}
+
+void Oracle::hear_announcement(Process& to, const wire::Announcement& body, std::uint64_t number,
+                               std::size_t fd_count) const {
+  const bool publisher = body.kind == Kind::publisher;
+  AGNOCAST_CHECK(fd_count == 1 + (publisher ? body.window_count : body.doorbell_count));
+  const Told told{number, body.generation, body.client, extent_of(body.kind, body.extent),
+                  abi::unpack_qos(body.qos)};
+  Told& place = to.told[{body.kind, body.topic, body.index}];
+  AGNOCAST_CHECK(place.generation == 0 || place.generation == body.generation);
+  place = told;
+  Told& region = to.regions[body.client];
+  AGNOCAST_CHECK(region.generation == 0 || region.generation == body.client_generation);
+  region = {number, body.client_generation, body.client, {}, {}};
+  if (publisher) {
+    auto& windows = to.windows[body.client];
+    windows.clear();
+    for (std::uint32_t w = 0; w < body.window_count; ++w)
+      windows.push_back({body.window[w].base, body.window[w].base + body.window[w].bytes});
+  }
+  // It is for an endpoint of the addressed process, and that one matches.
+  const auto own = own_of(to, body.own_generation);
+  if (own == to.own.end()) return;  // it is being created and not in the list yet
+  AGNOCAST_CHECK(own->topic == body.topic && own->index == body.own_index &&
+                 own->kind != body.kind);
+  AGNOCAST_CHECK(publisher ? abi::qos_match(told.qos, own->qos)
+                           : abi::qos_match(own->qos, told.qos));
+}
+
+void Oracle::hear_own(const Process& to, const wire::Own& body) {
+  const auto known = own_of(to, body.generation);
+  if (known == to.own.end()) {
+    // Drained, and somebody else has not let go yet: its process says so once more.
+    AGNOCAST_CHECK(to.drained.count(body.generation) == 1 && body.active == 0);
+    return;
+  }
+  AGNOCAST_CHECK(known->creation == body.creation && known->left == (body.active == 0));
+  ++own_said_;
+}
+
+void Oracle::check_whole(const std::vector<Outgoing>& packets, Opcode last) {
+  AGNOCAST_CHECK(!packets.empty());
+  for (const Outgoing& packet : packets)
+    AGNOCAST_CHECK((header_of(packet).opcode == last) == (&packet == &packets.back()));
+}
+
+// --- what became of a request
+
+void Oracle::greeted(Process& who, ClientIndex client, std::uint64_t generation) {
+  for (const Process& process : processes_) {
+    AGNOCAST_CHECK(process.client != client);
+    if (process.client) AGNOCAST_CHECK(process.regions.count(number(client)) == 0);
+  }
+  who.client = client;
+  who.generation = generation;
+}
+
+void Oracle::check_rejoin(const Process& who, const wire::Rejoin& request,
+                          journal::RejoinDecision decision) const {
+  const bool is_true = request.fingerprint == abi::fingerprint() &&
+                       request.incarnation == incarnation && who.client &&
+                       number(*who.client) == request.client &&
+                       who.generation == request.client_generation;
+  if (is_true && who.revoked) AGNOCAST_CHECK(decision == journal::RejoinDecision::revoked);
+  AGNOCAST_CHECK((decision == journal::RejoinDecision::take_back) == (is_true && !who.revoked));
+}
+
+void Oracle::begin_welcome_back(Process& who) {
+  for (auto& [subject, told] : who.told) told.packet = 0;
+  for (auto& [owner, told] : who.regions) told.packet = 0;
+  own_said_ = 0;
+}
+
+void Oracle::end_welcome_back(const Process& who) const {
+  AGNOCAST_CHECK(own_said_ == who.own.size());
+  // Of its own region a process is told with its endpoints alone.
+  for (const auto& [owner, told] : who.regions)
+    AGNOCAST_CHECK(told.packet != 0 || owner == number(*who.client));
+}
+
+void Oracle::check_not_blocked(const Process& who, const Range& window) {
+  for (const Range& blocked : who.blocked) AGNOCAST_CHECK(!blocked.meets(window));
+}
+
+void Oracle::window_given(Process& who, const Range& window) {
+  for (const Process& process : processes_) {
+    for (const Range& own : process.heap) AGNOCAST_CHECK(!own.meets(window));
+    for (const auto& [client, windows] : process.windows) {
+      for (const Range& other : windows) AGNOCAST_CHECK(!process.client || !other.meets(window));
+    }
+  }
+  who.heap.push_back(window);
+}
+
+const Endpoint* Oracle::created_before(const Process& who, const CreateRequest& request) const {
+  const auto found = std::find_if(who.own.begin(), who.own.end(), [&](const Endpoint& endpoint) {
+    return endpoint.creation == request.request && endpoint.kind == request.kind;
+  });
+  return found == who.own.end() ? nullptr : &*found;
+}
+
+void Oracle::check_answered_again(const Endpoint& endpoint) const {
+  AGNOCAST_CHECK(created_.generation == endpoint.generation && created_.index == endpoint.index);
+}
+
+void Oracle::create_served(Process& who, const CreateRequest& request, bool was_made) {
+  if (!was_made) {
+    AGNOCAST_CHECK(created_.generation == 0);
+    return;
+  }
+  AGNOCAST_CHECK(created_.generation > last_generation_);
+  last_generation_ = created_.generation;
+  const Range extent = extent_of(request.kind, created_.extent);
+  AGNOCAST_CHECK(extent.from >= abi::page_bytes && extent.to <= Registry::client_region_bytes);
+  for (const Process& process : processes_) {
+    if (!process.client) continue;
+    const auto same = process.told.find({request.kind, created_.topic, created_.index});
+    if (same != process.told.end()) AGNOCAST_CHECK(same->second.generation == created_.generation);
+    for (const auto& [subject, told] : process.told) {
+      if (told.generation != created_.generation && told.owner == number(*who.client))
+        AGNOCAST_CHECK(!told.extent.meets(extent));
+    }
+  }
+  for (const Endpoint& other : who.own) AGNOCAST_CHECK(!other.extent.meets(extent));
+  who.created.insert(request.request);
+  who.own.push_back({request.kind, created_.topic, created_.index, created_.generation, extent,
+                     request.qos, request.request, false});
+}
+
+void Oracle::leave_served(Process& who, const LeaveRequest& request, bool accepted) const {
+  AGNOCAST_CHECK(accepted == done_);
+  if (!accepted) return;
+  const auto left = own_of(who, request.reference);
+  AGNOCAST_CHECK(request.again || (left != who.own.end() && !left->left));
+  if (left != who.own.end()) left->left = true;
+}
+
+// docs/control-plane.md, leaving: of what else a `drained` speaks.
+void Oracle::drained_served(Process& who, const DrainedRequest& request, bool accepted) const {
+  AGNOCAST_CHECK(accepted == done_);
+  if (!accepted) return;
+  const auto gone = own_of(who, request.reference);
+  if (request.again && gone == who.own.end()) return;
+  AGNOCAST_CHECK(gone != who.own.end() && gone->left);
+  const Endpoint endpoint = *gone;
+  who.drained.insert(endpoint.generation);
+  who.own.erase(gone);
+  const Kind others = endpoint.kind == Kind::publisher ? Kind::subscription : Kind::publisher;
+  for (auto at = who.told.begin(); at != who.told.end();) {
+    const auto& [subject, told] = *at;
+    bool over = subject.kind == others && subject.topic == endpoint.topic;
+    for (const Endpoint& other : who.own) {
+      if (!over || other.topic != endpoint.topic || other.kind != endpoint.kind) continue;
+      over = others == Kind::publisher ? !abi::qos_match(told.qos, other.qos) : false;
+    }
+    at = over ? who.told.erase(at) : std::next(at);
+  }
+}
+
+void Oracle::unlinked(Process& who, const wire::Unlinked& statement) {
+  if (statement.kind == Kind::region) {
+    const auto found = who.regions.find(statement.index);
+    if (found == who.regions.end() || !is_about(statement, found->second)) return;
+    who.regions.erase(found);
+    who.windows.erase(statement.index);
+    return;
+  }
+  const auto found = who.told.find({statement.kind, statement.topic, statement.index});
+  if (found != who.told.end() && is_about(statement, found->second)) who.told.erase(found);
+}
+
+void Oracle::revoked(Process& who) {
+  who.revoked = true;
+  who.told.clear();
+  who.regions.clear();
+  who.windows.clear();
+  who.own.clear();
+  who.drained.clear();
+  who.created.clear();
+  who.blocked.clear();
+}
+
+}  // namespace agnocast::daemon::fuzz

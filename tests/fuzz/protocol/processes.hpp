@@ -1,0 +1,76 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Processes: five of two users, and of each what an honest one would know: what it has, and what it
+// was told of and has not let go of. The oracle writes that down, from packets alone; the fake
+// broker keeps the connection; the scenario reads what a process can speak of.
+#pragma once
+
+#include <agnocast/abi/client_region.hpp>
+#include <agnocast/abi/wire.hpp>
+#include <agnocast/abi/words.hpp>
+#include <daemon/session.hpp>
+#include <daemon/tables.hpp>
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <optional>
+#include <set>
+#include <vector>
+
+namespace agnocast::daemon::fuzz {
+
+using wire::Kind;
+using wire::Opcode;
+
+// So few windows that they are used again and again. No window is ever mapped at its address.
+inline constexpr std::uint64_t arena_base = std::uint64_t{1} << 45, window_bytes = 2 << 20,
+                               window_count = 8;
+// Of the one daemon that all of them speak to.
+inline constexpr std::uint64_t incarnation = 1;
+
+struct Range {
+  std::uint64_t from = 0, to = 0;
+  bool meets(const Range& other) const { return from < other.to && other.from < to; }
+};
+inline Range window_at(std::uint64_t base) { return {base, base + window_bytes}; }
+
+/// What a process was told of another's endpoint or region.
+struct Told {
+  std::uint64_t packet = 0, generation = 0;
+  std::uint64_t owner = 0;  // client
+  Range extent;             // in the owner's region
+  abi::Qos qos;
+};
+
+/// An endpoint of the process itself.
+struct Endpoint {
+  Kind kind = Kind::publisher;
+  std::uint32_t topic = 0;
+  std::uint64_t index = 0, generation = 0;
+  Range extent;
+  abi::Qos qos;
+  std::uint64_t creation = 0;  // id of the request
+  bool left = false;
+};
+
+struct Process {
+  std::unique_ptr<Session> session;  // none after the connection has ended
+  std::optional<ClientIndex> client;
+  std::uint64_t generation = 0;
+  std::uint32_t uid = 0;
+  std::map<Announced, Told> told;
+  std::map<std::uint64_t, Told> regions;                // by client
+  std::map<std::uint64_t, std::vector<Range>> windows;  // by client
+  std::vector<Endpoint> own;
+  std::vector<Range> heap;          // its own windows
+  std::vector<Range> blocked;       // where it can have none
+  bool revoked = false;             // and has not ended
+  std::set<std::uint64_t> drained;  // generations that were its own
+  std::set<std::uint64_t> created;  // ids of the requests that made its endpoints, drained or not
+};
+using Processes = std::array<Process, 5>;
+
+}  // namespace agnocast::daemon::fuzz

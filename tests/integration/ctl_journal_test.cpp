@@ -1,0 +1,191 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: agnocast-ctl journal tells what the daemon decided and why, over deaths and restarts. Method: as
+// ctl_test.cpp.
+
+#include <tests/integration/ctl_node.hpp>
+#include <tests/support/ctl.hpp>
+#include <tests/support/daemon_process.hpp>
+
+#include <gmock/gmock.h>
+#include <signal.h>
+#include <sys/stat.h>
+
+#include <algorithm>
+#include <cstdio>
+#include <sstream>
+#include <string>
+#include <vector>
+
+namespace agnocast::test {
+namespace {
+
+using abi::Qos;
+using testing::HasSubstr;
+using testing::MatchesRegex;
+using wire::Opcode;
+using M = SharedMemory;
+using Node = CtlNode;
+
+// A publisher and its process, dead with a message that was begun and not committed.
+pid_t die_while_publishing(const std::string& socket) {
+  const pid_t pid = ::fork();
+  if (pid == 0) {
+    Node dying(socket);
+    const auto p = dying.publisher("/points");
+    const dataplane::PublisherWords<M> words{dying.region.base(), p.extent};
+    words.intent_sequence().store(p.first_sequence + 1);
+    words.intent_slot().store(0);
+    words.intent_op().store(abi::intent_publish);
+    ::raise(SIGKILL);
+  }
+  ::waitpid(pid, nullptr, 0);
+  return pid;
+}
+
+// Times differ; everything behind them does not.
+std::string without_times(const std::string& text) {
+  std::string result;
+  std::istringstream lines(text);
+  for (std::string line; std::getline(lines, line);) {
+    EXPECT_THAT(line.substr(0, 12), MatchesRegex("[0-9][0-9]:[0-9][0-9]:[0-9][0-9].[0-9]+"));
+    result += line.substr(std::min<std::size_t>(line.size(), 13)) + '\n';
+  }
+  return result;
+}
+
+TEST(CtlJournal, TellsADeathAndWhatItLeft) {
+  DaemonProcess daemon;
+  const std::string& socket = daemon.socket_path();
+  const std::string pid = std::to_string(die_while_publishing(socket));
+  ASSERT_TRUE(eventually([&] {
+    return run_ctl(socket, {"journal"}).out.find("topic /points: is over") != std::string::npos;
+  }));
+  const std::string process = "process 0 (wire_client, pid " + pid + "): ";
+  const std::string publisher = "publisher 0 of /points (wire_client, pid " + pid + "): ";
+  const CtlResult all = run_ctl(socket, {"journal"});
+  EXPECT_EQ(all.status, 0) << all.err;
+  EXPECT_EQ(all.err, "");
+  EXPECT_EQ(without_times(all.out),
+            "#1 " + process + "joined, uid " + std::to_string(::geteuid()) +
+                ", domain 0\n"
+                "#2 topic /points: created\n"
+                "#3 " +
+                publisher + "created, 384 slots\n#4 " + process + "died\n#5 " + publisher +
+                "ended with its process, last message rolled back\n#6 " + process +
+                "has let go of everything of others\n#7 " + publisher +
+                "is over, its place is free\n#8 topic /points: is over: nobody publishes or "
+                "subscribes there\n#9 " +
+                process + "is over, its place is free\n");
+  EXPECT_EQ(without_times(run_ctl(socket, {"journal", "-n", "2"}).out).substr(0, 3), "#8 ");
+  const std::string of_topic = run_ctl(socket, {"journal", "--topic", "points", "-n", "1"}).out;
+  EXPECT_THAT(of_topic, HasSubstr("#8 topic /points"));
+  const std::string of_process = run_ctl(socket, {"journal", "--process", pid}).out;
+  EXPECT_THAT(of_process, HasSubstr("died\n"));
+  EXPECT_EQ(of_process.find("topic /points:"), std::string::npos);
+  EXPECT_EQ(run_ctl(socket, {"journal", "--process", "nobody"}).out, "");
+
+  const auto json = run_ctl(socket, {"journal", "-j"}).json();
+  EXPECT_EQ(json["schema"], "agnocast.journal/1");
+  EXPECT_EQ(json["oldest"], 1);
+  EXPECT_EQ(json["newest"], 9);
+  ASSERT_EQ(json["records"].size(), 9u);
+  const auto& ended = json["records"][4];
+  EXPECT_EQ(ended["lsn"], 5);
+  EXPECT_EQ(ended["type"], "leave_publisher");
+  EXPECT_EQ(ended["state"], "applied");
+  EXPECT_EQ(ended["topic"], "/points");
+  EXPECT_EQ(std::to_string(ended["process"]["pid"].get<int>()), pid);
+  EXPECT_TRUE(ended["receiver"].is_null());
+  EXPECT_EQ(ended["arguments"]["cause"], 2);
+  EXPECT_EQ(ended["text"], publisher + "ended with its process, last message rolled back");
+  EXPECT_THAT(ended["time"].get<std::string>(), MatchesRegex("[0-9]+-[0-9]+-[0-9]+T[0-9:.]+Z"));
+
+  const auto counters = run_ctl(socket, {"status", "-j"}).json()["counters"];
+  EXPECT_EQ(counters["processes_reaped"], 1);
+  EXPECT_EQ(counters["processes_died"], 1);
+  EXPECT_EQ(counters["intents_rolled_back"], 1);
+  EXPECT_EQ(counters["intents_corrupt"], 0);
+  EXPECT_THAT(
+      run_ctl(socket, {"status"}).out,
+      HasSubstr("deaths         1 process: 1 died, 0 let go, 0 revoked\nintents        1 "
+                "rolled back, 0 rolled forward, 0 corrupt\nrestarts       0 of the daemon"));
+}
+
+TEST(CtlJournal, GoesOnOverARestartAndTellsIt) {
+  DaemonProcess daemon;
+  const std::string& socket = daemon.socket_path();
+  die_while_publishing(socket);
+  const auto counters = [&] { return run_ctl(socket, {"status", "-j"}).json()["counters"]; };
+  ASSERT_TRUE(eventually([&] { return counters()["processes_died"] == 1; }));
+  const pid_t old = daemon.kill_worker();
+  ASSERT_TRUE(daemon.wait_for_next(old)) << daemon.log();
+  const auto after = counters();
+  EXPECT_EQ(after["processes_died"], 1) << "counters outlive the daemon";
+  EXPECT_EQ(after["intents_rolled_back"], 1);
+  EXPECT_EQ(after["restarts"], 1);
+  const std::string out = run_ctl(socket, {"journal"}).out;
+  EXPECT_THAT(out, HasSubstr("last message rolled back\n")) << "and so does the journal";
+  EXPECT_THAT(out, HasSubstr("agnocastd (pid " + std::to_string(daemon.pid()) +
+                             "): took over, nothing was under way, 0 processes had died, 0 words "
+                             "of the board written again\n"));
+}
+
+TEST(CtlJournal, SaysThatOlderOnesAreOverwritten) {
+  DaemonProcess daemon;
+  Node a(daemon.socket_path());
+  // A topic that comes and goes is four records.
+  for (int i = 0; i < 1100; ++i) {
+    const auto p = a.publisher("/points");
+    a.wire.reference(Opcode::leave, wire::Kind::publisher, p.topic, p.index, p.generation);
+    a.wire.reference(Opcode::drained, wire::Kind::publisher, p.topic, p.index, p.generation);
+  }
+  const auto lines = [&](std::vector<std::string> words) {
+    words.insert(words.begin(), "journal");
+    const std::string out = run_ctl(daemon.socket_path(), std::move(words)).out;
+    return std::pair(out.substr(0, out.find('\n')), std::count(out.begin(), out.end(), '\n'));
+  };
+  const auto all = lines({"-n", "100000"});
+  EXPECT_THAT(all.first, MatchesRegex("what was before #[0-9]+ has been overwritten"));
+  EXPECT_EQ(all.second, 4096 + 1);
+  EXPECT_EQ(lines({}).second, 20) << "more is there, and was not asked for";
+  EXPECT_THAT(lines({"--process", "nobody"}).first, HasSubstr("has been overwritten"));
+}
+
+TEST(CtlJournal, GoesOnWithWhatComes) {
+  DaemonProcess daemon;
+  Node a(daemon.socket_path());
+  int ends[2];
+  ASSERT_EQ(::pipe2(ends, O_CLOEXEC), 0);
+  const UniqueFd reader(ends[0]);
+  UniqueFd writer(ends[1]);
+  const pid_t pid = ::fork();
+  if (pid == 0) {
+    ::dup2(writer.get(), STDOUT_FILENO);
+    ::execl(AGNOCAST_TEST_CTL, AGNOCAST_TEST_CTL, "journal", "--follow", "--socket",
+            daemon.socket_path().c_str(), nullptr);
+    ::_exit(98);
+  }
+  writer.reset();
+  std::string out;
+  const auto read_until = [&](const std::string& wanted) {
+    char buffer[4096];
+    while (out.find(wanted) == std::string::npos) {
+      const ssize_t count = ::read(reader.get(), buffer, sizeof buffer);
+      if (count <= 0) break;
+      out.append(buffer, static_cast<std::size_t>(count));
+    }
+  };
+  read_until("joined");
+  EXPECT_THAT(out, HasSubstr("joined"));
+  a.publisher("/one");
+  read_until("publisher 0 of /one");
+  a.publisher("/two");
+  read_until("publisher 0 of /two");
+  ::kill(pid, SIGTERM);
+  ::waitpid(pid, nullptr, 0);
+  EXPECT_EQ(std::count(out.begin(), out.end(), '\n'), 5) << out;
+}
+
+}  // namespace
+}  // namespace agnocast::test

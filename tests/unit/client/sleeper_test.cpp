@@ -1,0 +1,151 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: a sleep is ended by whoever wakes it, in however many memberships it has a place, also in none; and a
+// child of fork that destroys its copy changes nothing. Method: real epoll sets and forks, a page as the
+// client region, bells as the daemon makes them.
+
+#include <client/sleeper.hpp>
+
+#include <client/forked_child.hpp>
+#include <tests/support/child.hpp>
+
+#include <gtest/gtest.h>
+#include <sys/epoll.h>
+#include <sys/eventfd.h>
+#include <sys/mman.h>
+#include <sys/resource.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <memory>
+#include <utility>
+
+namespace agnocast {
+namespace {
+
+/// One membership: a client region, and whoever rings.
+struct Member {
+  Member()
+      : region(static_cast<std::byte*>(::mmap(nullptr, abi::page_bytes, PROT_READ | PROT_WRITE,
+                                              MAP_SHARED | MAP_ANONYMOUS, -1, 0))),
+        eventfd(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
+    int pair[2];
+    if (::socketpair(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0, pair) != 0)
+      std::abort();
+    datagram.reset(pair[0]);
+    place = std::make_shared<Sleeper::Place>(
+        region, 0, DoorbellReceiver(UniqueFd(::dup(eventfd.get())), UniqueFd(pair[1])));
+  }
+  ~Member() { ::munmap(region, abi::page_bytes); }
+  Member(const Member&) = delete;
+  Member& operator=(const Member&) = delete;
+
+  void ring() const {
+    const std::uint64_t one = 1;
+    EXPECT_EQ(::write(eventfd.get(), &one, sizeof one), static_cast<ssize_t>(sizeof one));
+  }
+  bool is_armed() const {
+    return SharedMemory::word(region, offsetof(abi::ClientRegionHeader, executor)).load() % 2 == 1;
+  }
+
+  std::byte* const region;
+  UniqueFd eventfd, datagram;
+  std::shared_ptr<Sleeper::Place> place;
+};
+
+struct Set {
+  bool has_news() const {
+    epoll_event event{};
+    return ::epoll_wait(fd.get(), &event, 1, 0) == 1;
+  }
+  UniqueFd fd{::epoll_create1(EPOLL_CLOEXEC)};
+};
+
+class SleeperTest : public testing::Test {
+ protected:
+  static void SetUpTestSuite() { ASSERT_TRUE(recognise_forked_children()); }
+  std::shared_ptr<Sleeper> sleeper_ = Sleeper::make().value();
+  Set set_;
+};
+
+TEST_F(SleeperTest, IsWokenWithoutAnyPlace) {
+  ASSERT_TRUE(sleeper_->add_to(set_.fd.get(), 1, 2));
+  EXPECT_FALSE(set_.has_news());
+  sleeper_->wake();
+  EXPECT_TRUE(set_.has_news());
+  EXPECT_FALSE(set_.has_news()) << "once";
+  sleeper_->remove_from(set_.fd.get());
+  sleeper_->wake();
+  EXPECT_FALSE(set_.has_news());
+}
+
+TEST_F(SleeperTest, IsWokenByAPlaceThatComesOrGoesAlsoTheLast) {
+  const Member first, second;
+  ASSERT_TRUE(sleeper_->add_to(set_.fd.get(), 1, 2));
+  ASSERT_TRUE(sleeper_->add(&first, first.place));
+  EXPECT_TRUE(set_.has_news());
+  ASSERT_TRUE(sleeper_->add(&second, second.place));
+  EXPECT_TRUE(set_.has_news());
+  for (const Member* const member : {&first, &second}) {
+    EXPECT_FALSE(set_.has_news());
+    member->ring();
+    EXPECT_TRUE(set_.has_news());
+  }
+  for (const Member* const member : {&first, &second}) {
+    sleeper_->remove(member);
+    EXPECT_TRUE(set_.has_news());
+    member->ring();
+    EXPECT_FALSE(set_.has_news()) << "it is not in the set any more";
+  }
+}
+
+TEST_F(SleeperTest, EverySetHasEveryBell) {
+  const Member member;
+  const Set other;
+  ASSERT_TRUE(sleeper_->add(&member, member.place));
+  ASSERT_TRUE(sleeper_->add_to(set_.fd.get(), 1, 2));
+  ASSERT_TRUE(sleeper_->add_to(other.fd.get(), 1, 2));
+  while (set_.has_news() || other.has_news()) {
+  }
+  member.ring();
+  EXPECT_TRUE(set_.has_news() && other.has_news());
+  sleeper_->wake();
+  EXPECT_TRUE(set_.has_news() && other.has_news());
+}
+
+TEST_F(SleeperTest, AChildThatDestroysItsCopyLeavesTheParentAsleepAndWithItsBells) {
+  const Member member;
+  ASSERT_TRUE(sleeper_->add(&member, member.place));
+  ASSERT_TRUE(sleeper_->add_to(set_.fd.get(), 1, 2));
+  while (set_.has_news()) {
+  }
+  sleeper_->arm();
+  ASSERT_TRUE(member.is_armed());
+  test::Child child([&] {
+    sleeper_.reset();
+    return 0;
+  });
+  EXPECT_EQ(child.wait(), 0);
+  EXPECT_TRUE(member.is_armed());
+  member.ring();
+  EXPECT_TRUE(set_.has_news());
+  sleeper_->wake();
+  EXPECT_TRUE(set_.has_news());
+  sleeper_->disarm();
+  EXPECT_FALSE(member.is_armed());
+}
+
+TEST_F(SleeperTest, WhatCannotBeMadeIsSaid) {
+  rlimit before{};
+  ASSERT_EQ(::getrlimit(RLIMIT_NOFILE, &before), 0);
+  const rlimit none{0, before.rlim_max};
+  ASSERT_EQ(::setrlimit(RLIMIT_NOFILE, &none), 0);
+  const auto refused = Sleeper::make();
+  ASSERT_EQ(::setrlimit(RLIMIT_NOFILE, &before), 0);
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().code, Errc::os_failure);
+  EXPECT_EQ(refused.error().os_errno, EMFILE);
+}
+
+}  // namespace
+}  // namespace agnocast

@@ -1,0 +1,156 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: a claimed region says that its process lives, as long as it does and no longer, and nobody else can
+// say it. Method: memfds as the daemon makes them, real processes, real SIGKILL.
+
+#include <client/sparse_region.hpp>
+
+#include <base/memfd.hpp>
+#include <client/forked_child.hpp>
+#include <tests/support/child.hpp>
+
+#include <fcntl.h>
+#include <gtest/gtest.h>
+#include <sys/mman.h>
+
+#include <atomic>
+#include <cerrno>
+#include <csignal>
+#include <new>
+#include <utility>
+#include <vector>
+
+namespace agnocast {
+namespace {
+
+constexpr std::uint64_t region_bytes = std::uint64_t{1} << 20;
+
+/// One process has it to write, others to read.
+struct Region {
+  UniqueFd writer = make_memfd("region", region_bytes).value();
+
+  SparseRegion owned() const {
+    UniqueFd fd(::fcntl(writer.get(), F_DUPFD_CLOEXEC, 0));
+    return SparseRegion::make(std::move(fd), region_bytes, Mapping::Access::read_write).value();
+  }
+  SparseRegion read() const {
+    return SparseRegion::make(reopen_read_only(writer.get()).value(), region_bytes,
+                              Mapping::Access::read)
+        .value();
+  }
+};
+
+class SparseRegionClaim : public testing::Test {
+ protected:
+  static void SetUpTestSuite() { ASSERT_TRUE(recognise_forked_children()); }
+};
+
+/// What a child has found out, for its parent.
+struct Answer {
+  std::atomic<int> word{0};
+  static Answer& make() {
+    void* const page =
+        ::mmap(nullptr, 4096, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
+    return *new (page) Answer;
+  }
+  int wait() const {
+    while (word.load() == 0) ::usleep(1000);
+    return word.load();
+  }
+};
+
+TEST_F(SparseRegionClaim, IsSeenByReadersUntilTheRegionIsLetGoOf) {
+  const Region region;
+  const SparseRegion reader = region.read();
+  EXPECT_FALSE(reader.is_claimed());
+  SparseRegion owned = region.owned();
+  ASSERT_TRUE(owned.open(0, abi::page_bytes));
+  ASSERT_TRUE(owned.claim());
+  EXPECT_TRUE(reader.is_claimed());
+  SparseRegion moved = std::move(owned);
+  owned = {};
+  EXPECT_TRUE(reader.is_claimed());
+  moved = {};
+  EXPECT_FALSE(reader.is_claimed()) << "the daemon has its descriptor still";
+}
+
+TEST_F(SparseRegionClaim, EndsWithItsProcessAlthoughAChildOfItLives) {
+  Region region;
+  const SparseRegion reader = region.read();
+  Answer& grandchild = Answer::make();
+  {
+    const test::Child owner([&] {
+      SparseRegion owned(
+          SparseRegion::make(std::move(region.writer), region_bytes, Mapping::Access::read_write)
+              .value());
+      if (!owned.open(0, abi::page_bytes) || !owned.claim()) return 1;
+      // It says so itself: when fork has returned in it, it has let go of the lock.
+      if (::fork() == 0) grandchild.word.store(::getpid());
+      return test::sleep_for_ever();
+    });
+    region.writer.reset();  // a daemon whose store is lost has none
+    grandchild.wait();
+    EXPECT_TRUE(reader.is_claimed());
+  }
+  // Its end is when its parent can reap it; the grandchild lives.
+  EXPECT_FALSE(reader.is_claimed());
+  EXPECT_EQ(::kill(grandchild.word.load(), 0), 0) << "or this test shows nothing";
+  ::kill(grandchild.word.load(), SIGKILL);
+}
+
+TEST_F(SparseRegionClaim, CannotBeFeignedByAReader) {
+  const Region region;
+  const SparseRegion reader = region.read();
+  const UniqueFd liar = reopen_read_only(region.writer.get()).value();
+  struct flock lock {};
+  lock.l_type = F_RDLCK;
+  ASSERT_EQ(::fcntl(liar.get(), F_OFD_SETLK, &lock), 0);
+  EXPECT_FALSE(reader.is_claimed());
+  lock.l_type = F_WRLCK;
+  EXPECT_NE(::fcntl(liar.get(), F_OFD_SETLK, &lock), 0);
+}
+
+TEST_F(SparseRegionClaim, IsRefusedWhereItCannotBeSaid) {
+  const Region region;
+  const UniqueFd other = reopen_read_only(region.writer.get()).value();
+  struct flock lock {};
+  lock.l_type = F_RDLCK;
+  ASSERT_EQ(::fcntl(other.get(), F_OFD_SETLK, &lock), 0);
+  SparseRegion owned = region.owned();
+  const Result<void> refused = owned.claim();
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().code, Errc::os_failure);
+  EXPECT_EQ(refused.error().os_errno, EAGAIN);
+}
+
+TEST_F(SparseRegionClaim, LeavesADescriptorOfTheSameNumberToLaterChildren) {
+  {
+    const Region region;
+    SparseRegion owned = region.owned();
+    ASSERT_TRUE(owned.claim());
+  }
+  std::vector<UniqueFd> all;  // one of them has the number
+  for (int i = 0; i < 16; ++i) all.emplace_back(::open("/dev/null", O_RDONLY | O_CLOEXEC));
+  test::Child child([&] {
+    for (const UniqueFd& fd : all) {
+      if (::fcntl(fd.get(), F_GETFD) < 0) return 1;
+    }
+    return 0;
+  });
+  EXPECT_EQ(child.wait(), 0);
+}
+
+TEST_F(SparseRegionClaim, OfMoreThanSixtyFourRegionsAtOnceIsRefused) {
+  std::vector<Region> regions(65);
+  std::vector<SparseRegion> owned;
+  for (const Region& region : regions) owned.push_back(region.owned());
+  for (std::size_t i = 0; i < 64; ++i) ASSERT_TRUE(owned[i].claim()) << i;
+  const Result<void> refused = owned[64].claim();
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().code, Errc::limit_reached);
+  owned[10] = {};
+  EXPECT_TRUE(owned[64].claim());
+}
+
+}  // namespace
+}  // namespace agnocast
