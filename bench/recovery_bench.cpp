@@ -4,13 +4,6 @@
 // supervisor, SIGKILL. It asserts no time; what does not happen within ten seconds ends it with a
 // sentence. Without options it is over within two minutes, and what the large heap takes.
 //
-//   recovery_bench [--rounds=200] [--large-mib=1024] [--large-seconds=300] [--idle=100] [--json=FILE]
-//     rounds      deaths of each kind of client; half as many with the large heap, a quarter with idle neighbours, and a quarter of the daemon
-//     large-mib   what the large heap has mapped and touched
-//     large-seconds   for the deaths of each kind of client with it: touching a GiB and taking it down is most of a second,
-//                     and a 99th percentile needs a hundred
-//     idle        processes that are connected and do nothing, in the last part
-//
 // This process is the peer of whoever dies: it subscribes to the dying publisher and publishes to the
 // dying subscriber. All durations begin before kill():
 //   ended    its pidfd is readable: the kernel has taken its memory down. What comes before is not ours
@@ -35,6 +28,7 @@
 #include <base/pidfd.hpp>
 
 #include <fcntl.h>
+#include <getopt.h>
 #include <gtest/gtest.h>
 #include <poll.h>
 #include <sys/prctl.h>
@@ -61,14 +55,6 @@ constexpr std::chrono::microseconds look_every{100};
 constexpr std::chrono::milliseconds between_restarts{200};
 constexpr std::size_t restarts_in_a_row = 5;
 constexpr std::size_t small_bytes = 1000;
-
-std::string option(const char* name, const char* otherwise, int argc, char** argv) {
-  const std::string prefix = std::string("--") + name + "=";
-  for (int i = 1; i < argc; ++i) {
-    if (std::strncmp(argv[i], prefix.c_str(), prefix.size()) == 0) return argv[i] + prefix.size();
-  }
-  return otherwise;
-}
 
 [[noreturn]] void give_up(const std::string& what) {
   std::fprintf(stderr, "recovery_bench: %s\n", what.c_str());
@@ -349,14 +335,76 @@ class Bench {
   Figures figures_;
 };
 
-int run(int argc, char** argv) {
-  const auto number = [&](const char* name, const char* otherwise) {
-    return static_cast<std::size_t>(
-        std::strtoull(option(name, otherwise, argc, argv).c_str(), nullptr, 10));
+constexpr const char* usage =
+    "usage: recovery_bench [OPTION]...\n"
+    "Measures what a death of a client or of agnocastd costs those who live.\n\n"
+    "  --rounds=200         deaths of each kind of client; half as many with the large heap, a "
+    "quarter\n"
+    "                       with idle neighbours, and a quarter of the daemon\n"
+    "  --large-mib=1024     what the large heap has mapped and touched, MiB\n"
+    "  --large-seconds=300  at most this long for the deaths of each kind of client with it: one "
+    "takes\n"
+    "                       most of a second, and a 99th percentile needs a hundred\n"
+    "  --idle=100           processes that are connected and do nothing, in the last part\n"
+    "  --json=FILE          writes the figures there as well\n"
+    "  --help               this text\n\n"
+    "Exit status: 0 measured, 1 something did not happen in time, 2 the command line is wrong.\n";
+
+struct Options {
+  std::size_t rounds = 200, large_mib = 1024, large_seconds = 300, idle = 100;
+  std::string json;
+};
+
+[[noreturn]] void refuse(const std::string& what) {
+  std::fprintf(stderr, "%shint: recovery_bench --help\n", what.c_str());
+  std::exit(2);
+}
+
+Options parse(int argc, char** argv) {
+  // Above the greatest, nothing can be multiplied beyond its type; no machine gets there.
+  constexpr unsigned long number_max = 1'000'000;
+  static constexpr ::option known[] = {{"rounds", required_argument, nullptr, 'r'},
+                                       {"large-mib", required_argument, nullptr, 'm'},
+                                       {"large-seconds", required_argument, nullptr, 's'},
+                                       {"idle", required_argument, nullptr, 'i'},
+                                       {"json", required_argument, nullptr, 'j'},
+                                       {"help", no_argument, nullptr, 'h'},
+                                       {nullptr, 0, nullptr, 0}};
+  Options options;
+  int index = 0;
+  for (int found; (found = ::getopt_long(argc, argv, "", known, &index)) != -1;) {
+    if (found == '?') refuse("");  // getopt_long has said what is wrong
+    if (found == 'h') {
+      std::fputs(usage, stdout);
+      std::exit(0);
+    }
+    if (found == 'j') {
+      options.json = optarg;
+      continue;
+    }
+    char* end = nullptr;
+    const unsigned long number = std::strtoul(optarg, &end, 10);
+    // A crowd may be none; everything else is needed.
+    if (optarg[0] < '0' || optarg[0] > '9' || *end != '\0' || number > number_max ||
+        (number == 0 && found != 'i'))
+      refuse(std::string("recovery_bench: --") + known[index].name + "=" + optarg +
+             ": expected a whole number from " + (found == 'i' ? "0" : "1") + " to " +
+             std::to_string(number_max) + "\n");
+    (found == 'r'   ? options.rounds
+     : found == 'm' ? options.large_mib
+     : found == 's' ? options.large_seconds
+                    : options.idle) = number;
+  }
+  if (optind < argc)
+    refuse(std::string("recovery_bench: unexpected argument '") + argv[optind] + "'\n");
+  return options;
+}
+
+int run(const Options& options) {
+  const auto& [rounds, large_mib, large_seconds, idle, json] = options;
+  const auto part = [rounds = rounds](std::size_t of) {
+    return std::max<std::size_t>(rounds / of, 1);
   };
-  const std::size_t rounds = number("rounds", "200"), large_mib = number("large-mib", "1024"),
-                    large_seconds = number("large-seconds", "300"), idle = number("idle", "100");
-  const auto part = [&](std::size_t of) { return std::max<std::size_t>(rounds / of, 1); };
   ::prctl(PR_SET_TIMERSLACK, 1UL);
   test::DaemonProcess daemon({.config = "[daemon]\nlog_level = \"debug\"\n"
                                         "[heap]\nwindow_bytes = \"4GiB\"\n"});
@@ -382,7 +430,6 @@ int run(int argc, char** argv) {
   bench.publisher_deaths(part(4), small_bytes, crowd, 6 * unit);
   bench.subscriber_deaths(part(4), small_bytes, crowd, 6 * unit);
   bench.daemon_deaths(part(8), crowd, 15 * unit);
-  const std::string json = option("json", "", argc, argv);
   if (!json.empty() && !bench.figures().write(json)) give_up("cannot write " + json);
   return testing::Test::HasFailure() ? 1 : 0;
 }
@@ -393,7 +440,7 @@ int run(int argc, char** argv) {
 int main(int argc, char** argv) {
   try {
     if (argc == 4 && std::strcmp(argv[1], "--be") == 0) agnocast::bench::be(argv[2], argv[3]);
-    return agnocast::bench::run(argc, argv);
+    return agnocast::bench::run(agnocast::bench::parse(argc, argv));
   } catch (const std::exception& error) {
     agnocast::bench::give_up(error.what());
   }
