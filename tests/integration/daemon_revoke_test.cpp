@@ -541,7 +541,7 @@ TEST(DaemonRevoke, PutsOutWhoIsStoppedBeforeSubscriptionsOrProcessesRunShort) {
        {Scarce{"[limits]\nsubscriptions_per_topic = 6\n", publisher_child, subscriber_child, 't'},
         Scarce{"[limits]\nclients = 8\n", subscriber_child, publisher_child, 'p'}}) {
     SCOPED_TRACE(scarce.config);
-    DaemonProcess daemon({.config = scarce.config, .arguments = {"--log-level", "debug"}});
+    DaemonProcess daemon({.more_config = scarce.config, .arguments = {"--log-level", "debug"}});
     Child stopped = scarce.stops(daemon.socket_path());
     ASSERT_NE(stopped.command(scarce.what == 't' ? 'p' : 't'), std::nullopt);
     ASSERT_EQ(::kill(stopped.pid(), SIGSTOP), 0);
@@ -557,8 +557,8 @@ TEST(DaemonRevoke, PutsOutWhoIsStoppedBeforeSubscriptionsOrProcessesRunShort) {
 }
 
 TEST(DaemonRevoke, GivesMoreTimeToWhoLostItsConnectionButNotForEver) {
-  DaemonProcess daemon(
-      {.config = "[limits]\npublishers_per_topic = 6\n", .arguments = {"--log-level", "debug"}});
+  DaemonProcess daemon({.more_config = "[limits]\npublishers_per_topic = 6\n",
+                        .arguments = {"--log-level", "debug"}});
   WireNode slow(daemon.socket_path());
   ASSERT_TRUE(slow.create_subscription(topic_name, deep));
   for (int life = 0; life < 5; ++life) {
@@ -583,8 +583,8 @@ TEST(DaemonRevoke, GivesMoreTimeToWhoLostItsConnectionButNotForEver) {
 }
 
 TEST(DaemonRevoke, SparesWhoHoldsMessagesOfPublishersThatAreGone) {
-  DaemonProcess daemon(
-      {.config = "[limits]\npublishers_per_topic = 6\n", .arguments = {"--log-level", "debug"}});
+  DaemonProcess daemon({.more_config = "[limits]\npublishers_per_topic = 6\n",
+                        .arguments = {"--log-level", "debug"}});
   WireNode holder(daemon.socket_path());
   ASSERT_TRUE(holder.create_subscription(topic_name, deep));
   Child stopped = subscriber_child(daemon.socket_path());
