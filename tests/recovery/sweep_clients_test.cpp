@@ -25,6 +25,7 @@
 #include <chrono>
 #include <cstdio>
 #include <cstdlib>
+#include <map>
 #include <memory>
 #include <mutex>
 #include <set>
@@ -37,7 +38,7 @@ namespace {
 
 struct Totals {
   std::uint64_t points = 0, deaths = 0, survived = 0;
-  std::set<Step> died_at;
+  std::map<Step, std::uint64_t> died_at;  // how often
   std::vector<std::string> violations;
 };
 
@@ -62,7 +63,7 @@ Totals sweep(const Script& script, SweepStage& stage, unsigned worker, std::uint
               ended.wrong;
     } else if (ended.died_at) {
       ++totals.deaths;
-      totals.died_at.insert(*ended.died_at);
+      ++totals.died_at[*ended.died_at];
     } else if (n > performance.points()) {
       break;
     } else {
@@ -71,6 +72,16 @@ Totals sweep(const Script& script, SweepStage& stage, unsigned worker, std::uint
   }
   if (!wrong.empty()) totals.violations.push_back(std::string(script.name) + ": " + wrong);
   return totals;
+}
+
+/// Names that few deaths were at: the next run may miss them.
+std::string rarest_of(const std::map<Step, std::uint64_t>& died_at) {
+  constexpr std::uint64_t few = 5;
+  std::string text;
+  for (const auto& [step, deaths] : died_at) {
+    if (deaths < few) text += std::string(" ") + name_of(step) + " " + std::to_string(deaths);
+  }
+  return text;
 }
 
 /// A point is not the same place in each run, so a name may be missed that is reached. Deaths at those
@@ -113,7 +124,7 @@ TEST(ClientSweep, AProcessKilledAtAnyPointDisturbsNobodyAndLeavesNothing) {
       total.points = std::max(total.points, parts[w].points);
       total.deaths += parts[w].deaths;
       total.survived += parts[w].survived;
-      total.died_at.merge(parts[w].died_at);
+      for (const auto& [step, deaths] : parts[w].died_at) total.died_at[step] += deaths;
       for (const std::string& violation : parts[w].violations) {
         ADD_FAILURE() << violation << "\nagnocastd wrote:\n" << stages[w]->daemon().log();
         total.violations.push_back(violation);
@@ -132,7 +143,7 @@ TEST(ClientSweep, AProcessKilledAtAnyPointDisturbsNobodyAndLeavesNothing) {
     }
     sum.deaths += total.deaths;
     sum.survived += total.survived;
-    sum.died_at.merge(total.died_at);
+    for (const auto& [step, deaths] : total.died_at) sum.died_at[step] += deaths;
     sum.violations.insert(sum.violations.end(), total.violations.begin(), total.violations.end());
   }
   std::printf(
@@ -147,6 +158,7 @@ TEST(ClientSweep, AProcessKilledAtAnyPointDisturbsNobodyAndLeavesNothing) {
   for (std::uint16_t s = 0; s < static_cast<std::uint16_t>(Step::count); ++s) {
     if (name_of(Step{s})[0] == 'C' && sum.died_at.count(Step{s}) == 0) left.insert(Step{s});
   }
+  std::printf("fewest deaths at:%s\n", rarest_of(sum.died_at).c_str());
   if (stride == 1 && only == 0 && sum.violations.empty()) sweep_names(left, sum);
   std::string missed;
   for (const Step step : left) missed += std::string(" ") + name_of(step);

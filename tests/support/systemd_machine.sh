@@ -7,7 +7,8 @@
 #   machine_stop DIR       ends it and everything in it
 #
 # Its root is an overlay of the host's, with everything that is written in a tmpfs of the machine; /tmp and /run are empty. All
-# mounts are made in a mount namespace that nobody else sees, so nothing of the host changes and nothing is left.
+# mounts are made in a mount namespace that nobody else sees, and the kernel's settings are read-only in it; so nothing of the host
+# changes and nothing is left.
 
 machine_start() {
   local dir=$1 state="" i
@@ -28,6 +29,9 @@ mount --rbind /dev "$root/dev"
 mount -t tmpfs machine "$root/tmp"
 mount -t tmpfs machine "$root/run"
 mount -t proc machine "$root/proc"
+# Most of what is in there is the host's as well, and systemd would write it when it boots.
+mount --bind "$root/proc/sys" "$root/proc/sys"
+mount -o remount,bind,ro "$root/proc/sys"
 cd "$root"
 mkdir -p former
 pivot_root . former
