@@ -14,6 +14,7 @@
 // In scripts where the daemon's store is lost a sample is tried, because two daemons are started for each
 // point; another one with AGNOCAST_SEED, all with AGNOCAST_SWEEP=all.
 // Without a death: processes and daemon are held up anywhere, each time elsewhere, and nobody notices.
+// AGNOCAST_SWEEP_JITTER=N: whoever lives is held up as well, at N of a million points.
 // AGNOCAST_SWEEP_STRIDE=N tries every N-th point only, AGNOCAST_SWEEP_SCRIPT=I the I-th script only.
 
 #include <tests/recovery/sweep_script.hpp>
@@ -53,8 +54,10 @@ Totals sweep(const Script& script, SweepStage& stage, unsigned worker, std::uint
   std::string wrong = performance.rehearse();
   if (script.loses_store() && !runs_everything())
     stride *= 1 + performance.points() / tried_of_a_loss;
-  const std::uint64_t first = 1 + number_of("AGNOCAST_SEED", 0) % stride;
+  const std::uint64_t seed = number_of("AGNOCAST_SEED", 0), first = 1 + seed % stride,
+                      jitter = number_of("AGNOCAST_SWEEP_JITTER", 0);
   for (std::uint64_t n = first + worker * stride; wrong.empty(); n += worker_count * stride) {
+    if (jitter != 0) performance.slow_down(1 + 10 * (seed + n), jitter);
     const Performance::Ended ended = performance.perform(n);
     totals.points = performance.points();
     if (!ended.wrong.empty()) {

@@ -181,17 +181,17 @@ class Performance {
     from_.reset();
     return ended;
   }
-  /// Nobody dies, and nobody notices that processes and daemon are held up at points of each seed's own.
+  /// From now on processes and daemon are held up at so many of a million points, each seed's own.
+  void slow_down(std::uint64_t seed, std::uint64_t points_per_million) {
+    for (const auto& page : pages_) page->slow_down(seed++, points_per_million);
+    control_.slow_down(seed++, points_per_million);
+    stage_.daemon_control().slow_down(seed, points_per_million);
+  }
+  /// Nobody dies, and nobody notices that it is slow.
   std::string perform_slowly(std::uint64_t seed, std::uint64_t points_per_million) {
-    const auto slow_down = [&](std::uint64_t points) {
-      std::uint64_t each = seed;
-      for (const auto& page : pages_) page->slow_down(each++, points);
-      control_.slow_down(each++, points);
-      stage_.daemon_control().slow_down(each, points);
-    };
-    slow_down(points_per_million);
+    slow_down(seed, points_per_million);
     const Run run = play(0);
-    slow_down(0);
+    slow_down(0, 0);
     return run.wrong.empty() ? compare_answers(run) : run.wrong;
   }
   /// V dies at its n-th point; then everything once more without a death.
