@@ -52,8 +52,8 @@ class LetGoWatch {
   struct Suspect {
     std::uint64_t generation = 0;  // of the oldest endpoint that it is to let go of
     unsigned looks = 0;
-    unsigned deaf =
-        0;  // of them the last ones in a row: nothing is left to be sent, or nothing leaves
+    // Of them the last ones in a row: nothing is left to be sent, or nothing leaves.
+    unsigned deaf = 0;
     std::uint64_t sent = 0;  // packets, on its connection
   };
   bool holds(const SubscriptionRecord& subscription, const EndpointRef& of);

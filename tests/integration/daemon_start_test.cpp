@@ -250,7 +250,8 @@ TEST(DaemonStart, WhoMayConnectIsNeverToldOtherwiseWhileItBegins) {
 }
 
 TEST(DaemonStart, NeedsNoRoot) {
-  if (::geteuid() != 0) GTEST_SKIP() << "every other test shows it";
+  if (::geteuid() != 0)
+    GTEST_SKIP() << "needs root to become somebody else; without it every other test shows this";
   DaemonProcess daemon({.uid = other_uid});
   EXPECT_TRUE(PacketSocket::connect(daemon.socket_path()));
   EXPECT_NE(daemon.log().find("unprivileged=yes"), std::string::npos) << daemon.log();
