@@ -4,6 +4,7 @@
 #include <agnocast/version.hpp>
 #include <base/text.hpp>
 #include <ctl/commands.hpp>
+#include <ctl/help.hpp>
 
 #include <CLI/CLI.hpp>
 
@@ -11,6 +12,7 @@
 
 #include <algorithm>
 #include <charconv>
+#include <cmath>
 #include <cstdlib>
 #include <vector>
 
@@ -23,72 +25,11 @@ constexpr const char* system_socket = "/run/agnocast/agnocastd.sock";
 // ROS 2's own bound; a higher one has no DDS ports.
 constexpr std::uint64_t domain_max = 232;
 
-std::string full_name(const Command& command) {
-  std::string name = std::string(program) + ' ' + std::string(command.noun);
-  return command.verb.empty() ? name : name + ' ' + std::string(command.verb);
-}
-
-std::string plural_of(std::string_view noun) {
-  return std::string(noun) + (noun.ends_with('s') ? "es" : "s");
-}
-
 std::string version_text() {
   char text[96];
   std::snprintf(text, sizeof text, "agnocast-ctl %d.%d.%d (layout %016llx)\n",
                 AGNOCAST_VERSION_MAJOR, AGNOCAST_VERSION_MINOR, AGNOCAST_VERSION_PATCH,
                 static_cast<unsigned long long>(abi::fingerprint()));
-  return text;
-}
-
-/// The word that names what a command is about; empty when it takes none.
-std::string subject_of(const Command& command) {
-  if (command.takes & a_name) return "NAME";
-  return command.takes & a_process ? "PROCESS" : "";
-}
-
-std::string usage_of(const Command& command) {
-  std::string usage = std::string(command.noun);
-  if (!command.verb.empty()) usage += ' ' + std::string(command.verb);
-  if (const std::string subject = subject_of(command); !subject.empty()) usage += ' ' + subject;
-  return usage;
-}
-
-/// Help of everything, or of one noun.
-std::string help_text(std::span<const Command> commands, std::string_view noun) {
-  std::string text =
-      "Looks at agnocast: topics, processes, shared heaps. Looking never disturbs; only revoke "
-      "changes\nanything.\n\n"
-      "Usage: agnocast-ctl NOUN [VERB] [NAME] [OPTION...]\n\n";
-  std::string examples;
-  std::size_t width = 0;
-  for (const Command& command : commands) width = std::max(width, usage_of(command).size());
-  for (const Command& command : commands) {
-    if (!noun.empty() && command.noun != noun) continue;
-    std::string usage = usage_of(command);
-    usage.resize(width + 2, ' ');
-    text += "  " + usage + std::string(command.summary) + '\n';
-    const std::string_view all = command.examples;
-    examples += "  " + std::string(all.substr(0, all.find('\n'))) + '\n';
-  }
-  text += "\nPlural nouns are short for list: ";
-  bool first = true;
-  for (const Command& command : commands) {
-    if (command.verb != "list") continue;
-    text += (first ? "" : ", ") + plural_of(command.noun);
-    first = false;
-  }
-  text +=
-      ".\n\nOptions of all:\n"
-      "  --socket PATH          where agnocastd listens; else AGNOCAST_SOCKET, else the usual "
-      "place\n"
-      "  -j, --json[=FORM]      one JSON object; FORM is short or pretty\n"
-      "  --version              print version and layout of shared memory\n"
-      "  -h, --help             print this; after a command, its options\n"
-      "\nExamples:\n" +
-      examples +
-      "\nExit status: 0 done, 1 failed, 2 wrong usage, 3 daemon not reachable, 4 no such topic, "
-      "node "
-      "or\nprocess, 5 permission denied, 6 a check of verify failed.\n";
   return text;
 }
 
@@ -111,11 +52,26 @@ struct Found {
   std::string noun;               // for help of a noun
 };
 
-// Options that are followed by their value.
-bool takes_value(std::string_view word) {
-  constexpr std::string_view options[] = {"--socket", "--domain", "-n",
-                                          "--number", "--topic",  "--process"};
-  return std::find(std::begin(options), std::end(options), word) != std::end(options);
+/// "--number" of "-n,--number".
+std::vector<std::string> spellings_of(const Option& option) {
+  const std::string names(option.names);
+  const std::size_t comma = names.find(',');
+  if (comma == std::string::npos) return {names};
+  return {names.substr(0, comma), names.substr(comma + 1)};
+}
+std::string longest_spelling_of(const Option& option) { return spellings_of(option).back(); }
+
+// Whether the next word is this option's value, whichever command it belongs to.
+bool takes_value(std::string_view word, std::span<const Command> commands) {
+  const auto is_it = [&](const Option* option) {
+    if (option->kind == Option::Kind::flag || option->value.starts_with('[')) return false;
+    const auto names = spellings_of(*option);
+    return std::find(names.begin(), names.end(), word) != names.end();
+  };
+  return is_it(&options::socket) ||
+         std::any_of(commands.begin(), commands.end(), [&](const Command& command) {
+           return std::any_of(command.options.begin(), command.options.end(), is_it);
+         });
 }
 
 // The first words that are no options are noun and verb.
@@ -124,9 +80,14 @@ Outcome<Found> find_command(std::span<const std::string> words, std::span<const 
   std::string noun, verb;
   for (std::size_t i = 0; i < words.size(); ++i) {
     const std::string& word = words[i];
+    if (word == "--") {
+      found.rest.insert(found.rest.end(), words.begin() + static_cast<std::ptrdiff_t>(i),
+                        words.end());
+      break;
+    }
     if (word.starts_with('-')) {
       found.rest.push_back(word);
-      if (takes_value(word) && i + 1 < words.size()) found.rest.push_back(words[++i]);
+      if (takes_value(word, commands) && i + 1 < words.size()) found.rest.push_back(words[++i]);
       continue;
     }
     const bool has_verb = std::any_of(commands.begin(), commands.end(), [&](const Command& c) {
@@ -180,6 +141,25 @@ std::optional<std::uint64_t> number_in(const std::string& text) {
   return number;
 }
 
+std::optional<double> real_in(const std::string& text) {
+  double number = 0;
+  const char* const end = text.data() + text.size();
+  const auto parsed = std::from_chars(text.data(), end, number);
+  if (text.empty() || parsed.ec != std::errc() || parsed.ptr != end || !std::isfinite(number))
+    return std::nullopt;
+  return number;
+}
+
+std::vector<std::string> words_of(std::string_view text) {
+  std::vector<std::string> words;
+  while (!text.empty()) {
+    const std::size_t blank = text.find(' ');
+    words.emplace_back(text.substr(0, blank));
+    text.remove_prefix(blank == std::string_view::npos ? text.size() : blank + 1);
+  }
+  return words;
+}
+
 Outcome<std::uint64_t> domain_of(const std::string& what, const std::string& text) {
   const auto number = number_in(text);
   if (!number || *number > domain_max)
@@ -197,80 +177,110 @@ std::string choose_socket(const std::string& named, const Surroundings& around) 
   return *around.xdg_runtime_dir + "/agnocast/agnocastd.sock";
 }
 
+/// Whether a value is what its option wants; if not, why.
+std::optional<std::string> complaint_of(const Option& option, const std::string& value) {
+  const auto bound = [](double number) {
+    return std::to_string(static_cast<std::uint64_t>(number));
+  };
+  switch (option.kind) {
+    case Option::Kind::flag:
+      return std::nullopt;
+    case Option::Kind::text:
+      if (!value.empty()) return std::nullopt;
+      return "needs a " + std::string(option.value);
+    case Option::Kind::whole: {
+      const auto number = number_in(value);
+      if (number && static_cast<double>(*number) >= option.least &&
+          static_cast<double>(*number) <= option.most)
+        return std::nullopt;
+      return in_quotes(value) + " is no whole number from " + bound(option.least) +
+             (std::isinf(option.most) ? " upwards" : " to " + bound(option.most));
+    }
+    case Option::Kind::real: {
+      const auto number = real_in(value);
+      if (number && *number <= option.most &&
+          (option.least == 0 ? *number > 0 : *number >= option.least))
+        return std::nullopt;
+      return in_quotes(value) + " is no number above " + bound(option.least) +
+             (std::isinf(option.most) ? "" : " and up to " + bound(option.most));
+    }
+    case Option::Kind::word: {
+      const std::vector<std::string> words = words_of(option.words);
+      if (std::find(words.begin(), words.end(), value) != words.end()) return std::nullopt;
+      std::string known;
+      for (const std::string& word : words) known += (known.empty() ? "" : ", ") + word;
+      return in_quotes(value) + " is not known; known: " + known;
+    }
+  }
+  return std::nullopt;
+}
+
 // CLI11 reads the options of one command; nouns and verbs are ours.
 class Parser {
  public:
-  explicit Parser(const Command& command)
-      : command_(command), app_(std::string(command.summary), full_name(command)) {
+  explicit Parser(const Command& command) : command_(command) {
     app_.allow_extras();  // so that we can say what is unknown, and what was meant
-    app_.set_help_flag("-h,--help", "print this and end");
-    if (command.takes & a_name)
-      app_.add_option("NAME", arguments_.name, "a topic; without a slash it is meant to have one");
-    if (command.takes & a_process)
-      app_.add_option("PROCESS", arguments_.name,
-                      "a pid, or INDEX.GENERATION as process list has it (CLIENT)");
-    flag("-t,--show-types", types, arguments_.types, "with the type of each");
-    flag("-c,--count-topics", count, arguments_.count, "only how many there are");
-    flag("-v,--verbose", verbose, arguments_.verbose, "more of each");
-    flag("--include-hidden-topics", hidden, arguments_.hidden,
-         "also those with a part that begins with an underscore");
-    flag("-a,--all-domains", domains, arguments_.all_domains, "of every ROS domain");
-    if (command.takes & domain)
-      app_.add_option("--domain", domain_, "of this ROS domain; else ROS_DOMAIN_ID, else 0")
-          ->type_name("ID");
-    flag("-f,--follow", records, arguments_.follow, "go on with what comes");
-    if (command.takes & records) {
-      app_.add_option("-n,--number", number_, "at most so many, the newest; else 20")
-          ->type_name("COUNT");
-      app_.add_option("--topic", arguments_.topic, "of this topic")->type_name("NAME");
-      app_.add_option("--process", arguments_.process, "of this process: its name or pid")
-          ->type_name("NAME");
-    }
-    app_.add_option("--socket", arguments_.socket, "where agnocastd listens")->type_name("PATH");
-    app_.add_option("--json", json_, "one JSON object; short or pretty")->type_name("[=FORM]");
-    app_.add_flag("-j", json_flag_, "the same");
-    app_.footer("Examples:\n" + std::string(command.examples));
-    for (CLI::Option* const option : app_.get_options()) {
-      if (option->get_expected_max() == 0) option->disable_flag_override();
-    }
+    app_.set_help_flag("-h,--help");
+    app_.add_option("SUBJECTS", arguments_.subjects);
+    for (const Option* const option : command.options) add(*option);
+    add(options::socket);
+    add(options::json);
+    add(options::json_form);
   }
 
   Outcome<std::variant<Arguments, Answer>> parse(std::vector<std::string> words,
                                                  const Surroundings& around) {
     const std::string help = full_name(command_) + " --help";
+    // Behind "--" nothing is an option.
+    const auto mark = std::find(words.begin(), words.end(), "--");
+    std::vector<std::string> plain(mark == words.end() ? mark : mark + 1, words.end());
+    words.erase(mark, words.end());
     for (std::string& word : words) {
-      if (word == "--json") word = "--json=auto";  // its value is never the next word
+      // Its value is never the next word.
+      if (word == "--json") word += around.out_is_terminal ? "=pretty" : "=short";
     }
     std::reverse(words.begin(), words.end());  // as CLI11 wants a vector
     try {
       app_.parse(words);
     } catch (const CLI::CallForHelp&) {
-      return Answer{app_.help()};
+      return Answer{help_of(command_)};
     } catch (const CLI::ParseError& error) {
       return wrong_usage("command line", escaped(error.what()), help);
     }
     if (auto known = refuse_extras(help); !known) return tl::unexpected(known.error());
-    if (const std::string subject = subject_of(command_);
-        !subject.empty() && arguments_.name.empty())
-      return wrong_usage(subject, "is missing",
-                         std::string(command_.examples.substr(0, command_.examples.find('\n'))));
-    if (auto form = read_json(around, help); !form) return tl::unexpected(form.error());
-    if (command_.takes & domain) {
+    for (std::string& word : plain) arguments_.subjects.push_back(std::move(word));
+    if (auto read = read_subjects(help); !read) return tl::unexpected(read.error());
+    for (const auto& [option, value] : values_) {
+      if (app_.count(longest_spelling_of(*option)) == 0) continue;
+      if (const auto why = complaint_of(*option, value))
+        return wrong_usage(longest_spelling_of(*option), *why, help);
+      arguments_.given[option] = value;
+    }
+    arguments_.json = json_form(around);
+    arguments_.all_domains = arguments_.has(options::all_domains);
+    if (takes(options::domain)) {
       auto chosen = read_domain(around);
       if (!chosen) return tl::unexpected(chosen.error());
       arguments_.domain = *chosen;
     }
-    if (auto counted = read_number(help); !counted) return tl::unexpected(counted.error());
-    if (app_.count("--socket") != 0 && arguments_.socket.empty())
-      return wrong_usage("--socket", "needs a path", help);
-    arguments_.socket = choose_socket(arguments_.socket, around);
+    arguments_.socket = choose_socket(arguments_.text(options::socket), around);
     arguments_.command = &command_;
     return arguments_;
   }
 
  private:
-  void flag(const char* name, Takes which, bool& target, const char* meaning) {
-    if ((command_.takes & which) == which) app_.add_flag(name, target, meaning);
+  void add(const Option& option) {
+    const std::string names(option.names);
+    if (option.kind == Option::Kind::flag) {
+      app_.add_flag(names)->disable_flag_override();
+      values_[&option];
+    } else {
+      app_.add_option(names, values_[&option]);
+    }
+  }
+  bool takes(const Option& option) const {
+    return std::find(command_.options.begin(), command_.options.end(), &option) !=
+           command_.options.end();
   }
 
   Outcome<void> refuse_extras(const std::string& help) {
@@ -279,8 +289,6 @@ class Parser {
       for (const std::string& name : option->get_lnames()) known.push_back("--" + name);
     }
     for (const std::string& extra : app_.remaining()) {
-      if (extra.size() < 2 || extra[0] != '-')
-        return wrong_usage(escaped(extra), full_name(command_) + " takes no such word", help);
       const std::string name = extra.substr(0, extra.find('='));
       return wrong_usage(escaped(name), "unknown option",
                          meant(name, known, full_name(command_) + ' ', help));
@@ -288,29 +296,34 @@ class Parser {
     return {};
   }
 
-  Outcome<void> read_json(const Surroundings& around, const std::string& help) {
-    if (app_.count("--json") == 0 && !json_flag_) return {};
-    if (json_.empty() || json_ == "auto") {
-      arguments_.json = around.out_is_terminal ? Json::pretty : Json::compact;
-    } else if (json_ == "short" || json_ == "pretty") {
-      arguments_.json = json_ == "short" ? Json::compact : Json::pretty;
-    } else {
-      return wrong_usage("--json", in_quotes(json_) + " is no form; known: short, pretty", help);
+  Outcome<void> read_subjects(const std::string& help) {
+    const std::string example(command_.examples.substr(0, command_.examples.find('\n')));
+    std::size_t read = 0;
+    for (const Subject* const subject : command_.subjects) {
+      const bool is_there = read < arguments_.subjects.size();
+      if (!is_there && subject->count != Subject::Count::optional)
+        return wrong_usage(std::string(subject->name), "is missing", example);
+      if (is_there && arguments_.subjects[read].empty())
+        return wrong_usage(std::string(subject->name), "is empty", example);
+      read = subject->count == Subject::Count::many ? arguments_.subjects.size() : read + 1;
     }
+    if (read < arguments_.subjects.size())
+      return wrong_usage(escaped(arguments_.subjects[read]),
+                         full_name(command_) + " takes no such word", help);
     return {};
   }
 
-  Outcome<void> read_number(const std::string& help) {
-    if (!(command_.takes & records) || app_.count("--number") == 0) return {};
-    const auto number = number_in(number_);
-    if (!number || *number == 0)
-      return wrong_usage("--number", in_quotes(number_) + " is no number from 1 upwards", help);
-    arguments_.number = *number;
-    return {};
+  Json json_form(const Surroundings& around) const {
+    const std::string form = arguments_.text(options::json_form);
+    if (form == "short") return Json::compact;
+    if (form == "pretty") return Json::pretty;
+    if (form.empty() && !arguments_.has(options::json)) return Json::no;
+    return around.out_is_terminal ? Json::pretty : Json::compact;
   }
 
   Outcome<std::uint64_t> read_domain(const Surroundings& around) {
-    if (app_.count("--domain") != 0) return domain_of("--domain", domain_);
+    if (arguments_.has(options::domain))
+      return domain_of("--domain", arguments_.text(options::domain));
     if (around.ros_domain_id) return domain_of("ROS_DOMAIN_ID", *around.ros_domain_id);
     return 0;
   }
@@ -318,8 +331,7 @@ class Parser {
   const Command& command_;
   Arguments arguments_;
   CLI::App app_;
-  std::string domain_, json_, number_;
-  bool json_flag_ = false;
+  std::map<const Option*, std::string> values_;
 };
 
 std::optional<std::string> environment(const char* name) {
@@ -329,6 +341,43 @@ std::optional<std::string> environment(const char* name) {
 }
 
 }  // namespace
+
+std::string plural_of(std::string_view noun) {
+  return std::string(noun) + (noun.ends_with('s') ? "es" : "s");
+}
+
+std::string full_name(const Command& command) {
+  std::string name = std::string(program) + ' ' + std::string(command.noun);
+  return command.verb.empty() ? name : name + ' ' + std::string(command.verb);
+}
+
+std::string usage_of(const Command& command) {
+  std::string usage = full_name(command).substr(std::string_view(program).size() + 1);
+  for (const Subject* const subject : command.subjects) {
+    const std::string name(subject->name);
+    switch (subject->count) {
+      case Subject::Count::one:
+        usage += ' ' + name;
+        break;
+      case Subject::Count::optional:
+        usage += " [" + name + ']';
+        break;
+      case Subject::Count::many:
+        usage += ' ' + name + "...";
+        break;
+    }
+  }
+  return usage;
+}
+
+std::string Arguments::text(const Option& option) const {
+  const auto found = given.find(&option);
+  return found != given.end() ? found->second : std::string(option.otherwise);
+}
+std::uint64_t Arguments::whole(const Option& option) const {
+  return number_in(text(option)).value_or(0);
+}
+double Arguments::real(const Option& option) const { return real_in(text(option)).value_or(0); }
 
 Surroundings Surroundings::of_process() {
   return {environment("AGNOCAST_SOCKET"), environment("XDG_RUNTIME_DIR"),
@@ -346,8 +395,8 @@ Outcome<std::variant<Arguments, Answer>> parse_arguments(std::span<const std::st
   if (found->command != nullptr)
     return Parser(*found->command).parse(std::move(found->rest), around);
   for (const std::string& word : found->rest) {
-    if (word == "--help" || word == "-h") return Answer{help_text(commands, found->noun)};
-    if (!takes_value(word) && !word.starts_with("-j") && !word.starts_with("--json"))
+    if (word == "--help" || word == "-h") return Answer{help_of(commands, found->noun)};
+    if (!takes_value(word, commands) && !word.starts_with("-j") && !word.starts_with("--json"))
       return wrong_usage(escaped(word), "unknown option");
   }
   if (!found->noun.empty())

@@ -2,19 +2,23 @@
 //
 // Arguments: the command line as values. Pure but for the environment, which comes in as a value.
 //
-//   agnocast-ctl NOUN [VERB] [NAME] [OPTION…]
+//   agnocast-ctl NOUN [VERB] [NAME…] [OPTION…]
 //
 // Which nouns and verbs there are, and which options each takes, is the table of commands.hpp; a
-// plural noun is short for its `list`.
+// plural noun is short for its `list`. Values are checked here once, against what option.hpp says of
+// them, so a command asks and never finds nonsense.
 #pragma once
 
+#include <ctl/option.hpp>
 #include <ctl/problem.hpp>
 
 #include <cstdint>
+#include <map>
 #include <optional>
 #include <span>
 #include <string>
 #include <variant>
+#include <vector>
 
 namespace agnocast::ctl {
 
@@ -28,13 +32,19 @@ struct Arguments {
   Json json = Json::no;
   std::uint64_t domain = 0;
   bool all_domains = false;
-  bool types = false;
-  bool count = false;
-  bool verbose = false;
-  bool hidden = false;
-  bool follow = false;
-  std::uint64_t number = 20;
-  std::string name, topic, process;
+  std::vector<std::string> subjects;
+  std::map<const Option*, std::string> given;
+
+  bool has(const Option& option) const { return given.count(&option) != 0; }
+  /// The value that was given, else the option's own, else an empty text.
+  std::string text(const Option& option) const;
+  /// The same as numbers; 0 when there is none.
+  std::uint64_t whole(const Option& option) const;
+  double real(const Option& option) const;
+  /// Empty when there are fewer.
+  std::string subject(std::size_t index) const {
+    return index < subjects.size() ? subjects[index] : std::string();
+  }
 };
 
 /// What is outside of us.
@@ -55,5 +65,10 @@ struct Answer {
 Outcome<std::variant<Arguments, Answer>> parse_arguments(std::span<const std::string> words,
                                                          std::span<const Command> commands,
                                                          const Surroundings& around);
+
+/// "agnocast-ctl topic info", and with what stands behind it: "agnocast-ctl topic info NAME".
+std::string full_name(const Command& command);
+std::string usage_of(const Command& command);
+std::string plural_of(std::string_view noun);
 
 }  // namespace agnocast::ctl

@@ -1,40 +1,32 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Commands: what agnocast-ctl can do. One row in main.cpp's table is one command; a function that
-// looks at the system and prints is the rest of it.
+// Commands: what agnocast-ctl can do. One row in command_table.cpp is one command; a function that
+// looks at the system and prints is the rest of it. Help, manual and completion are made from the rows.
 #pragma once
 
 #include <ctl/arguments.hpp>
 #include <ctl/console.hpp>
+#include <ctl/option.hpp>
 #include <ctl/problem.hpp>
 
-#include <cstdint>
+#include <span>
 #include <string_view>
 
 namespace agnocast::ctl {
-
-/// Options that a command takes besides those that all take.
-enum Takes : std::uint32_t {
-  nothing = 0,
-  a_name = 1 << 0,
-  domain = 1 << 1,
-  domains = 1 << 6 | domain,  // one or all
-  types = 1 << 2,
-  count = 1 << 3,
-  verbose = 1 << 4,
-  hidden = 1 << 5,
-  records = 1 << 7,  // which records of the journal
-  a_process = 1 << 8,
-};
 
 struct Command {
   std::string_view noun;
   std::string_view verb;  // empty: the noun is the whole command
   std::string_view summary;
-  std::uint32_t takes;
+  std::span<const Subject* const> subjects;
+  std::span<const Option* const> options;  // besides those that all take
   Outcome<void> (*run)(const Arguments&, Console&);
-  std::string_view examples;  // lines
+  std::string_view description;  // sentences, for the manual
+  std::string_view examples;     // lines
 };
+
+/// All of them, in the order of help and manual.
+extern const std::span<const Command> all_commands;
 
 Outcome<void> show_status(const Arguments& arguments, Console& console);
 Outcome<void> list_topics(const Arguments& arguments, Console& console);

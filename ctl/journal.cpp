@@ -123,7 +123,9 @@ Object record_object(const JournalRecord& record, const Journal& journal) {
 class Printer {
  public:
   Printer(const Arguments& arguments, Console& console)
-      : arguments_(arguments), console_(console), filter_{arguments.topic, arguments.process} {
+      : arguments_(arguments),
+        console_(console),
+        filter_{arguments.text(options::of_topic), arguments.text(options::of_process)} {
     if (!filter_.topic.empty() && filter_.topic[0] != '/') filter_.topic.insert(0, "/");
   }
 
@@ -198,10 +200,11 @@ Outcome<void> show_journal(const Arguments& arguments, Console& console) {
   auto observer = Observer::connect(arguments.socket);
   if (!observer) return tl::unexpected(observer.error());
   Printer printer(arguments, console);
-  auto journal = observer->read_journal(0, printer.filters() ? all : arguments.number);
+  auto journal =
+      observer->read_journal(0, printer.filters() ? all : arguments.whole(options::records));
   if (!journal) return tl::unexpected(journal.error());
-  printer.print(*journal, arguments.number, true);
-  if (!arguments.follow) return {};
+  printer.print(*journal, arguments.whole(options::records), true);
+  if (!arguments.has(options::follow)) return {};
   return follow(std::move(*observer), journal->end.newest, arguments, printer);
 }
 

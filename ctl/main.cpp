@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// agnocast-ctl: the table of commands, and the one place where answers and complaints leave.
+// agnocast-ctl: the one place where answers and complaints leave.
 //
 // It observes (docs/control-plane.md) and reads shared regions; it never maps anything writable and
 // never subscribes. Nothing changes by it but by `process revoke`, which asks the daemon.
@@ -16,28 +16,6 @@
 
 namespace agnocast::ctl {
 namespace {
-
-constexpr Command commands[] = {
-    {"status", "", "the daemon, what it holds and allows", nothing, show_status,
-     "agnocast-ctl status\nagnocast-ctl status --json=pretty"},
-    {"topic", "list", "the topics of the domain", domains | types | count | verbose | hidden,
-     list_topics,
-     "agnocast-ctl topic list -t\nagnocast-ctl topics --all-domains\nagnocast-ctl topic list -c"},
-    {"topic", "info", "who publishes and subscribes there, and what it cost",
-     a_name | domain | verbose, show_topic,
-     "agnocast-ctl topic info -v /points\nagnocast-ctl topic info /points --json=short"},
-    {"process", "list", "the processes that publish or subscribe", domains, list_processes,
-     "agnocast-ctl process list\nagnocast-ctl processes --all-domains"},
-    {"process", "revoke", "end the membership of a process that lives", a_process, revoke_process,
-     "agnocast-ctl process revoke 4711\nagnocast-ctl process revoke 3.17 --json"},
-    {"heap", "list", "the shared heap windows and how far they are in use", domains, list_heaps,
-     "agnocast-ctl heap list\nagnocast-ctl heaps --json"},
-    {"journal", "", "the last operations and recoveries of the daemon", records, show_journal,
-     "agnocast-ctl journal\nagnocast-ctl journal -n 100 --topic /points\n"
-     "agnocast-ctl journal --process lidar --follow\nagnocast-ctl journal --json"},
-    {"verify", "", "check every invariant of the running system", nothing, verify_system,
-     "agnocast-ctl verify\nagnocast-ctl verify --json || echo broken"},
-};
 
 int complain(const Problem& problem) {
   std::fprintf(stderr, "agnocast-ctl: %s: %s\nhint: %s\n", problem.what.c_str(),
@@ -64,7 +42,7 @@ int run(int argc, const char* const* argv) {
   const Surroundings around = Surroundings::of_process();
   const Problem unwritten{Status::failed, "output", "it cannot be written",
                           "df; agnocast-ctl status"};
-  const auto parsed = parse_arguments(words, commands, around);
+  const auto parsed = parse_arguments(words, all_commands, around);
   if (!parsed) return complain(parsed.error());
   if (const auto* const answer = std::get_if<Answer>(&*parsed)) {
     std::fputs(answer->text.c_str(), stdout);

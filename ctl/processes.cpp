@@ -131,7 +131,7 @@ Outcome<std::vector<const Process*>> find_processes(const System& system, const 
 Outcome<void> revoke_process(const Arguments& arguments, Console& console) {
   auto look = look_at(arguments.socket);
   if (!look) return tl::unexpected(look.error());
-  const auto found = find_processes(look->system, arguments.name);
+  const auto found = find_processes(look->system, arguments.subject(0));
   if (!found) return tl::unexpected(found.error());
   Object list = Object::array();
   for (const Process* const process : *found) {

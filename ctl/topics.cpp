@@ -262,7 +262,7 @@ std::string fully_qualified(const std::string& name) {
 }
 
 Outcome<const Topic*> find_topic(const System& system, const Arguments& arguments) {
-  const std::string name = fully_qualified(arguments.name);
+  const std::string name = fully_qualified(arguments.subject(0));
   std::vector<std::string_view> names;
   for (const Topic* topic : topics_of(system, arguments)) {
     if (topic->name == name) return topic;
@@ -288,19 +288,21 @@ Outcome<void> list_topics(const Arguments& arguments, Console& console) {
   const auto look = look_at(arguments.socket);
   if (!look) return tl::unexpected(look.error());
   auto topics = topics_of(look->system, arguments);
-  if (!arguments.hidden) std::erase_if(topics, [](const Topic* t) { return is_hidden(t->name); });
+  if (!arguments.has(options::hidden))
+    std::erase_if(topics, [](const Topic* t) { return is_hidden(t->name); });
   if (arguments.json != Json::no) {
     Object list = Object::array();
     for (const Topic* topic : topics) list.push_back(summary_of(*topic));
     console.object(
         {{"schema", "agnocast.topic-list/1"}, {"topic_count", topics.size()}, {"topics", list}},
         arguments.json);
-  } else if (arguments.count) {
+  } else if (arguments.has(options::count_topics)) {
     console.line(std::to_string(topics.size()));
-  } else if (arguments.verbose) {
+  } else if (arguments.has(options::verbose)) {
     list_both_sides(topics, arguments, console);
   } else {
-    for (const Topic* topic : topics) console.line(line_of(*topic, arguments, arguments.types));
+    for (const Topic* topic : topics)
+      console.line(line_of(*topic, arguments, arguments.has(options::show_types)));
   }
   return {};
 }
@@ -314,9 +316,10 @@ Outcome<void> show_topic(const Arguments& arguments, Console& console) {
                       std::pair("Subscription count", &(*topic)->subscriptions)};
   if (arguments.json == Json::no) {
     console.line("Type: " + escaped((*topic)->type));
-    if (arguments.verbose) console.line("");
+    if (arguments.has(options::verbose)) console.line("");
     for (const auto& [heading, endpoints] : sides)
-      print_side(look->system, **topic, heading, *endpoints, arguments.verbose, console);
+      print_side(look->system, **topic, heading, *endpoints, arguments.has(options::verbose),
+                 console);
     return {};
   }
   Object object{{"schema", "agnocast.topic-info/1"}};

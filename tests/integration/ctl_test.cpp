@@ -363,7 +363,7 @@ TEST(Ctl, NamesWhatIsWrongInTwoLines) {
       {{"status", "-t"}, 2, "agnocast-ctl: -t: unknown option\nhint: agnocast-ctl status --help\n"},
       {{"status", "--json=xml"},
        2,
-       "agnocast-ctl: --json: \"xml\" is no form; known: short, pretty\n"
+       "agnocast-ctl: --json: \"xml\" is not known; known: short, pretty\n"
        "hint: agnocast-ctl status --help\n"},
       {{"topics"},
        2,
@@ -427,7 +427,7 @@ TEST(Ctl, HelpsWithEverything) {
     with_help.emplace_back("--help");
     const CtlResult one = run_ctl("/x", with_help);
     EXPECT_EQ(one.status, 0) << one.err;
-    EXPECT_THAT(one.out, HasSubstr("Examples:\nagnocast-ctl "));
+    EXPECT_THAT(one.out, HasSubstr("Examples:\n  agnocast-ctl "));
     EXPECT_THAT(one.out, HasSubstr("--socket PATH"));
   }
   EXPECT_THAT(run_ctl("/x", {"topic", "--help"}).out, HasSubstr("topic info NAME"));

@@ -16,12 +16,36 @@ namespace agnocast::ctl {
 namespace {
 
 Outcome<void> nothing_done(const Arguments&, Console&) { return {}; }
+namespace o = options;
+constexpr Subject things{"THINGS", "each", Subject::Count::many};
+constexpr Subject value{"VALUE", "what to give", Subject::Count::optional};
+constexpr Option rate{"-r,--rate", "a second", Option::Kind::real, "HZ", "1", 0, 1000};
+constexpr Option colour{"--colour", "of it", Option::Kind::word, "WORD", {}, 0, 0, "red green"};
 constexpr Command commands[] = {
-    {"thing", "list", "things", domains | types | verbose, nothing_done, "agnocast-ctl thing list"},
-    {"thing", "info", "one", a_name | domain, nothing_done, "agnocast-ctl thing info x"},
-    {"process", "list", "many", nothing, nothing_done, "agnocast-ctl process list"},
-    {"alone", "", "no verb", nothing, nothing_done, "agnocast-ctl alone"},
-    {"diary", "", "what was", records, nothing_done, "agnocast-ctl diary"},
+    {"thing",
+     "list",
+     "things",
+     {},
+     these<o::domain, o::all_domains, o::show_types, o::verbose>,
+     nothing_done,
+     "",
+     "agnocast-ctl thing list"},
+    {"thing", "info", "one", about<subjects::topic>, these<o::domain>, nothing_done, "",
+     "agnocast-ctl thing info x"},
+    {"process", "list", "many", {}, {}, nothing_done, "", "agnocast-ctl process list"},
+    {"alone", "", "no verb", {}, {}, nothing_done, "", "agnocast-ctl alone"},
+    {"diary",
+     "",
+     "what was",
+     {},
+     these<o::records, o::of_topic, o::of_process, o::follow>,
+     nothing_done,
+     "",
+     "agnocast-ctl diary"},
+    {"thing", "paint", "them", about<things>, these<rate, colour>, nothing_done, "",
+     "agnocast-ctl thing paint a"},
+    {"thing", "give", "it", about<subjects::topic, value>, these<rate>, nothing_done, "",
+     "agnocast-ctl thing give a b"},
 };
 
 Arguments parsed(const std::vector<std::string>& words, const Surroundings& around = {}) {
@@ -41,8 +65,9 @@ TEST(Arguments, ChooseTheCommand) {
   EXPECT_EQ(parsed({"thing", "list"}).command, &commands[0]);
   EXPECT_EQ(parsed({"things"}).command, &commands[0]);
   EXPECT_EQ(parsed({"processes", "-j"}).command, &commands[2]);
-  EXPECT_EQ(parsed({"thing", "info", "x"}).name, "x");
-  EXPECT_EQ(parsed({"-j", "--socket", "/s", "thing", "--domain", "3", "info", "x"}).name, "x");
+  EXPECT_EQ(parsed({"thing", "info", "x"}).subject(0), "x");
+  EXPECT_EQ(parsed({"-j", "--socket", "/s", "thing", "--domain", "3", "info", "x"}).subject(0),
+            "x");
   EXPECT_EQ(parsed({"alone"}).command, &commands[3]);
   EXPECT_EQ(status_of({"alone", "again"}), Status::wrong_usage);
   EXPECT_EQ(status_of({"thing", "info"}), Status::wrong_usage);
@@ -50,19 +75,43 @@ TEST(Arguments, ChooseTheCommand) {
 }
 
 TEST(Arguments, ChooseTheRecords) {
-  EXPECT_EQ(parsed({"diary"}).number, 20u);
-  EXPECT_FALSE(parsed({"diary"}).follow);
+  EXPECT_EQ(parsed({"diary"}).whole(o::records), 20u);
+  EXPECT_FALSE(parsed({"diary"}).has(o::follow));
   const Arguments all =
       parsed({"-n", "7", "--topic", "/points", "diary", "--process", "lidar", "--follow"});
   EXPECT_EQ(all.command, &commands[4]) << "a value is no noun";
-  EXPECT_EQ(all.number, 7u);
-  EXPECT_EQ(all.topic, "/points");
-  EXPECT_EQ(all.process, "lidar");
-  EXPECT_TRUE(all.follow);
-  EXPECT_EQ(parsed({"diary", "--number=3"}).number, 3u);
+  EXPECT_EQ(all.whole(o::records), 7u);
+  EXPECT_EQ(all.text(o::of_topic), "/points");
+  EXPECT_EQ(all.text(o::of_process), "lidar");
+  EXPECT_TRUE(all.has(o::follow));
+  EXPECT_EQ(parsed({"diary", "--number=3"}).whole(o::records), 3u);
   for (const char* const wrong : {"0", "-1", "x", ""})
     EXPECT_EQ(status_of({"diary", "-n", wrong}), Status::wrong_usage) << wrong;
   EXPECT_EQ(status_of({"alone", "-n", "1"}), Status::wrong_usage);
+}
+
+TEST(Arguments, AreAsManyWordsAsACommandTakes) {
+  EXPECT_EQ(parsed({"thing", "paint", "a", "b"}).subjects, (std::vector<std::string>{"a", "b"}));
+  EXPECT_EQ(status_of({"thing", "paint"}), Status::wrong_usage);
+  EXPECT_EQ(parsed({"thing", "give", "a"}).subject(1), "");
+  EXPECT_EQ(parsed({"thing", "give", "a", "b"}).subject(1), "b");
+  EXPECT_EQ(parsed({"thing", "give", "a", "--", "-1"}).subject(1), "-1") << "no option behind --";
+  EXPECT_EQ(status_of({"thing", "give", "a", "b", "c"}), Status::wrong_usage);
+  EXPECT_EQ(status_of({"thing", "give", ""}), Status::wrong_usage);
+}
+
+TEST(Arguments, AreCheckedAgainstWhatTheirOptionSays) {
+  const auto paint = [](const std::string& option, const std::string& what) {
+    return std::vector<std::string>{"thing", "paint", "a", option, what};
+  };
+  EXPECT_EQ(parsed({"thing", "paint", "a"}).real(rate), 1.0);
+  EXPECT_EQ(parsed(paint("-r", "2.5")).real(rate), 2.5);
+  EXPECT_EQ(parsed(paint("--colour", "green")).text(colour), "green");
+  EXPECT_EQ(parsed({"thing", "paint", "a"}).text(colour), "");
+  for (const char* const wrong : {"0", "-1", "1001", "x", "", "nan", "inf", "1 "})
+    EXPECT_EQ(status_of(paint("-r", wrong)), Status::wrong_usage) << wrong;
+  for (const char* const wrong : {"blue", "", "red green"})
+    EXPECT_EQ(status_of(paint("--colour", wrong)), Status::wrong_usage) << wrong;
 }
 
 TEST(Arguments, ChooseTheSocket) {
@@ -100,7 +149,7 @@ TEST(Arguments, ChooseTheFormOfTheOutput) {
   EXPECT_EQ(parsed({"alone", "--json=short"}, terminal).json, Json::compact);
   EXPECT_EQ(parsed({"alone", "--json=pretty"}).json, Json::pretty);
   EXPECT_EQ(status_of({"alone", "--json=yaml"}), Status::wrong_usage);
-  EXPECT_TRUE(parsed({"things", "-tvj"}).types);
+  EXPECT_TRUE(parsed({"things", "-tvj"}).has(o::show_types));
 }
 
 TEST(Console, WritesNumbersForPeople) {

@@ -68,10 +68,9 @@ TEST(Journal, TellsDeathsAndRecoveries) {
   EXPECT_EQ(death(0), "process 7 (lidar, pid 812): died");
   EXPECT_EQ(death(1), "process 7 (lidar, pid 812): let go of its memory and lives");
   EXPECT_EQ(death(2), "process 7 (lidar, pid 812): was revoked and lives");
-  EXPECT_EQ(sentence(record(RecordType::recovered, {{"pid", 99},
-                                                    {"redone_lsn", 4710},
-                                                    {"dead_count", 1},
-                                                    {"board_word_count", 2}})),
+  EXPECT_EQ(sentence(record(
+                RecordType::recovered,
+                {{"pid", 99}, {"redone_lsn", 4710}, {"dead_count", 1}, {"board_word_count", 2}})),
             "agnocastd (pid 99): took over, completed #4710, 1 process had died, 2 "
             "words of the board written again");
   EXPECT_EQ(

@@ -1,0 +1,91 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Option: one option of agnocast-ctl as data. Parsing, help, manual and completion are made from it,
+// and a command asks for its value by the object itself:
+//
+//   namespace options { inline constexpr Option window{…}; }
+//   arguments.whole(options::window)
+//
+// Options are few and shared: who means the same thing as ros2's verbs takes their letters.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <limits>
+#include <string_view>
+
+namespace agnocast::ctl {
+
+struct Option {
+  enum class Kind : std::uint8_t {
+    flag,   // no value
+    text,   // anything but the empty text
+    whole,  // a whole number from `least` to `most`
+    real,   // a number from `least` (above it, when that is 0) to `most`
+    word,   // one of `words`
+  };
+
+  std::string_view names;    // as typed: "-t,--show-types"
+  std::string_view meaning;  // a phrase that goes on behind the name
+  Kind kind = Kind::flag;
+  std::string_view value = {};      // what help calls the value: "COUNT"
+  std::string_view otherwise = {};  // the value when it is not given; empty: none
+  double least = 0;
+  double most = std::numeric_limits<double>::infinity();
+  std::string_view words = {};  // separated by blanks
+};
+
+/// A word that is no option.
+struct Subject {
+  enum class Count : std::uint8_t { one, optional, many };  // many: one or more, at the end
+  std::string_view name;                                    // "TOPIC"
+  std::string_view meaning;
+  Count count = Count::one;
+};
+
+template <const Option&... Each>
+inline constexpr std::array<const Option*, sizeof...(Each)> these{&Each...};
+template <const Subject&... Each>
+inline constexpr std::array<const Subject*, sizeof...(Each)> about{&Each...};
+
+namespace options {
+
+using Kind = Option::Kind;
+
+// Of all commands.
+inline constexpr Option socket{
+    "--socket", "where agnocastd listens; else AGNOCAST_SOCKET, else the usual place", Kind::text,
+    "PATH"};
+inline constexpr Option json{"-j", "one JSON object; indented on a terminal"};
+inline constexpr Option json_form{
+    "--json", "the same; FORM is short or pretty", Kind::word, "[=FORM]", {}, 0, 0, "short pretty"};
+
+// Which of all.
+inline constexpr Option domain{"--domain", "of this ROS domain; else ROS_DOMAIN_ID, else 0",
+                               Kind::text, "ID"};
+inline constexpr Option all_domains{"-a,--all-domains", "of every ROS domain"};
+inline constexpr Option hidden{"--include-hidden-topics",
+                               "also those with a part that begins with an underscore"};
+inline constexpr Option of_topic{"--topic", "of this topic", Kind::text, "NAME"};
+inline constexpr Option of_process{"--process", "of this process: its name or pid", Kind::text,
+                                   "NAME"};
+
+// How much of each.
+inline constexpr Option show_types{"-t,--show-types", "with the type of each"};
+inline constexpr Option count_topics{"-c,--count-topics", "only how many there are"};
+inline constexpr Option verbose{"-v,--verbose", "more of each"};
+inline constexpr Option records{
+    "-n,--number", "at most so many, the newest", Kind::whole, "COUNT", "20", 1};
+inline constexpr Option follow{"-f,--follow", "go on with what comes"};
+
+}  // namespace options
+
+namespace subjects {
+
+inline constexpr Subject topic{"NAME", "a topic; without a slash it is meant to have one"};
+inline constexpr Subject process{"PROCESS",
+                                 "a pid, or INDEX.GENERATION as process list has it (CLIENT)"};
+
+}  // namespace subjects
+
+}  // namespace agnocast::ctl
