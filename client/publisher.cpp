@@ -108,8 +108,9 @@ Errc UntypedPublisher::state() const noexcept {
 
 bool UntypedPublisher::is_active() const noexcept { return endpoint_ != nullptr && !is_revoked(); }
 
-Errc UntypedPublisher::publish(void* message, std::size_t bytes) noexcept {
-  switch (endpoint_->publish(message, bytes)) {
+Errc UntypedPublisher::publish(void* message, std::size_t object_bytes,
+                               std::uint64_t message_bytes) noexcept {
+  switch (endpoint_->publish(message, object_bytes, message_bytes)) {
     case dataplane::PublishOutcome::published:
       return Errc::ok;
     case dataplane::PublishOutcome::no_slot:
@@ -120,10 +121,10 @@ Errc UntypedPublisher::publish(void* message, std::size_t bytes) noexcept {
   return Errc::internal;
 }
 
-void UntypedPublisher::count_adoption(const Result<std::uint64_t>& adopted) noexcept {
+void UntypedPublisher::count_adoption(const Result<Adoption>& adopted) noexcept {
   AGNOCAST_CRASH_POINT(C_original);
   if (adopted) {
-    endpoint_->count_adopted(*adopted);
+    endpoint_->count_adopted(adopted->adopted_bytes);
   } else if (adopted.error().code != Errc::user_code_threw) {
     endpoint_->count_heap_exhausted();
   }

@@ -93,7 +93,8 @@ void PublisherEndpoint::in_control_thread(Do work) noexcept {
   with_queue(work, code.may_run());
 }
 
-dataplane::PublishOutcome PublisherEndpoint::publish(void* message, std::uint64_t bytes) noexcept {
+dataplane::PublishOutcome PublisherEndpoint::publish(void* message, std::uint64_t object_bytes,
+                                                     std::uint64_t message_bytes) noexcept {
   dataplane::PublishOutcome outcome = dataplane::PublishOutcome::no_slot;
   std::shared_ptr<PublisherEndpoint> heir;
   with_queue([&](Work& work) {
@@ -102,14 +103,19 @@ dataplane::PublishOutcome PublisherEndpoint::publish(void* message, std::uint64_
       return;
     }
     // The stamp is taken under the mutex, so that it grows with the sequence.
-    outcome =
-        core_->publish({reinterpret_cast<std::uint64_t>(message), bytes, monotonic_ns()}, work);
+    outcome = core_->publish(
+        {reinterpret_cast<std::uint64_t>(message), object_bytes, monotonic_ns()}, work);
+    if (outcome == dataplane::PublishOutcome::published) {
+      // Only written under this mutex.
+      auto& total = identity_.core.words.counter(offsetof(abi::PublisherEndpoint, published_bytes));
+      total.store(total.load(std::memory_order_relaxed) + message_bytes, std::memory_order_relaxed);
+    }
     // Many at once, when a reader that lagged has caught up: the next publishes destroy the rest, or
     // the control thread's timer. Waking it would be a system call.
     work.destroy_doomed();
   });
   if (heir != nullptr) [[unlikely]]
-    return heir->publish(message, bytes);
+    return heir->publish(message, object_bytes, message_bytes);
   if (outcome == dataplane::PublishOutcome::no_slot)
     count(offsetof(abi::PublisherEndpoint, refused_no_slot), 1);
   if (outcome == dataplane::PublishOutcome::would_block)

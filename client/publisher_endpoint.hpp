@@ -63,10 +63,12 @@ class PublisherEndpoint {
   // --- user threads
   // --------------------------------------------------------------------------------------------------------------
 
-  /// Commits `message`, an object of `bytes` in this process's shared heap. After `published` it
+  /// Commits `message`, an object of `object_bytes` in this process's shared heap; with what belongs
+  /// to it `message_bytes`, which is only counted. After `published` it
   /// belongs to the queue; otherwise it stays the caller's. System calls: none while nobody sleeps,
   /// one per sleeper for the first two, one more for all others.
-  dataplane::PublishOutcome publish(void* message, std::uint64_t bytes) noexcept;
+  dataplane::PublishOutcome publish(void* message, std::uint64_t object_bytes,
+                                    std::uint64_t message_bytes) noexcept;
   /// For agnocast-ctl: a message was adopted, or the shared heap had no room to adopt it. Any thread.
   void count_adopted(std::uint64_t bytes) noexcept;
   void count_heap_exhausted() noexcept;

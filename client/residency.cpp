@@ -41,6 +41,7 @@ class Walk {
 
   void run(const void* message) noexcept {
     const bool is_opaque = plan_.kind == MessageType::Kind::opaque;
+    found_.message_bytes += plan_.bytes;
     if (!windows_.contains(message, plan_.bytes)) {
       report(message, plan_.bytes, "(message)", nullptr);
     } else if (is_opaque) {
@@ -134,6 +135,7 @@ class Walk {
   }
 
   void range(const void* first, std::size_t bytes, const char* path, const Frame* frame) noexcept {
+    found_.message_bytes += bytes;
     if (!windows_.contains(first, bytes)) report(first, bytes, path, frame);
   }
 
@@ -147,6 +149,7 @@ class Walk {
   }
 
   void unseen(std::size_t bytes, const char* path, const Frame* frame) noexcept {
+    found_.message_bytes += bytes;
     if (found_.is_resident()) write_path(path, frame);
     ++found_.unseen_count;
     found_.foreign_bytes += bytes;

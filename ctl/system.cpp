@@ -191,6 +191,34 @@ Outcome<void> Observer::revoke(const wire::DumpProcess& process) {
   return {};
 }
 
+Outcome<std::uint64_t> Observer::log_level(std::uint64_t level) {
+  wire::SetLogLevel request{};
+  request.level = level;
+  if (auto sent = send(Opcode::set_log_level, request); !sent) return tl::unexpected(sent.error());
+  auto answer = receive();
+  if (!answer) return tl::unexpected(answer.error());
+  wire::LogLevelIs is{};
+  if (answer->header().opcode != Opcode::log_level_is || !answer->read(is)) return nonsense();
+  return is.level;
+}
+
+Outcome<Observer::Access> Observer::access(std::uint64_t domain, const std::string& topic) {
+  wire::AskAccess request{};
+  request.domain = domain;
+  topic.copy(request.topic.text, sizeof request.topic.text - 1);
+  if (auto sent = send(Opcode::ask_access, request); !sent) return tl::unexpected(sent.error());
+  Access access;
+  for (auto [kind, is] : {std::pair(wire::Kind::publisher, &access.publish),
+                          std::pair(wire::Kind::subscription, &access.subscribe)}) {
+    auto answer = receive();
+    if (!answer) return tl::unexpected(answer.error());
+    if (answer->header().opcode != Opcode::access_is || !answer->read(*is) || is->kind != kind)
+      return nonsense();
+    is->principals[sizeof is->principals - 1] = '\0';
+  }
+  return access;
+}
+
 Outcome<System> Observer::look() {
   if (auto sent = send(Opcode::dump, wire::Dump{}); !sent) return tl::unexpected(sent.error());
   System system;
@@ -203,7 +231,7 @@ Outcome<System> Observer::look() {
       wire::DumpEnd end{};
       if (!packet->read(end) || end.process_count != seen.process_count ||
           end.topic_count != seen.topic_count || end.endpoint_count != seen.endpoint_count ||
-          end.user_count != seen.user_count)
+          end.user_count != seen.user_count || end.refusal_count != seen.refusal_count)
         return nonsense();
       break;
     }
@@ -286,6 +314,11 @@ Outcome<void> Observer::accept(Received& packet, System& system, wire::DumpEnd& 
       system.users.emplace_back();
       if (!packet.read(system.users.back())) return nonsense();
       ++seen.user_count;
+      return {};
+    case Opcode::dump_refusal:
+      system.refusals.emplace_back();
+      if (!packet.read(system.refusals.back())) return nonsense();
+      ++seen.refusal_count;
       return {};
     default:
       return nonsense();

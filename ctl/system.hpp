@@ -57,7 +57,8 @@ struct System {
   std::map<std::uint64_t, Process> processes;  // by index
   std::map<std::uint32_t, Topic> topics;       // by index
   std::vector<wire::DumpUser> users;
-  std::byte* board = nullptr;  // the observer's
+  std::vector<wire::DumpRefusal> refusals;  // the oldest first
+  std::byte* board = nullptr;               // the observer's
 
   /// The process of an endpoint; nothing when the daemon's dump names none.
   const Process* process_of(const Endpoint& endpoint) const;
@@ -84,6 +85,13 @@ class Observer {
   Outcome<void> revoke(const wire::DumpProcess& process);
   /// The newest records of the daemon's log, at most `count`, up to `last` (0: the newest).
   Outcome<Journal> read_journal(std::uint64_t last, std::uint64_t count);
+  /// What the daemon logs; `level` 0 changes nothing. Problems also: permission_denied.
+  Outcome<std::uint64_t> log_level(std::uint64_t level);
+  /// Who may publish and subscribe there.
+  struct Access {
+    wire::AccessIs publish{}, subscribe{};
+  };
+  Outcome<Access> access(std::uint64_t domain, const std::string& topic);
   /// How long every client region is.
   std::uint64_t region_bytes() const noexcept { return region_bytes_; }
 

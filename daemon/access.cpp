@@ -75,16 +75,23 @@ std::optional<NameProblem> check_topic_pattern(std::string_view pattern) noexcep
   return std::nullopt;
 }
 
-Decision decide(std::span<const AccessRule> rules, const Subject& subject, std::uint64_t domain,
-                std::string_view topic, Action action) noexcept {
-  for (std::size_t i = 0; i < rules.size(); ++i) {
-    const AccessRule& rule = rules[i];
+const AccessRule* deciding_rule(std::span<const AccessRule> rules, std::uint64_t domain,
+                                std::string_view topic, Action action) noexcept {
+  for (const AccessRule& rule : rules) {
     const auto& who = action == Action::publish ? rule.publish : rule.subscribe;
     if (!who || (rule.domain && *rule.domain != domain)) continue;
-    if (!topic_matches(rule.topic, topic)) continue;
-    return {who->contains(subject.uid, subject.groups), i, rule.line};
+    if (topic_matches(rule.topic, topic)) return &rule;
   }
-  return {};
+  return nullptr;
+}
+
+Decision decide(std::span<const AccessRule> rules, const Subject& subject, std::uint64_t domain,
+                std::string_view topic, Action action) noexcept {
+  const AccessRule* const rule = deciding_rule(rules, domain, topic, action);
+  if (rule == nullptr) return {};
+  const auto& who = action == Action::publish ? rule->publish : rule->subscribe;
+  return {who->contains(subject.uid, subject.groups), static_cast<std::size_t>(rule - rules.data()),
+          rule->line};
 }
 
 }  // namespace agnocast::daemon

@@ -63,6 +63,9 @@ struct Decision {
   std::uint32_t line = 0;           // of that rule
 };
 
+/// The first rule that matches and speaks of the action; null: there is none.
+const AccessRule* deciding_rule(std::span<const AccessRule> rules, std::uint64_t domain,
+                                std::string_view topic, Action action) noexcept;
 /// `topic` is a fully qualified name. Linear in the rules.
 Decision decide(std::span<const AccessRule> rules, const Subject& subject, std::uint64_t domain,
                 std::string_view topic, Action action) noexcept;

@@ -31,6 +31,7 @@
 #include <daemon/membership.hpp>
 #include <daemon/obstacles.hpp>
 #include <daemon/reaper.hpp>
+#include <daemon/refusals.hpp>
 #include <daemon/regions.hpp>
 #include <daemon/registry.hpp>
 #include <daemon/requests.hpp>
@@ -167,6 +168,8 @@ class Broker final : private Post {
   [[nodiscard]] Result<void> dump(Peer& peer, const wire::Dump& request);
   [[nodiscard]] Result<void> revoke(Peer& peer, const wire::Revoke& request);
   [[nodiscard]] Result<void> read_journal(Peer& peer, const wire::ReadJournal& request);
+  [[nodiscard]] Result<void> set_log_level(Peer& peer, const wire::SetLogLevel& request);
+  [[nodiscard]] Result<void> ask_access(Peer& peer, const wire::AskAccess& request);
   void answer_at_length(Peer& peer, std::vector<Outgoing> packets);
 
   // collisions.cpp: heaps where somebody else has something else
@@ -191,6 +194,8 @@ class Broker final : private Post {
   void watch_holds();
   void watch_letting_go();
   void refuse(Peer& peer, std::uint64_t request, Errc code, int os_errno, std::string_view text);
+  /// For people who ask later.
+  void remember(const Peer& peer, const Request& request, Errc code, std::string_view why);
   void reply(Peer& peer, Outgoing packet);
   void reply(Peer& peer, std::span<const std::byte> packet, std::vector<SharedFd> fds = {});
   void announce_what_waits();
@@ -221,6 +226,7 @@ class Broker final : private Post {
   Membership membership_;
   HoldWatch hold_watch_;
   LetGoWatch let_go_watch_;
+  Refusals refusals_;
   std::unordered_map<PeerId, std::unique_ptr<Peer>> peers_;
   std::vector<Peer*> by_client_;
   std::unordered_map<std::uint32_t, std::deque<PeerId>> waiting_;  // for their turn, by uid

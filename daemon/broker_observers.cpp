@@ -10,13 +10,32 @@
 #include <base/clock.hpp>
 #include <daemon/flight_recorder.hpp>
 
+#include <base/check.hpp>
+
 #include <unistd.h>
 
+#include <algorithm>
+#include <cstring>
 #include <utility>
 
 namespace agnocast::daemon {
 
 namespace {
+
+// As many as fit, separated by commas.
+template <std::size_t size>
+void write_list(const std::vector<std::string>& words, char (&text)[size]) {
+  std::string all;
+  for (const std::string& word : words) {
+    const std::string next = (all.empty() ? "" : ", ") + word;
+    if (all.size() + next.size() + std::string_view(", ...").size() >= size) {
+      all += ", ...";
+      break;
+    }
+    all += next;
+  }
+  std::memcpy(text, all.data(), std::min(all.size(), size - 1));
+}
 
 // What an observer has not read by then is thrown away, and the observer with it.
 constexpr std::uint64_t observer_patience_ms = 5'000;
@@ -57,6 +76,46 @@ Result<void> Broker::read_journal(Peer& peer, const wire::ReadJournal& request) 
   return {};
 }
 
+Result<void> Broker::set_log_level(Peer& peer, const wire::SetLogLevel& request) {
+  const PeerIdentity& who = peer.session.identity();
+  if (request.level != 0) {
+    if (who.uid != 0 && who.uid != ::geteuid())
+      return refusal(Errc::permission_denied,
+                     "user " + std::to_string(who.uid) + " may not change what agnocastd logs");
+    log_.set_level(static_cast<LogLevel>(request.level));
+    log_.write(LogLevel::notice, "log level",
+               {{"level", name_of(log_.level())}, {"pid", who.pid}, {"uid", who.uid}});
+  }
+  auto answer = make_body<wire::LogLevelIs>(wire::Opcode::log_level_is, request.header.request);
+  answer.level = static_cast<std::uint64_t>(log_.level());
+  reply(peer, packet_of(answer));
+  return {};
+}
+
+Result<void> Broker::ask_access(Peer& peer, const wire::AskAccess& request) {
+  std::string_view topic;
+  AGNOCAST_CHECK(text_of(request.topic, topic));  // decode() has looked
+  if (const auto problem = check_topic_name(topic))
+    return refusal(Errc::invalid_name, "topic " + printable(topic) + ": " + problem->text());
+  const auto& rules = options_.config.access;
+  for (const Action action : {Action::publish, Action::subscribe}) {
+    auto answer = make_body<wire::AccessIs>(wire::Opcode::access_is, request.header.request);
+    answer.kind = action == Action::publish ? Kind::publisher : Kind::subscription;
+    answer.rule_count = static_cast<std::uint32_t>(rules.size());
+    const AccessRule* const rule = deciding_rule(rules, request.domain, topic, action);
+    answer.everybody = rule == nullptr ? 1 : 0;
+    if (rule != nullptr) {
+      const Principals& who = action == Action::publish ? *rule->publish : *rule->subscribe;
+      answer.line = rule->line;
+      answer.everybody = who.everybody ? 1 : 0;
+      answer.pattern = name_of(rule->topic);
+      write_list(who.written, answer.principals);
+    }
+    reply(peer, packet_of(answer));
+  }
+  return {};
+}
+
 void Broker::answer_at_length(Peer& peer, std::vector<Outgoing> packets) {
   peer.asked_ms = monotonic_ms();
   for (Outgoing& packet : packets) peer.session.push(std::move(packet));
@@ -90,6 +149,9 @@ DumpFacts Broker::facts() const {
   daemon.window_bytes = options_.arena.window_bytes;
   daemon.windows_used = plan_.used_count();
   daemon.unlocked_count = regions_.unlocked_count();
+  daemon.log_level = static_cast<std::uint32_t>(log_.level());
+  daemon.kept_descriptors = store_.kept_count();
+  daemon.kept_descriptors_max = store_.keeps() ? store_.capacity() : 0;
   daemon.counters = registry_.counters();
   const Config::Limits& limits = options_.config.limits;
   daemon.limits = {limits.clients,
@@ -100,13 +162,15 @@ DumpFacts Broker::facts() const {
                    limits.depth_max,
                    options_.config.heap.windows_per_process};
   const Config::Quota& quota = options_.config.quota;
-  daemon.quota = {quota.clients,   quota.publishers, quota.subscriptions,
-                  quota.executors, heap_quota(),     quota.held_messages};
+  daemon.quota = {quota.clients, quota.publishers,    quota.subscriptions, quota.executors,
+                  heap_quota(),  quota.held_messages, quota.topics};
   for (const auto& [uid, used] : connections_) {
     facts.users[uid] = {used.clients, used.observers};
     daemon.connections += used.clients;
     daemon.observers += used.observers;
   }
+  facts.refusals = &refusals_.all();
+  facts.now_ns = now;
   facts.process_of = [this, now](ClientIndex client) {
     DumpFacts::Process process;
     const Peer* const peer = by_client_[number(client)];

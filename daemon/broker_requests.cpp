@@ -82,6 +82,25 @@ void Broker::refuse(Peer& peer, std::uint64_t request, Errc code, int os_errno,
   reply(peer, packet_of(packet));
 }
 
+void Broker::remember(const Peer& peer, const Request& request, Errc code, std::string_view why) {
+  const PeerIdentity& who = peer.session.identity();
+  Refusals::Refusal refusal;
+  refusal.code = code;
+  refusal.uid = who.uid;
+  refusal.pid = static_cast<std::uint32_t>(who.pid);
+  refusal.why = why;
+  refusal.stamp_ns = monotonic_ns();
+  if (const auto client = peer.session.client()) {
+    refusal.domain = registry_.client(*client).domain;
+    refusal.process_name = registry_.client(*client).name;
+  }
+  if (const auto* const create = std::get_if<CreateRequest>(&request)) {
+    refusal.kind = create->kind;
+    refusal.topic = create->topic;
+  }
+  refusals_.add(std::move(refusal));
+}
+
 void Broker::serve(Peer& peer, const Request& request, std::span<UniqueFd> fds) {
   Result<void> served;
   std::uint64_t id = 0;
@@ -129,6 +148,12 @@ void Broker::serve(Peer& peer, const Request& request, std::span<UniqueFd> fds) 
     } else if constexpr (std::is_same_v<Body, wire::ReadJournal>) {
       id = body.header.request;
       served = read_journal(peer, body);
+    } else if constexpr (std::is_same_v<Body, wire::SetLogLevel>) {
+      id = body.header.request;
+      served = set_log_level(peer, body);
+    } else if constexpr (std::is_same_v<Body, wire::AskAccess>) {
+      id = body.header.request;
+      served = ask_access(peer, body);
     } else {
       id = body.request;
       served = refusal(body.code, body.text);
@@ -139,8 +164,9 @@ void Broker::serve(Peer& peer, const Request& request, std::span<UniqueFd> fds) 
   // It ended while nobody served; another may have its place by now.
   if (!peer.session.greeted() && peer.session.identity().process.ended()) return;
   const std::string_view detail = detail_of(served.error());
-  refuse(peer, id, served.error().code, served.error().os_errno,
-         detail.empty() ? served.error().what : detail);
+  const std::string why(detail.empty() ? served.error().what : detail);
+  remember(peer, request, served.error().code, why);
+  refuse(peer, id, served.error().code, served.error().os_errno, why);
   const auto* const rejected = std::get_if<Rejected>(&request);
   if (rejected != nullptr && rejected->ends_connection)
     disconnect(peer, "a packet could not be parsed");

@@ -64,6 +64,7 @@ class DescriptorStore {
 
   // --- for the next life
   bool is_kept(const std::string& name) const { return kept_.count(name) != 0; }
+  std::size_t kept_count() const noexcept { return kept_.size(); }
   /// Errors: limit_reached (the manager keeps no more), os_failure.
   [[nodiscard]] Result<void> put(const std::string& name, int fd);
   /// What is not kept may be removed as well.

@@ -28,6 +28,7 @@ class Writer {
     for (std::uint32_t i = 0; i < registry_.client_high(); ++i) write_process(ClientIndex{i});
     for (std::uint32_t i = 0; i < registry_.topic_high(); ++i) write_topic(TopicIndex{i});
     write_users();
+    write_refusals();
     put(Opcode::dump_end, end_);
     return std::move(packets_);
   }
@@ -123,10 +124,28 @@ class Writer {
       body.uid = uid;
       body.connections = user.connections;
       body.observers = user.observers;
-      body.use = {usage.clients,   usage.publishers, usage.subscriptions,
-                  usage.executors, usage.heap_bytes, usage.held_messages};
+      body.use = {usage.clients,    usage.publishers,    usage.subscriptions, usage.executors,
+                  usage.heap_bytes, usage.held_messages, usage.topics};
       put(Opcode::dump_user, body);
       ++end_.user_count;
+    }
+  }
+
+  void write_refusals() {
+    for (const Refusals::Refusal& refusal : *facts_.refusals) {
+      wire::DumpRefusal body{};
+      body.code = static_cast<std::uint32_t>(refusal.code);
+      body.uid = refusal.uid;
+      body.pid = refusal.pid;
+      body.kind = refusal.kind;
+      body.domain = refusal.domain;
+      body.age_ns = facts_.now_ns - std::min(refusal.stamp_ns, facts_.now_ns);
+      body.times = refusal.times;
+      body.process_name = name_of(refusal.process_name);
+      body.topic = name_of(refusal.topic);
+      body.why = name_of(refusal.why);
+      put(Opcode::dump_refusal, body);
+      ++end_.refusal_count;
     }
   }
 

@@ -8,6 +8,7 @@
 #pragma once
 
 #include <agnocast/abi/observe.hpp>
+#include <daemon/refusals.hpp>
 #include <daemon/registry.hpp>
 #include <daemon/session.hpp>
 #include <daemon/shared_fd.hpp>
@@ -35,6 +36,8 @@ struct DumpFacts {
   abi::wire::DumpDaemon daemon{};       // header left open
   std::map<std::uint32_t, User> users;  // those with connections; owners of processes are added
   std::function<Process(ClientIndex)> process_of;
+  const std::vector<Refusals::Refusal>* refusals = nullptr;
+  std::uint64_t now_ns = 0;  // CLOCK_MONOTONIC
 };
 
 /// The answer to the request with this id, in order: it ends with dump_end.

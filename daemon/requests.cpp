@@ -3,6 +3,7 @@
 #include <daemon/requests.hpp>
 
 #include <agnocast/abi/limits.hpp>
+#include <daemon/log.hpp>
 
 #include <algorithm>
 #include <cinttypes>
@@ -179,6 +180,22 @@ Request decode_revoke(Packet packet) {
   return body;
 }
 
+Request decode_set_log_level(Packet packet) {
+  const auto body = body_of<wire::SetLogLevel>(packet);
+  if (body.level != 0 && (body.level < static_cast<std::uint64_t>(LogLevel::error) ||
+                          body.level > static_cast<std::uint64_t>(LogLevel::debug)))
+    return refuse(body.header, Errc::invalid_argument, "an unknown level of the log");
+  return body;
+}
+
+Request decode_ask_access(Packet packet) {
+  const auto body = body_of<wire::AskAccess>(packet);
+  std::string_view topic;
+  if (!text_of(body.topic, topic))
+    return refuse(body.header, Errc::protocol_violation, "the name of the topic does not end");
+  return body;
+}
+
 struct Row {
   wire::Opcode opcode;
   std::size_t bytes;
@@ -204,12 +221,14 @@ constexpr Row rows[] = {
     {wire::Opcode::dump, sizeof(wire::Dump), Role::observer, decode_dump},
     {wire::Opcode::revoke, sizeof(wire::Revoke), Role::observer, decode_revoke},
     {wire::Opcode::read_journal, sizeof(wire::ReadJournal), Role::observer, decode_read_journal},
+    {wire::Opcode::set_log_level, sizeof(wire::SetLogLevel), Role::observer, decode_set_log_level},
+    {wire::Opcode::ask_access, sizeof(wire::AskAccess), Role::observer, decode_ask_access},
 };
 
 // Why a connection in this role does not say that.
 const char* out_of_place(Role role, wire::Opcode opcode) noexcept {
   if (role == Role::unknown) return "the first request must be hello";
-  if (role == Role::observer) return "an observer looks, or revokes";
+  if (role == Role::observer) return "an observer takes part in nothing";
   if (opcode == wire::Opcode::hello) return "hello is said once";
   return opcode == wire::Opcode::rejoin ? "this connection has a client already"
                                         : "a client does not observe; observers connect for that";

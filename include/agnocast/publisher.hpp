@@ -99,9 +99,10 @@ class AGNOCAST_PUBLIC UntypedPublisher {
 
   /// ok; shut_down in a forked child, switched_off, revoked: nothing can be published.
   Errc state() const noexcept;
-  Errc publish(void* message, std::size_t bytes) noexcept;
+  /// `object_bytes` of `message_bytes` are the message object itself.
+  Errc publish(void* message, std::size_t object_bytes, std::uint64_t message_bytes) noexcept;
   /// What make_resident did, unless nothing was foreign; for agnocast-ctl.
-  void count_adoption(const Result<std::uint64_t>& adopted) noexcept;
+  void count_adoption(const Result<Adoption>& adopted) noexcept;
   SharedHeap heap() const noexcept;
   const MessageType& type() const noexcept { return type_; }
   const std::string& topic() const noexcept { return topic_; }
@@ -187,13 +188,12 @@ class Publisher {
   PublishResult publish(std::unique_ptr<T>&& message) noexcept {
     if (const Errc state = untyped_->state(); state != Errc::ok) return {state, 0};
     if (message == nullptr) return {Errc::loan_invalid, 0};
-    const Result<std::uint64_t> adopted =
-        make_resident(message, untyped_->type(), untyped_->heap());
-    if (!adopted || *adopted != 0) untyped_->count_adoption(adopted);
+    const Result<Adoption> adopted = make_resident(message, untyped_->type(), untyped_->heap());
+    if (!adopted || adopted->adopted_bytes != 0) untyped_->count_adoption(adopted);
     if (!adopted) return {adopted.error().code, 0};
-    const Errc code = untyped_->publish(message.get(), sizeof(T));
+    const Errc code = untyped_->publish(message.get(), sizeof(T), adopted->message_bytes);
     if (code == Errc::ok) (void)message.release();
-    return {code, *adopted};
+    return {code, adopted->adopted_bytes};
   }
 
   /// publish for keep-all: while a subscription has not read enough (would_block), waits for it, at

@@ -63,6 +63,10 @@ class WindowSet {
 struct Residency {
   static constexpr std::size_t path_bytes_max = 160;
 
+  /// Bytes of all ranges that a reader would touch: the size of the message. Of an opaque type only
+  /// sizeof is known.
+  std::uint64_t message_bytes = 0;
+
   /// Bytes of the ranges that a reader would touch and that lie outside the windows. A range is the
   /// message object, the elements of one sequence (not its spare capacity), or the text of one
   /// string outside its object with its terminator. Ranges are disjoint, so no byte counts twice;
@@ -170,22 +174,27 @@ class SharedScope {
   std::uint64_t before_;
 };
 
+/// What make_resident did.
+struct Adoption {
+  /// Residency::foreign_bytes of the original; 0 if nothing was to do.
+  std::uint64_t adopted_bytes = 0;
+  std::uint64_t message_bytes = 0;  ///< Residency::message_bytes of what is there now
+};
+
 /// Makes `message` resident, by adoption if it must: a copy is built in the shared heap, the
-/// original destroyed and `message` pointed at the copy. Returns adopted_bytes:
-/// Residency::foreign_bytes of the original, 0 if nothing was to do. The whole message is copied,
-/// resident parts too; adopted_bytes says what would have been enough.
+/// original destroyed and `message` pointed at the copy. The whole message is copied, resident parts
+/// too; adopted_bytes says what would have been enough.
 ///
 /// On failure `message` is as before. Errors: heap_exhausted: the shared heap cannot hold it;
 /// user_code_threw: the copy constructor threw something other than bad_alloc. Throws nothing,
 /// whatever T does. Cost: check_residency, and if anything is foreign a copy, a second check and a
 /// destruction. Any thread.
 template <class T>
-[[nodiscard]] Result<std::uint64_t> make_resident(std::unique_ptr<T>& message,
-                                                  const MessageType& type,
-                                                  const SharedHeap& heap) noexcept {
+[[nodiscard]] Result<Adoption> make_resident(std::unique_ptr<T>& message, const MessageType& type,
+                                             const SharedHeap& heap) noexcept {
   static_assert(detail::require_message<T>());
   const Residency found = check_residency(type, message.get(), heap.windows(heap.context));
-  if (found.is_resident()) return std::uint64_t{0};
+  if (found.is_resident()) return Adoption{0, found.message_bytes};
 
   std::unique_ptr<T> copy;
   SharedScope scope(heap);
@@ -204,7 +213,7 @@ template <class T>
     return tl::unexpected(heap.full());
   }
   message = std::move(copy);
-  return found.foreign_bytes;
+  return Adoption{found.foreign_bytes, now.message_bytes};
 }
 
 }  // namespace agnocast

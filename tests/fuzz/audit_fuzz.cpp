@@ -76,6 +76,13 @@ class Script {
       add(wire::DumpUser{}, Opcode::dump_user);
       ++end.user_count;
     }
+    if (input_.ConsumeBool()) {
+      wire::DumpRefusal refusal{};
+      name(refusal.topic);
+      name(refusal.why);
+      add(refusal, Opcode::dump_refusal);
+      ++end.refusal_count;
+    }
     add(end, Opcode::dump_end);
     return std::move(messages_);
   }

@@ -34,6 +34,7 @@ struct Dumped {
   std::vector<wire::DumpTopic> topics;
   std::vector<wire::DumpEndpoint> endpoints;
   std::vector<wire::DumpUser> users;
+  std::vector<wire::DumpRefusal> refusals;
   wire::DumpEnd end{};
 };
 
@@ -69,6 +70,9 @@ struct Observer {
           break;
         case Opcode::dump_user:
           all.users.push_back(packet.as<wire::DumpUser>());
+          break;
+        case Opcode::dump_refusal:
+          all.refusals.push_back(packet.as<wire::DumpRefusal>());
           break;
         case Opcode::dump_end:
           all.end = packet.as<wire::DumpEnd>();
@@ -158,6 +162,88 @@ TEST(DaemonObserver, IsToldEverythingOfOneMoment) {
   EXPECT_EQ(SharedMemory::word(region.base(), 16).load(), all.processes[0].generation);
 }
 
+TEST(DaemonObserver, IsToldWhatWasRefusedLately) {
+  DaemonProcess daemon({.config = "[limits]\ndepth_max = 5\n"});
+  const auto observer = observing(daemon);
+  EXPECT_TRUE(observer->dump().refusals.empty());
+  const auto client = greeted(daemon);
+  for (int i = 0; i < 3; ++i)
+    EXPECT_EQ(
+        client->ask(Opcode::create_publisher, WireClient::endpoint("/deep", {6})).refused_code(),
+        Errc::depth_refused);
+  EXPECT_EQ(
+      client->ask(Opcode::create_subscription, WireClient::endpoint("/deep", {6})).refused_code(),
+      Errc::depth_refused);
+  const Dumped all = observer->dump();
+  ASSERT_EQ(all.refusals.size(), 2u) << "the same again is counted";
+  EXPECT_EQ(all.end.refusal_count, 2u);
+  const wire::DumpRefusal& refusal = all.refusals[0];
+  EXPECT_EQ(refusal.code, static_cast<std::uint32_t>(Errc::depth_refused));
+  EXPECT_EQ(refusal.kind, Kind::publisher);
+  EXPECT_EQ(refusal.uid, ::geteuid());
+  EXPECT_EQ(refusal.pid, static_cast<unsigned>(::getpid()));
+  EXPECT_EQ(refusal.times, 3u);
+  EXPECT_STREQ(refusal.topic.text, "/deep");
+  EXPECT_STREQ(refusal.process_name.text, "wire_client");
+  EXPECT_STREQ(refusal.why.text, "[limits] depth_max is 5, depth 6 is asked for");
+  EXPECT_EQ(all.refusals[1].kind, Kind::subscription);
+}
+
+TEST(DaemonObserver, AsksForTheLevelOfTheLogAndSetsItIfItMay) {
+  DaemonProcess daemon({.config = "[daemon]\nsocket_mode = \"0666\"\nlog_level = \"warning\"\n"});
+  const auto observer = observing(daemon);
+  const auto ask = [](WireClient& wire, std::uint64_t level) {
+    wire::SetLogLevel request{};
+    request.level = level;
+    return wire.ask(Opcode::set_log_level, request);
+  };
+  EXPECT_EQ(ask(observer->wire, 0).as<wire::LogLevelIs>().level, 4u);
+  EXPECT_EQ(ask(observer->wire, 7).as<wire::LogLevelIs>().level, 7u);
+  EXPECT_EQ(observer->dump().daemon.log_level, 7u);
+  const auto client = greeted(daemon);
+  EXPECT_TRUE(daemon.wait_for_log("client registered")) << "it is in force at once";
+  EXPECT_EQ(ask(observer->wire, 8).refused_code(), Errc::invalid_argument);
+  EXPECT_EQ(ask(observer->wire, 2).refused_code(), Errc::invalid_argument);
+  EXPECT_EQ(ask(observer->wire, 0).as<wire::LogLevelIs>().level, 7u);
+}
+
+TEST(DaemonObserver, AsksWhoMayPublishAndSubscribe) {
+  DaemonProcess daemon({.config = R"(
+[[access]]
+topic = "/lidar/**"
+publish = ["uid:4711", "gid:42"]
+
+[[access]]
+topic = "/lidar/top"
+subscribe = []
+)"});
+  const auto observer = observing(daemon);
+  const auto ask = [&](const char* topic) {
+    wire::AskAccess request{};
+    std::strcpy(request.topic.text, topic);
+    const Incoming publish = observer->wire.ask(Opcode::ask_access, request);
+    EXPECT_EQ(publish.opcode(), Opcode::access_is) << publish.refused_text();
+    return std::pair(publish.as<wire::AccessIs>(), observer->wire.next().as<wire::AccessIs>());
+  };
+  const auto [publish, subscribe] = ask("/lidar/top");
+  EXPECT_EQ(publish.kind, Kind::publisher);
+  EXPECT_EQ(publish.line, 2u);
+  EXPECT_EQ(publish.everybody, 0u);
+  EXPECT_EQ(publish.rule_count, 2u);
+  EXPECT_STREQ(publish.pattern.text, "/lidar/**");
+  EXPECT_STREQ(publish.principals, "uid:4711, gid:42");
+  EXPECT_EQ(subscribe.kind, Kind::subscription);
+  EXPECT_EQ(subscribe.line, 6u);
+  EXPECT_EQ(subscribe.everybody, 0u);
+  EXPECT_STREQ(subscribe.principals, "");
+  const auto [other, _] = ask("/other");
+  EXPECT_EQ(other.line, 0u);
+  EXPECT_EQ(other.everybody, 1u);
+  wire::AskAccess wrong{};
+  std::strcpy(wrong.topic.text, "no slash");
+  EXPECT_EQ(observer->wire.ask(Opcode::ask_access, wrong).refused_code(), Errc::invalid_name);
+}
+
 TEST(DaemonObserver, GetsTheBoardForReading) {
   DaemonProcess daemon;
   Observer observer(daemon);
@@ -189,7 +275,7 @@ TEST(DaemonObserver, SaysNothingElse) {
   EXPECT_EQ(early.observe(1).refused_code(), Errc::layout_mismatch);
   EXPECT_EQ(early.observe().opcode(), Opcode::observed) << "it may try again";
   EXPECT_EQ(early.observe().refused_code(), Errc::protocol_violation);
-  EXPECT_EQ(early.wire.hello().refused_text(), "an observer looks, or revokes");
+  EXPECT_EQ(early.wire.hello().refused_text(), "an observer takes part in nothing");
   EXPECT_EQ(early.wire.open_window(0).refused_code(), Errc::protocol_violation);
   EXPECT_EQ(early.wire.create_publisher("/x").refused_code(), Errc::protocol_violation);
   EXPECT_EQ(early.wire.ask(Opcode::dump, wire::Observe{}).refused_code(), Errc::protocol_violation)

@@ -18,6 +18,7 @@ struct WireDump {
   std::vector<wire::DumpProcess> processes;
   std::vector<wire::DumpTopic> topics;
   std::vector<wire::DumpEndpoint> endpoints;
+  std::vector<wire::DumpRefusal> refusals;
 
   const wire::DumpProcess* process(std::uint64_t client) const {
     const auto found = std::find_if(processes.begin(), processes.end(),
@@ -52,6 +53,9 @@ inline WireDump wire_dump(const std::string& socket_path) {
         break;
       case wire::Opcode::dump_endpoint:
         all.endpoints.push_back(packet.as<wire::DumpEndpoint>());
+        break;
+      case wire::Opcode::dump_refusal:
+        all.refusals.push_back(packet.as<wire::DumpRefusal>());
         break;
       case wire::Opcode::dump_user:
         break;

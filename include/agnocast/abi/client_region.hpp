@@ -45,6 +45,7 @@ static_assert(sizeof(QueueSlot) == 32 && offsetof(QueueSlot, address) == 8 &&
 //                      memberships of its process, one after the other
 //   16  inherited u64  sequence up to which messages were published in an earlier membership: history,
 //                      for those that ask for it; 0 = none
+//   24  published_bytes u64  of all messages together, what a reader may touch; for people
 //   64  intent         op, sequence, slot; read by the daemon after the owner's death
 //   88  counters       adopted messages and bytes, refused publishes by reason; for people. They share
 //                      the intent's line, which no other process reads while the owner lives
@@ -55,6 +56,7 @@ struct PublisherEndpoint {
   alignas(cache_line_bytes) SharedWord head;
   SharedWord lineage;
   SharedWord inherited;
+  SharedWord published_bytes;
   alignas(cache_line_bytes) SharedWord intent_op;
   SharedWord intent_sequence;
   SharedWord intent_slot;
@@ -67,6 +69,7 @@ struct PublisherEndpoint {
 static_assert(sizeof(PublisherEndpoint) == 128);
 static_assert(offsetof(PublisherEndpoint, head) == 0 && offsetof(PublisherEndpoint, lineage) == 8 &&
               offsetof(PublisherEndpoint, inherited) == 16 &&
+              offsetof(PublisherEndpoint, published_bytes) == 24 &&
               offsetof(PublisherEndpoint, intent_op) == 64 &&
               offsetof(PublisherEndpoint, intent_sequence) == 72 &&
               offsetof(PublisherEndpoint, intent_slot) == 80 &&

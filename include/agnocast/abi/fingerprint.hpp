@@ -66,9 +66,10 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(QueueSlot, stamp_ns), offsetof(QueueSlot, size));
   sum.add(sizeof(PublisherEndpoint), offsetof(PublisherEndpoint, head),
           offsetof(PublisherEndpoint, lineage), offsetof(PublisherEndpoint, inherited),
-          offsetof(PublisherEndpoint, intent_op), offsetof(PublisherEndpoint, intent_sequence),
-          offsetof(PublisherEndpoint, intent_slot), offsetof(PublisherEndpoint, adopted_messages),
-          offsetof(PublisherEndpoint, adopted_bytes), offsetof(PublisherEndpoint, refused_no_slot),
+          offsetof(PublisherEndpoint, published_bytes), offsetof(PublisherEndpoint, intent_op),
+          offsetof(PublisherEndpoint, intent_sequence), offsetof(PublisherEndpoint, intent_slot),
+          offsetof(PublisherEndpoint, adopted_messages), offsetof(PublisherEndpoint, adopted_bytes),
+          offsetof(PublisherEndpoint, refused_no_slot),
           offsetof(PublisherEndpoint, refused_would_block),
           offsetof(PublisherEndpoint, refused_heap_exhausted));
   sum.add(subscription_counters_offset(5), sizeof(SubscriptionCounters),
@@ -210,16 +211,17 @@ constexpr std::uint64_t fingerprint() noexcept {
   sum.add(sizeof(wire::UserShare), offsetof(wire::UserShare, clients),
           offsetof(wire::UserShare, publishers), offsetof(wire::UserShare, subscriptions),
           offsetof(wire::UserShare, executors), offsetof(wire::UserShare, heap_bytes),
-          offsetof(wire::UserShare, held_messages));
+          offsetof(wire::UserShare, held_messages), offsetof(wire::UserShare, topics));
   sum.add(sizeof(wire::DumpDaemon), offsetof(wire::DumpDaemon, header),
           offsetof(wire::DumpDaemon, version_major), offsetof(wire::DumpDaemon, version_minor),
           offsetof(wire::DumpDaemon, version_patch), offsetof(wire::DumpDaemon, pid),
-          offsetof(wire::DumpDaemon, uid), offsetof(wire::DumpDaemon, reserved),
+          offsetof(wire::DumpDaemon, uid), offsetof(wire::DumpDaemon, log_level),
           offsetof(wire::DumpDaemon, incarnation), offsetof(wire::DumpDaemon, uptime_ns),
           offsetof(wire::DumpDaemon, arena_base), offsetof(wire::DumpDaemon, arena_bytes),
           offsetof(wire::DumpDaemon, window_bytes), offsetof(wire::DumpDaemon, windows_used),
           offsetof(wire::DumpDaemon, connections), offsetof(wire::DumpDaemon, observers),
-          offsetof(wire::DumpDaemon, unlocked_count), offsetof(wire::DumpDaemon, counters),
+          offsetof(wire::DumpDaemon, unlocked_count), offsetof(wire::DumpDaemon, kept_descriptors),
+          offsetof(wire::DumpDaemon, kept_descriptors_max), offsetof(wire::DumpDaemon, counters),
           offsetof(wire::DumpDaemon, limits), offsetof(wire::DumpDaemon, quota));
   sum.add(sizeof(wire::DumpProcess), offsetof(wire::DumpProcess, header),
           offsetof(wire::DumpProcess, client), offsetof(wire::DumpProcess, generation),
@@ -248,7 +250,24 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::DumpUser, use));
   sum.add(sizeof(wire::DumpEnd), offsetof(wire::DumpEnd, header),
           offsetof(wire::DumpEnd, process_count), offsetof(wire::DumpEnd, topic_count),
-          offsetof(wire::DumpEnd, endpoint_count), offsetof(wire::DumpEnd, user_count));
+          offsetof(wire::DumpEnd, endpoint_count), offsetof(wire::DumpEnd, user_count),
+          offsetof(wire::DumpEnd, refusal_count));
+  sum.add(sizeof(wire::DumpRefusal), offsetof(wire::DumpRefusal, header),
+          offsetof(wire::DumpRefusal, code), offsetof(wire::DumpRefusal, uid),
+          offsetof(wire::DumpRefusal, pid), offsetof(wire::DumpRefusal, kind),
+          offsetof(wire::DumpRefusal, domain), offsetof(wire::DumpRefusal, age_ns),
+          offsetof(wire::DumpRefusal, times), offsetof(wire::DumpRefusal, process_name),
+          offsetof(wire::DumpRefusal, topic), offsetof(wire::DumpRefusal, why));
+  sum.add(sizeof(wire::SetLogLevel), offsetof(wire::SetLogLevel, header),
+          offsetof(wire::SetLogLevel, level));
+  sum.add(sizeof(wire::LogLevelIs), offsetof(wire::LogLevelIs, header),
+          offsetof(wire::LogLevelIs, level));
+  sum.add(sizeof(wire::AskAccess), offsetof(wire::AskAccess, header),
+          offsetof(wire::AskAccess, domain), offsetof(wire::AskAccess, topic));
+  sum.add(sizeof(wire::AccessIs), offsetof(wire::AccessIs, header), offsetof(wire::AccessIs, kind),
+          offsetof(wire::AccessIs, line), offsetof(wire::AccessIs, everybody),
+          offsetof(wire::AccessIs, rule_count), offsetof(wire::AccessIs, pattern),
+          offsetof(wire::AccessIs, principals));
   sum.add(wire::version, wire::name_bytes, wire::packet_bytes_max, wire::descriptor_count_max,
           sizeof(wire::Announcement::Window));
   using wire::Opcode;
@@ -262,9 +281,10 @@ constexpr std::uint64_t fingerprint() noexcept {
           Opcode::read_journal, Opcode::journal_record, Opcode::journal_end);
   sum.add(Opcode::observe, Opcode::dump, Opcode::observed, Opcode::dump_daemon,
           Opcode::dump_process, Opcode::dump_topic, Opcode::dump_endpoint, Opcode::dump_user,
-          Opcode::dump_end, wire::ProcessState::connected, wire::ProcessState::orphaned,
-          wire::ProcessState::dead, wire::ProcessState::revoked, wire::JournalState::applied,
-          wire::JournalState::pending, wire::JournalState::damaged);
+          Opcode::dump_end, Opcode::dump_refusal, Opcode::set_log_level, Opcode::log_level_is,
+          Opcode::ask_access, Opcode::access_is, wire::ProcessState::connected,
+          wire::ProcessState::orphaned, wire::ProcessState::dead, wire::ProcessState::revoked,
+          wire::JournalState::applied, wire::JournalState::pending, wire::JournalState::damaged);
   sum.add(wire::Kind::publisher, wire::Kind::subscription, wire::Kind::region);
   return sum.value();
 }

@@ -5,11 +5,13 @@
 //
 //   observer → daemon     body       answer              descriptors of the answer
 //   observe               Observe    observed            board (read)
-//   dump                  Dump       dump_daemon, then dump_process, dump_topic, dump_endpoint and
-//                                    dump_user, each as often as there is one, then dump_end;
+//   dump                  Dump       dump_daemon, then dump_process, dump_topic, dump_endpoint,
+//                                    dump_user and dump_refusal, each as often as there is one, then dump_end;
 //                                    a process brings its region (read) while it has one
 //   revoke                Revoke     done (or refused: permission_denied, endpoint_gone)
 //   read_journal          ReadJournal  journal_record as often as there is one, then journal_end
+//   set_log_level         SetLogLevel  log_level_is (or refused: permission_denied)
+//   ask_access            AskAccess  access_is of publishing, then of subscribing
 //
 // All packets of one dump carry its request id and were made in one turn of the daemon: together
 // they are one moment. An observer has no index, no region and no endpoint, and is never announced.
@@ -49,6 +51,32 @@ struct ReadJournal {
   Header header;
   std::uint64_t last;
   std::uint64_t count;
+};
+/// A number of LogLevel (syslog's); 0: change nothing, only say what it is. Until the daemon ends: its next life has what
+/// the configuration says.
+struct SetLogLevel {
+  Header header;
+  std::uint64_t level;
+};
+struct LogLevelIs {
+  Header header;
+  std::uint64_t level;
+};
+/// Who may publish and subscribe there, whether or not there is such a topic.
+struct AskAccess {
+  Header header;
+  std::uint64_t domain;
+  Name topic;
+};
+struct AccessIs {
+  Header header;
+  Kind kind;           // publisher: of publishing; subscription: of subscribing
+  std::uint32_t line;  // of the rule that decides, in the configuration; 0: no rule speaks of it
+  std::uint32_t everybody;   // 1: whoever may connect
+  std::uint32_t rule_count;  // of the whole configuration
+  Name pattern;              // of the rule
+  char principals
+      [512];  // who may, as written, separated by commas; ends with "..." if there are more
 };
 enum class JournalState : std::uint32_t {
   applied = 1,
@@ -115,6 +143,7 @@ struct UserShare {
   std::uint64_t executors;
   std::uint64_t heap_bytes;
   std::uint64_t held_messages;
+  std::uint64_t topics;
 };
 struct DumpDaemon {
   Header header;
@@ -123,7 +152,7 @@ struct DumpDaemon {
   std::uint32_t version_patch;
   std::uint32_t pid;
   std::uint32_t uid;
-  std::uint32_t reserved;
+  std::uint32_t log_level;
   std::uint64_t incarnation;
   std::uint64_t uptime_ns;
   std::uint64_t arena_base;
@@ -132,7 +161,9 @@ struct DumpDaemon {
   std::uint64_t windows_used;
   std::uint64_t connections;  // observers not among them
   std::uint64_t observers;
-  std::uint64_t unlocked_count;  // locks of memory that the limit of locked memory refused
+  std::uint64_t unlocked_count;        // locks of memory that the limit of locked memory refused
+  std::uint64_t kept_descriptors;      // that survive the daemon's death
+  std::uint64_t kept_descriptors_max;  // 0: nobody keeps any
   DaemonCounters counters;
   DaemonLimits limits;
   UserShare quota;
@@ -198,6 +229,20 @@ struct DumpUser {
   std::uint64_t observers;
   UserShare use;
 };
+/// What was refused, or several times the same; daemon/refusals.hpp says how many of them there are.
+struct DumpRefusal {
+  Header header;
+  std::uint32_t code;  // Errc
+  std::uint32_t uid;
+  std::uint32_t pid;  // as the daemon sees it; 0 when it does not
+  Kind kind;          // of what was to be created; 0: nothing of that kind
+  std::uint64_t domain;
+  std::uint64_t age_ns;  // of the last time
+  std::uint64_t times;
+  Name process_name;  // empty: it has not said hello
+  Name topic;         // empty: it is about none
+  Name why;
+};
 /// How many packets of each kind came before.
 struct DumpEnd {
   Header header;
@@ -205,6 +250,7 @@ struct DumpEnd {
   std::uint64_t topic_count;
   std::uint64_t endpoint_count;
   std::uint64_t user_count;
+  std::uint64_t refusal_count;
 };
 
 template <class Body>
@@ -215,6 +261,8 @@ inline constexpr bool travels =
 static_assert(travels<Observe> && travels<Observed> && travels<Dump> && travels<DumpDaemon> &&
               travels<DumpProcess> && travels<DumpTopic> && travels<DumpEndpoint> &&
               travels<DumpUser> && travels<DumpEnd> && travels<Revoke> && travels<ReadJournal> &&
-              travels<JournalRecord> && travels<JournalEnd>);
+              travels<JournalRecord> && travels<JournalEnd> && travels<SetLogLevel> &&
+              travels<LogLevelIs> && travels<AskAccess> && travels<AccessIs> &&
+              travels<DumpRefusal>);
 
 }  // namespace agnocast::abi::wire

@@ -26,7 +26,8 @@
 //   blocked               Blocked            –                   a range of the arena is taken
 //   any request may be answered by `refused`
 //   observe, dump,        a connection that only looks: see observe.hpp
-//   revoke, read_journal
+//   revoke, read_journal,
+//   set_log_level, ask_access
 //
 //   daemon → client, unasked
 //   announce              Announcement       region (read), windows (read), bells: see the body
@@ -74,6 +75,8 @@ enum class Opcode : std::uint32_t {
   dump = 10,
   revoke = 12,
   read_journal = 13,
+  set_log_level = 17,
+  ask_access = 18,
   // client → daemon, again
   rejoin = 11,
   blocked = 15,
@@ -95,6 +98,9 @@ enum class Opcode : std::uint32_t {
   rejoined = 114,
   journal_record = 115,
   journal_end = 116,
+  log_level_is = 117,
+  access_is = 118,
+  dump_refusal = 119,
   // daemon → client: unasked
   announce = 201,
   window_announced = 202,

@@ -225,7 +225,7 @@ class Tool {
         cloud = std::make_unique<Cloud>();
         fill(*cloud, number_ + 1, elements);
       }
-      const auto outcome = publisher_->publish(cloud.get(), sizeof(Cloud));
+      const auto outcome = publisher_->publish(cloud.get(), sizeof(Cloud), sizeof(Cloud));
       if (outcome != dataplane::PublishOutcome::published)
         return "error outcome " + std::to_string(static_cast<int>(outcome));
       (void)cloud.release();  // NOLINT: it belongs to the queue now

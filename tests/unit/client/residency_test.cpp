@@ -421,15 +421,15 @@ TEST(BitsReader, WithoutItBitsAreUnseenAndAlwaysAdopted) {
   EXPECT_EQ(path_of(found), "flags");
 
   const Inner* original = message.get();
-  const Result<std::uint64_t> adopted = make_resident(message, type, shared_heap());
+  const Result<Adoption> adopted = make_resident(message, type, shared_heap());
   ASSERT_TRUE(adopted.has_value()) << adopted.error().what;
-  EXPECT_EQ(*adopted, 16U);
+  EXPECT_EQ(adopted->adopted_bytes, 16U);
   EXPECT_NE(message.get(), original);
   EXPECT_EQ(message->flags, std::vector<bool>(100, true));
 
   // Not visible to the check, so only the count of spilled allocations can tell.
   limit_shared_heap(sizeof(Inner) + 32);
-  const Result<std::uint64_t> refused = make_resident(message, type, shared_heap());
+  const Result<Adoption> refused = make_resident(message, type, shared_heap());
   unlimit_shared_heap();
   ASSERT_FALSE(refused.has_value());
   EXPECT_EQ(refused.error().code, Errc::heap_exhausted);
@@ -440,10 +440,10 @@ TEST(Adoption, LeavesAResidentMessageAlone) {
   const Everything* before = message.get();
   type_of<Everything>();  // before memory is counted
   const std::uint64_t allocations = heap_counters().allocations;
-  const Result<std::uint64_t> adopted = make_resident(message, type_of<Everything>(), shared_heap());
+  const Result<Adoption> adopted = make_resident(message, type_of<Everything>(), shared_heap());
   EXPECT_EQ(heap_counters().allocations, allocations);
   ASSERT_TRUE(adopted.has_value());
-  EXPECT_EQ(*adopted, 0U);
+  EXPECT_EQ(adopted->adopted_bytes, 0U);
   EXPECT_EQ(message.get(), before);
 }
 
@@ -457,9 +457,9 @@ TEST(Adoption, ReportsExactlyTheBytesOfAMovedInVector) {
   EXPECT_EQ(path_of(check(message.get())), "data");
 
   const std::int64_t live = heap_counters().live;
-  const Result<std::uint64_t> adopted = make_resident(message, type_of<PointCloud2>(), shared_heap());
+  const Result<Adoption> adopted = make_resident(message, type_of<PointCloud2>(), shared_heap());
   ASSERT_TRUE(adopted.has_value()) << adopted.error().what;
-  EXPECT_EQ(*adopted, 12345U) << "elements, not capacity, and nothing of what was resident";
+  EXPECT_EQ(adopted->adopted_bytes, 12345U) << "elements, not capacity, and nothing of what was resident";
   EXPECT_TRUE(Oracle::foreign_ranges(message.get()).empty());
   EXPECT_EQ(message->data, expected);
   EXPECT_EQ(message->fields[2].name, long_text);
@@ -469,9 +469,9 @@ TEST(Adoption, ReportsExactlyTheBytesOfAMovedInVector) {
 TEST(Adoption, CountsTextsWithTheirTerminator) {
   std::unique_ptr<std_msgs::msg::String> message(in_shared_heap([] { return new std_msgs::msg::String; }));
   message->data = long_text;
-  const Result<std::uint64_t> adopted = make_resident(message, type_of<std_msgs::msg::String>(), shared_heap());
+  const Result<Adoption> adopted = make_resident(message, type_of<std_msgs::msg::String>(), shared_heap());
   ASSERT_TRUE(adopted.has_value());
-  EXPECT_EQ(*adopted, long_text.size() + 1);
+  EXPECT_EQ(adopted->adopted_bytes, long_text.size() + 1);
 }
 
 TEST(Adoption, TakesAMessageThatWasMadeEntirelyOutside) {
@@ -479,9 +479,9 @@ TEST(Adoption, TakesAMessageThatWasMadeEntirelyOutside) {
   const Everything copy(*message);
   std::uint64_t bytes = 0;
   for (const ForeignRange& range : Oracle::foreign_ranges(message.get())) bytes += range.bytes;
-  const Result<std::uint64_t> adopted = make_resident(message, type_of<Everything>(), shared_heap());
+  const Result<Adoption> adopted = make_resident(message, type_of<Everything>(), shared_heap());
   ASSERT_TRUE(adopted.has_value());
-  EXPECT_EQ(*adopted, bytes);
+  EXPECT_EQ(adopted->adopted_bytes, bytes);
   EXPECT_TRUE(Oracle::foreign_ranges(message.get()).empty());
   EXPECT_EQ(*message, copy);
 }
@@ -496,7 +496,7 @@ TEST(Adoption, ReportsAnExhaustedHeapAndKeepsTheMessageAtEveryPointOfExhaustion)
   int failures = 0;
   for (std::size_t room = 0;; room += 64) {
     limit_shared_heap(room);
-    const Result<std::uint64_t> adopted = make_resident(message, type_of<PointCloud2>(), shared_heap());
+    const Result<Adoption> adopted = make_resident(message, type_of<PointCloud2>(), shared_heap());
     unlimit_shared_heap();
     ASSERT_EQ(heap_counters().live, live) << room;
     if (adopted.has_value()) break;
@@ -516,7 +516,7 @@ TEST(Adoption, TurnsExceptionsOfTheCopyConstructorIntoErrorsAndKeepsTheMessage) 
   const Thrower* before = message.get();
   const std::int64_t live = heap_counters().live;
   message->what = Thrower::What::other;
-  Result<std::uint64_t> adopted = make_resident(message, type_of<Thrower>(), shared_heap());
+  Result<Adoption> adopted = make_resident(message, type_of<Thrower>(), shared_heap());
   ASSERT_FALSE(adopted.has_value());
   EXPECT_EQ(adopted.error().code, Errc::user_code_threw);
   message->what = Thrower::What::bad_alloc;
@@ -538,9 +538,9 @@ TEST(Adoption, CopiesAnOpaqueMessageEvenIfItIsInTheSharedHeap) {
   EXPECT_EQ(found.foreign_bytes, sizeof(Opaque));
 
   message->numbers = std::vector<int>(20, 6);
-  const Result<std::uint64_t> adopted = make_resident(message, type_of<Opaque>(), shared_heap());
+  const Result<Adoption> adopted = make_resident(message, type_of<Opaque>(), shared_heap());
   ASSERT_TRUE(adopted.has_value());
-  EXPECT_EQ(*adopted, sizeof(Opaque)) << "the object; the rest is unknown";
+  EXPECT_EQ(adopted->adopted_bytes, sizeof(Opaque)) << "the object; the rest is unknown";
   EXPECT_EQ(origin_of(message->numbers.data()), Origin::shared);
   EXPECT_EQ(message->numbers, std::vector<int>(20, 6));
 
@@ -556,7 +556,7 @@ TEST(Adoption, CopiesAnOpaqueMessageEvenIfItIsInTheSharedHeap) {
   EXPECT_EQ(loan.close(), 0U) << "only once";
 
   limit_shared_heap(64);  // the object fits, its vector does not
-  const Result<std::uint64_t> refused = make_resident(message, type_of<Opaque>(), shared_heap());
+  const Result<Adoption> refused = make_resident(message, type_of<Opaque>(), shared_heap());
   unlimit_shared_heap();
   ASSERT_FALSE(refused.has_value());
   EXPECT_EQ(refused.error().code, Errc::heap_exhausted);
@@ -576,9 +576,9 @@ TEST(Adoption, AsksTheVisitorOfATraitForWhatItShows) {
   EXPECT_EQ(path_of(found), "cells");
   EXPECT_EQ(found.foreign_count, 2U);
   EXPECT_EQ(found.foreign_bytes, 100U + 16U);
-  const Result<std::uint64_t> adopted = make_resident(message, type_of<Map>(), shared_heap());
+  const Result<Adoption> adopted = make_resident(message, type_of<Map>(), shared_heap());
   ASSERT_TRUE(adopted.has_value());
-  EXPECT_EQ(*adopted, 116U);
+  EXPECT_EQ(adopted->adopted_bytes, 116U);
   EXPECT_TRUE(check(message.get()).is_resident());
   message->name = std::string(100, 'n');
   EXPECT_EQ(check(message.get()).foreign_bytes, 101U);
@@ -587,9 +587,9 @@ TEST(Adoption, AsksTheVisitorOfATraitForWhatItShows) {
 TEST(Adoption, LooksAtNothingButTheObjectOfAFlatMessage) {
   std::unique_ptr<geometry_msgs::msg::Point> described(new geometry_msgs::msg::Point);
   EXPECT_EQ(check(described.get()).foreign_bytes, sizeof(geometry_msgs::msg::Point));
-  const Result<std::uint64_t> adopted = make_resident(described, type_of<geometry_msgs::msg::Point>(), shared_heap());
+  const Result<Adoption> adopted = make_resident(described, type_of<geometry_msgs::msg::Point>(), shared_heap());
   ASSERT_TRUE(adopted.has_value());
-  EXPECT_EQ(*adopted, sizeof(geometry_msgs::msg::Point));
+  EXPECT_EQ(adopted->adopted_bytes, sizeof(geometry_msgs::msg::Point));
   EXPECT_TRUE(check(described.get()).is_resident());
 }
 
@@ -716,9 +716,9 @@ void one_random_message(RandomFiller& filler, Tally& tally) {
   std::uint64_t bytes = 0;
   for (const ForeignRange& range : foreign) bytes += range.bytes;
   const T copy(*message);
-  const Result<std::uint64_t> adopted = make_resident(message, type_of<T>(), shared_heap());
+  const Result<Adoption> adopted = make_resident(message, type_of<T>(), shared_heap());
   ASSERT_TRUE(adopted.has_value()) << adopted.error().what;
-  EXPECT_EQ(*adopted, bytes);
+  EXPECT_EQ(adopted->adopted_bytes, bytes);
   EXPECT_TRUE(Oracle::foreign_ranges(message.get()).empty());
   EXPECT_EQ(*message, copy);
 }
