@@ -13,12 +13,13 @@ namespace {
 
 struct Row {
   Errc code;
+  const char* word;
   const char* sentence;
   const char* remedy;
 };
 
-constexpr Row rows[] = {{Errc::ok, "no error", ""},
-#define AGNOCAST_ERROR_ROW(name, sentence, remedy) {Errc::name, sentence, remedy},
+constexpr Row rows[] = {{Errc::ok, "ok", "no error", ""},
+#define AGNOCAST_ERROR_ROW(name, sentence, remedy) {Errc::name, #name, sentence, remedy},
                         AGNOCAST_ERROR_TABLE(AGNOCAST_ERROR_ROW)
 #undef AGNOCAST_ERROR_ROW
 };
@@ -54,6 +55,11 @@ const char* sentence_of(Errc code) noexcept {
 const char* remedy_of(Errc code) noexcept {
   const Row* row = find(code);
   return row != nullptr ? row->remedy : "";
+}
+
+const char* word_of(Errc code) noexcept {
+  const Row* row = find(code);
+  return row != nullptr ? row->word : "?";
 }
 
 const std::error_category& error_category() noexcept {

@@ -257,7 +257,8 @@ class Parser {
       arguments_.given[option] = value;
     }
     arguments_.json = json_form(around);
-    arguments_.all_domains = arguments_.has(options::all_domains);
+    arguments_.all_domains =
+        arguments_.has(options::all_domains) || arguments_.has(options::every_domain);
     if (takes(options::domain)) {
       auto chosen = read_domain(around);
       if (!chosen) return tl::unexpected(chosen.error());

@@ -8,78 +8,101 @@ namespace {
 namespace o = options;
 namespace s = subjects;
 
+// clang-format off
 constexpr Command table[] = {
-    {"status",
-     "",
-     "the daemon, what it holds and allows",
-     {},
-     {},
-     show_status,
-     "Version, uptime, what is in use of which limit, deaths, recoveries, restarts and refusals, "
-     "and "
-     "each user's share.",
+    {"status", "", "the daemon, what it holds and allows", {}, {}, show_status,
+     "Version, uptime, what is in use of which limit, deaths, recoveries, restarts and refusals, and each user's share.",
      "agnocast-ctl status\nagnocast-ctl status --json=pretty"},
-    {"topic",
-     "list",
-     "the topics of the domain",
-     {},
-     these<o::show_types, o::count_topics, o::verbose, o::hidden, o::domain, o::all_domains>,
-     list_topics,
+    {"top", "", "the whole system on one screen", {},
+     these<o::batch, o::rounds, o::delay, o::sort, o::domain, o::all_domains>, show_top,
+     "One row a topic, what hurts first: X refused or not matched, L a reader lags, H a message is held for more than a "
+     "second, D a publisher is gone and not read to its end, R running, I idle. Keys: q ends, s takes the next order, f "
+     "filters by name, h explains. Looks at counters and costs the publishers nothing.",
+     "agnocast-ctl top\nagnocast-ctl top -b -n 1\nagnocast-ctl top -b -j -d 5"},
+    {"topic", "list", "the topics of the domain", {},
+     these<o::show_types, o::count_topics, o::verbose, o::hidden, o::domain, o::all_domains>, list_topics,
      "Names, each on a line, as ros2 topic list prints them.",
      "agnocast-ctl topic list -t\nagnocast-ctl topics --all-domains\nagnocast-ctl topic list -c"},
     {"topic", "info", "who publishes and subscribes there, and what it cost", about<s::topic>,
      these<o::verbose, o::domain>, show_topic,
-     "Type, how many publishers and subscriptions; with -v each of them, with its QoS, its process "
-     "and "
-     "its counters, and whether its messages are really not copied.",
+     "Type, how many publishers and subscriptions; with -v each of them, with its QoS, its process and its counters, and "
+     "whether its messages are really not copied.",
      "agnocast-ctl topic info -v /points\nagnocast-ctl topic info /points --json=short"},
-    {"process",
-     "list",
-     "the processes that publish or subscribe",
-     {},
-     these<o::domain, o::all_domains>,
-     list_processes,
-     "Who takes part, in which state, since when, with how many endpoints and windows, and what it "
-     "keeps of others' memory.",
+    {"topic", "find", "the topics of a type", about<s::type>,
+     these<o::count_topics, o::hidden, o::domain, o::all_domains>, find_topics,
+     "Names of the topics whose messages have this type.",
+     "agnocast-ctl topic find sensor_msgs/msg/PointCloud2"},
+    {"topic", "type", "the type of a topic", about<s::topic>, these<o::domain>, show_type,
+     "The type of its messages, as ros2 topic type prints it.",
+     "agnocast-ctl topic type /points"},
+    {"topic", "hz", "how often something is published", about<s::topics>,
+     these<o::window, o::reports, o::domain>, measure_rate,
+     "The rate over the last messages, once a second, with the shortest and the longest gap. Read from counters: nothing "
+     "subscribes, so it costs the publisher nothing.",
+     "agnocast-ctl topic hz /points\nagnocast-ctl topic hz -w 100 /points /imu"},
+    {"topic", "bw", "how many bytes are published", about<s::topics>,
+     these<o::bandwidth_window, o::reports, o::domain>, measure_bandwidth,
+     "Bytes a second over the last messages, once a second, and how large the messages are: what a reader may touch, with "
+     "all that they point to. Read from counters: nothing subscribes.",
+     "agnocast-ctl topic bw /points\nagnocast-ctl topic bw -j /points /imu"},
+    {"node", "list", "the nodes that publish or subscribe", {},
+     these<o::hidden_nodes, o::count_nodes, o::domain, o::every_domain>, list_nodes,
+     "Names, each on a line, as ros2 node list prints them. A node that has neither a publisher nor a subscription here is "
+     "not known here.",
+     "agnocast-ctl node list\nagnocast-ctl nodes -c"},
+    {"node", "info", "what a node publishes and subscribes", about<s::node>,
+     these<o::hidden, o::domain>, show_node,
+     "Topics and types by side, as ros2 node info prints them.",
+     "agnocast-ctl node info /lidar/top"},
+    {"process", "list", "the processes that publish or subscribe", {},
+     these<o::domain, o::all_domains>, list_processes,
+     "Who takes part, in which state, since when, with how many endpoints and windows, and what it keeps of others' memory.",
      "agnocast-ctl process list\nagnocast-ctl processes --all-domains"},
-    {"process",
-     "revoke",
-     "end the membership of a process that lives",
-     about<s::process>,
-     {},
-     revoke_process,
-     "For everybody else the process has died then; it is told, and has to be restarted to take "
-     "part "
-     "again. Root, the daemon's user and the owner of the process may.",
+    {"process", "info", "one process: its endpoints, its heap, what it was refused", about<s::named_process>, {},
+     show_process,
+     "What process list says, and every endpoint, every window and what was refused lately.",
+     "agnocast-ctl process info 4711\nagnocast-ctl process info lidar"},
+    {"process", "revoke", "end the membership of a process that lives", about<s::process>, {}, revoke_process,
+     "For everybody else the process has died then; it is told, and has to be restarted to take part again. Root, the "
+     "daemon's user and the owner of the process may.",
      "agnocast-ctl process revoke 4711\nagnocast-ctl process revoke 3.17 --json"},
-    {"heap",
-     "list",
-     "the shared heap windows and how far they are in use",
-     {},
-     these<o::domain, o::all_domains>,
-     list_heaps,
-     "Of each window of each process: base, length, how far it is in use, and how many messages "
-     "begin "
-     "in it.",
+    {"heap", "list", "the shared heap windows and how far they are in use", {},
+     these<o::domain, o::all_domains>, list_heaps,
+     "Of each window of each process: base, length, how far it is in use, and how many messages begin in it.",
      "agnocast-ctl heap list\nagnocast-ctl heaps --json"},
-    {"journal",
-     "",
-     "the last operations and recoveries of the daemon",
-     {},
-     these<o::records, o::of_topic, o::of_process, o::follow>,
-     show_journal,
+    {"heap", "info", "the windows of one process", about<s::named_process>, {}, show_heap,
+     "As heap list, of one process.",
+     "agnocast-ctl heap info 4711"},
+    {"message", "list", "what lies in the queues, who holds it, who has not taken it", about<s::maybe_topic>,
+     these<o::domain, o::all_domains>, list_messages,
+     "Every message that has a place in its publisher's queue. A hold is no older than the message: when it began is "
+     "written down nowhere.",
+     "agnocast-ctl message list /points\nagnocast-ctl messages --json"},
+    {"monitor", "", "what happens from now on", {}, these<o::of_topic, o::of_process>, monitor_system,
+     "Who comes, matches, leaves and dies, from the daemon's log; and what is lost, copied in or refused, five times a "
+     "second. Ends with Ctrl-C.",
+     "agnocast-ctl monitor\nagnocast-ctl monitor --topic /points --json"},
+    {"dump", "", "everything as one JSON object", {}, these<o::watch, o::domain, o::all_domains>, dump_all,
+     "What the other commands say, together and of one moment.",
+     "agnocast-ctl dump\nagnocast-ctl dump --watch | jq .topics"},
+    {"graph", "", "nodes and topics as a picture", {},
+     these<o::graph_form, o::hidden, o::domain, o::all_domains>, draw_graph,
+     "An edge to a topic carries the rate and the mean size of its messages; an edge from a topic is dashed when what comes "
+     "over it is not zero-copy, with the reason.",
+     "agnocast-ctl graph | dot -Tsvg > graph.svg\nagnocast-ctl graph --format mermaid"},
+    {"journal", "", "the last operations and recoveries of the daemon", {},
+     these<o::records, o::of_topic, o::of_process, o::follow>, show_journal,
      "The newest records of the daemon's redo log, which stay over its restarts, the newest last.",
      "agnocast-ctl journal\nagnocast-ctl journal -n 100 --topic /points\n"
      "agnocast-ctl journal --process lidar --follow\nagnocast-ctl journal --json"},
-    {"verify",
-     "",
-     "check every invariant of the running system",
-     {},
-     {},
-     verify_system,
+    {"log-level", "", "what agnocastd logs, and from now on", about<s::level>, {}, show_log_level,
+     "Without a word the level in force. A change lasts until the daemon ends; root and the daemon's user may make it.",
+     "agnocast-ctl log-level\nagnocast-ctl log-level debug"},
+    {"verify", "", "check every invariant of the running system", {}, {}, verify_system,
      "Looks up to seven times within about two seconds and reports what every look found broken.",
      "agnocast-ctl verify\nagnocast-ctl verify --json || echo broken"},
 };
+// clang-format on
 
 }  // namespace
 

@@ -28,6 +28,7 @@ struct Command {
 /// All of them, in the order of help and manual.
 extern const std::span<const Command> all_commands;
 
+// One of them each; what it does is in the table.
 Outcome<void> show_status(const Arguments& arguments, Console& console);
 Outcome<void> list_topics(const Arguments& arguments, Console& console);
 Outcome<void> show_topic(const Arguments& arguments, Console& console);
@@ -36,5 +37,19 @@ Outcome<void> revoke_process(const Arguments& arguments, Console& console);
 Outcome<void> list_heaps(const Arguments& arguments, Console& console);
 Outcome<void> show_journal(const Arguments& arguments, Console& console);
 Outcome<void> verify_system(const Arguments& arguments, Console& console);
+Outcome<void> find_topics(const Arguments& arguments, Console& console);
+Outcome<void> show_type(const Arguments& arguments, Console& console);
+Outcome<void> measure_rate(const Arguments& arguments, Console& console);
+Outcome<void> measure_bandwidth(const Arguments& arguments, Console& console);
+Outcome<void> list_nodes(const Arguments& arguments, Console& console);
+Outcome<void> show_node(const Arguments& arguments, Console& console);
+Outcome<void> show_process(const Arguments& arguments, Console& console);
+Outcome<void> show_heap(const Arguments& arguments, Console& console);
+Outcome<void> list_messages(const Arguments& arguments, Console& console);
+Outcome<void> show_top(const Arguments& arguments, Console& console);
+Outcome<void> monitor_system(const Arguments& arguments, Console& console);
+Outcome<void> dump_all(const Arguments& arguments, Console& console);
+Outcome<void> draw_graph(const Arguments& arguments, Console& console);
+Outcome<void> show_log_level(const Arguments& arguments, Console& console);
 
 }  // namespace agnocast::ctl

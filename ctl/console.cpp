@@ -18,18 +18,26 @@ std::string Console::strong(std::string_view text) const {
   return "\x1b[1m" + std::string(text) + "\x1b[0m";
 }
 
-void Table::print(Console& console) const {
+std::vector<std::string> Table::lines() const {
   std::vector<std::size_t> width(rows_.front().size(), 0);
   for (const auto& row : rows_) {
     for (std::size_t i = 0; i < row.size(); ++i) width[i] = std::max(width[i], row[i].size());
   }
-  bool heading = true;
+  std::vector<std::string> lines;
   for (const auto& row : rows_) {
     std::string text;
     for (std::size_t i = 0; i < row.size(); ++i) {
       text += row[i];
       if (i + 1 < row.size()) text.append(width[i] - row[i].size() + 2, ' ');
     }
+    lines.push_back(std::move(text));
+  }
+  return lines;
+}
+
+void Table::print(Console& console) const {
+  bool heading = true;
+  for (const std::string& text : lines()) {
     console.line(heading ? console.strong(text) : text);
     heading = false;
   }
@@ -55,6 +63,22 @@ std::string duration_for_people(std::uint64_t nanoseconds) {
   if (seconds < 86400)
     return std::to_string(seconds / 3600) + " h " + std::to_string(seconds / 60 % 60) + " min";
   return std::to_string(seconds / 86400) + " d " + std::to_string(seconds / 3600 % 24) + " h";
+}
+
+std::string time_for_people(std::uint64_t nanoseconds) {
+  if (nanoseconds >= 60'000'000'000) return duration_for_people(nanoseconds);
+  constexpr struct {
+    double length_ns;
+    const char* name;
+  } units[] = {{1e9, "s"}, {1e6, "ms"}, {1e3, "us"}, {1, "ns"}};
+  const auto value = static_cast<double>(nanoseconds);
+  for (const auto& unit : units) {
+    if (value < unit.length_ns) continue;
+    char text[32];
+    std::snprintf(text, sizeof text, "%.1f %s", value / unit.length_ns, unit.name);
+    return text;
+  }
+  return "0 ns";
 }
 
 std::string counted(std::uint64_t count, std::string_view one, std::string_view many) {

@@ -43,6 +43,8 @@ class Table {
  public:
   explicit Table(std::vector<std::string> heading) { rows_.push_back(std::move(heading)); }
   void add(std::vector<std::string> row) { rows_.push_back(std::move(row)); }
+  /// The heading, then a line for each row.
+  std::vector<std::string> lines() const;
   void print(Console& console) const;
 
  private:
@@ -53,6 +55,8 @@ class Table {
 std::string bytes_for_people(std::uint64_t bytes);
 /// "1 h 2 min", "35 s", "under 1 s".
 std::string duration_for_people(std::uint64_t nanoseconds);
+/// Of short ones: "41.0 us", "12.3 ms", "7.5 s", "1 min 2 s".
+std::string time_for_people(std::uint64_t nanoseconds);
 /// "1 message", "2 messages".
 std::string counted(std::uint64_t count, std::string_view one, std::string_view many = {});
 std::string hexadecimal(std::uint64_t value);

@@ -104,6 +104,8 @@ Object arguments_object(const JournalRecord& record) {
   return object;
 }
 
+}  // namespace
+
 Object record_object(const JournalRecord& record, const Journal& journal) {
   if (is_damaged(record)) return {{"lsn", record.lsn}, {"state", "damaged"}};
   const Moment moment = moment_of(record, journal.end);
@@ -119,6 +121,18 @@ Object record_object(const JournalRecord& record, const Journal& journal) {
           {"arguments", arguments_object(record)},
           {"text", subject_of(record) + ": " + deed_of(record) + state_words(record, journal)}};
 }
+
+std::string line_of(const JournalRecord& record, const Journal& journal) {
+  const std::string when =
+      is_damaged(record) ? "--:--:--.---" : time_for_people(moment_of(record, journal.end));
+  return when + " #" + std::to_string(record.lsn) + ' ' + subject_of(record) + ": " +
+         deed_of(record) + state_words(record, journal);
+}
+
+std::string now_for_people() { return time_for_people(moment_of({}, {})); }
+std::string now_for_programs() { return time_for_programs(moment_of({}, {})); }
+
+namespace {
 
 class Printer {
  public:
@@ -159,13 +173,6 @@ class Printer {
   }
 
  private:
-  static std::string line_of(const JournalRecord& record, const Journal& journal) {
-    const std::string when =
-        is_damaged(record) ? "--:--:--.---" : time_for_people(moment_of(record, journal.end));
-    return when + " #" + std::to_string(record.lsn) + ' ' + subject_of(record) + ": " +
-           deed_of(record) + state_words(record, journal);
-  }
-
   const Arguments& arguments_;
   Console& console_;
   JournalFilter filter_;

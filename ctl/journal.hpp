@@ -6,6 +6,8 @@
 #include <agnocast/abi/observe.hpp>
 #include <journal/record.hpp>
 
+#include <nlohmann/json_fwd.hpp>
+
 #include <cstdint>
 #include <cstring>
 #include <string>
@@ -34,6 +36,14 @@ std::uint64_t argument(const wire::JournalRecord& record, std::string_view name)
 inline std::string text_of(const wire::Name& name) {
   return std::string(name.text, ::strnlen(name.text, sizeof name.text));
 }
+
+/// "12:01:33.120 #4711 publisher 3 of /points (lidar, pid 812): ended …": all of it.
+std::string line_of(const wire::JournalRecord& record, const Journal& journal);
+/// The same for programs.
+nlohmann::ordered_json record_object(const wire::JournalRecord& record, const Journal& journal);
+/// The clock, now: "12:01:33.120", and "2026-01-31T12:01:33.120Z".
+std::string now_for_people();
+std::string now_for_programs();
 
 /// Which records somebody wants to see; empty texts: all.
 struct JournalFilter {

@@ -48,6 +48,7 @@ std::optional<PublisherNumbers> numbers_of_publisher(const System& system, const
   const std::uint64_t head = abi::sequence_of(words.head().load(acquire));
   numbers.published =
       head > publisher.facts.first_sequence ? head - publisher.facts.first_sequence : 0;
+  numbers.published_bytes = words.counter(offsetof(Fields, published_bytes)).load(relaxed);
   for (std::uint64_t slot = 0; slot < publisher.facts.slot_count; ++slot) {
     if (words.slot_id(slot).load(relaxed) != 0) ++numbers.messages;
   }
@@ -105,6 +106,94 @@ std::optional<SubscriptionNumbers> numbers_of_subscription(const System& system,
   std::atomic_thread_fence(acquire);
   if (!system.is_still_there(topic, subscription)) return std::nullopt;
   return numbers;
+}
+
+RecentStamps recent_stamps(const System& system, const Endpoint& publisher, std::size_t count) {
+  RecentStamps recent;
+  std::byte* const region = system.region_of(publisher);
+  if (region == nullptr) return recent;
+  const Words words{region, publisher.facts.extent};
+  const std::uint64_t head = abi::sequence_of(words.head().load(acquire));
+  if (head <= publisher.facts.first_sequence) return recent;
+  recent.newest = head - publisher.facts.first_sequence;
+  // A place that a newer message has says nothing of an older one that had it before.
+  std::vector<bool> used(abi::slot_count_max, false);
+  for (std::uint64_t sequence = head;
+       sequence > publisher.facts.first_sequence && recent.stamps_ns.size() < count; --sequence) {
+    const std::uint64_t entry = words.order(sequence).load(acquire);
+    const std::uint32_t slot = abi::slot_of(entry);
+    if (abi::sequence_of(entry) != sequence || slot >= abi::slot_count_max || used[slot]) break;
+    used[slot] = true;
+    const std::uint64_t stamp = words.slot_stamp(slot).load(relaxed);
+    if (!recent.stamps_ns.empty() && stamp > recent.stamps_ns.back()) break;  // used again just now
+    recent.stamps_ns.push_back(stamp);
+  }
+  std::reverse(recent.stamps_ns.begin(), recent.stamps_ns.end());
+  return recent;
+}
+
+double slowed(double rate_hz, std::uint64_t newest_ns, std::uint64_t now_ns) noexcept {
+  const double silence_ns = now_ns > newest_ns ? static_cast<double>(now_ns - newest_ns) : 0;
+  return rate_hz * silence_ns > 2e9 ? 1e9 / silence_ns : rate_hz;
+}
+
+std::optional<double> rate_of(const RecentStamps& recent, std::uint64_t now_ns) noexcept {
+  const auto& stamps = recent.stamps_ns;
+  if (recent.newest == 0) return 0;
+  if (stamps.size() < 2 || stamps.back() == stamps.front()) return std::nullopt;
+  const double rate = static_cast<double>(stamps.size() - 1) * 1e9 /
+                      static_cast<double>(stamps.back() - stamps.front());
+  return slowed(rate, stamps.back(), now_ns);
+}
+
+std::vector<MessageFacts> messages_of(const System& system, const Topic& topic,
+                                      const Endpoint& publisher) {
+  std::byte* const region = system.region_of(publisher);
+  if (region == nullptr) return {};
+  const Words words{region, publisher.facts.extent};
+  const std::uint64_t end = abi::sequence_of(words.head().load(acquire)) + 1;
+  struct Reader {
+    const Endpoint* subscription;
+    Line line;
+    std::uint64_t from;  // unread from here
+  };
+  std::vector<Reader> readers;
+  for (const Endpoint& subscription : topic.subscriptions) {
+    std::byte* const holder = system.region_of(subscription);
+    if (holder == nullptr || !takes_messages(subscription)) continue;
+    const Line line{holder, subscription.facts.extent, publisher.facts.index};
+    if (line.publisher_generation().load(acquire) != publisher.facts.generation) continue;
+    const std::uint64_t window = abi::window_of(abi::unpack_qos(subscription.facts.qos));
+    readers.push_back(
+        {&subscription, line,
+         std::max(line.cursor().load(acquire), dataplane::minus_at_least(end, window, 0))});
+  }
+  std::vector<MessageFacts> messages;
+  for (std::uint64_t slot = 0; slot < publisher.facts.slot_count; ++slot) {
+    const std::uint64_t id = words.slot_id(slot).load(acquire);
+    if (id == 0) continue;
+    MessageFacts message;
+    message.retired = (id & abi::retired_mark) != 0;
+    const std::uint64_t sequence = id & ~abi::retired_mark;
+    message.sequence = sequence - std::min(publisher.facts.first_sequence, sequence);
+    message.slot = slot;
+    message.address = words.slot_address(slot).load(relaxed);
+    message.object_bytes = words.slot_size(slot).load(relaxed);
+    message.stamp_ns = words.slot_stamp(slot).load(relaxed);
+    for (const Reader& reader : readers) {
+      if ((reader.line.hold(slot / 64).load(relaxed) >> slot % 64 & 1) != 0) {
+        message.holders.push_back(reader.subscription);
+      } else if (!message.retired && sequence >= reader.from && sequence < end) {
+        message.unread_by.push_back(reader.subscription);
+      }
+    }
+    messages.push_back(std::move(message));
+  }
+  std::sort(messages.begin(), messages.end(),
+            [](const auto& a, const auto& b) { return a.sequence < b.sequence; });
+  std::atomic_thread_fence(acquire);
+  if (!system.is_still_there(topic, publisher)) return {};
+  return messages;
 }
 
 namespace {

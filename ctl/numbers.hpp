@@ -14,8 +14,9 @@ namespace agnocast::ctl {
 
 struct PublisherNumbers {
   std::uint64_t published = 0;
-  std::uint64_t messages = 0;  // slots in use: history, unread or held
-  std::uint64_t held = 0;      // of them, by at least one subscription
+  std::uint64_t published_bytes = 0;  // of them together, what a reader may touch
+  std::uint64_t messages = 0;         // slots in use: history, unread or held
+  std::uint64_t held = 0;             // of them, by at least one subscription
   std::uint64_t adopted_messages = 0;
   std::uint64_t adopted_bytes = 0;
   std::uint64_t refused_no_slot = 0;
@@ -37,6 +38,36 @@ std::optional<PublisherNumbers> numbers_of_publisher(const System& system, const
                                                      const Endpoint& publisher);
 std::optional<SubscriptionNumbers> numbers_of_subscription(const System& system, const Topic& topic,
                                                            const Endpoint& subscription);
+
+/// When the newest messages of a publisher were committed, CLOCK_MONOTONIC, the oldest first; and the
+/// sequence number of the newest. As far back as their places have not been used again, at most `count`;
+/// empty when it has published nothing, or cannot be read.
+struct RecentStamps {
+  std::uint64_t newest = 0;
+  std::vector<std::uint64_t> stamps_ns;
+};
+RecentStamps recent_stamps(const System& system, const Endpoint& publisher, std::size_t count);
+
+/// Messages a second, as those stamps have it at `now_ns`: the mean of the last few, less when the next
+/// one is overdue. Nothing when there are fewer than two; 0 when nothing was ever published.
+std::optional<double> rate_of(const RecentStamps& recent, std::uint64_t now_ns) noexcept;
+/// `rate_hz`, or less when nothing has come since `newest_ns` for more than twice its period.
+double slowed(double rate_hz, std::uint64_t newest_ns, std::uint64_t now_ns) noexcept;
+
+/// A message that has a place in its publisher's queue.
+struct MessageFacts {
+  std::uint64_t sequence = 0;  // from 1, of this publisher
+  std::uint64_t slot = 0;
+  std::uint64_t address = 0;
+  std::uint64_t object_bytes = 0;  // of the message object, without what it points to
+  std::uint64_t stamp_ns = 0;      // CLOCK_MONOTONIC, when it was committed
+  bool retired = false;            // not given to anybody any more
+  std::vector<const Endpoint*> holders;
+  std::vector<const Endpoint*> unread_by;
+};
+/// The oldest first. Empty when the publisher cannot be read.
+std::vector<MessageFacts> messages_of(const System& system, const Topic& topic,
+                                      const Endpoint& publisher);
 
 /// What the subscriptions of one process have, together, and what of others' memory stays in use for
 /// them.

@@ -64,6 +64,8 @@ inline constexpr Option json_form{
 inline constexpr Option domain{"--domain", "of this ROS domain; else ROS_DOMAIN_ID, else 0",
                                Kind::text, "ID"};
 inline constexpr Option all_domains{"-a,--all-domains", "of every ROS domain"};
+inline constexpr Option every_domain{"--all-domains", "of every ROS domain"};
+inline constexpr Option hidden_nodes{"-a,--all", "also those whose name begins with an underscore"};
 inline constexpr Option hidden{"--include-hidden-topics",
                                "also those with a part that begins with an underscore"};
 inline constexpr Option of_topic{"--topic", "of this topic", Kind::text, "NAME"};
@@ -73,18 +75,46 @@ inline constexpr Option of_process{"--process", "of this process: its name or pi
 // How much of each.
 inline constexpr Option show_types{"-t,--show-types", "with the type of each"};
 inline constexpr Option count_topics{"-c,--count-topics", "only how many there are"};
+inline constexpr Option count_nodes{"-c,--count-nodes", "only how many there are"};
 inline constexpr Option verbose{"-v,--verbose", "more of each"};
 inline constexpr Option records{
     "-n,--number", "at most so many, the newest", Kind::whole, "COUNT", "20", 1};
 inline constexpr Option follow{"-f,--follow", "go on with what comes"};
+inline constexpr Option window{
+    "-w,--window", "over at most so many messages", Kind::whole, "COUNT", "10000", 2, 1e6};
+inline constexpr Option bandwidth_window{
+    "-w,--window", "over at most so many messages", Kind::whole, "COUNT", "100", 2, 1e6};
+inline constexpr Option reports{
+    "-n,--number", "end after so many reports, one a second", Kind::whole, "COUNT", {}, 1};
+inline constexpr Option batch{"-b,--batch", "print, and take no keys; for programs and files"};
+inline constexpr Option rounds{
+    "-n,--number", "end after so many rounds", Kind::whole, "COUNT", {}, 1};
+inline constexpr Option delay{
+    "-d,--delay", "seconds between two rounds", Kind::real, "SECONDS", "0.5", 0, 3600};
+inline constexpr Option sort{"-s,--sort", "the order of the rows",
+                             Kind::word,  "COLUMN",
+                             "trouble",   0,
+                             0,           "trouble topic rate size bandwidth lag hold lost"};
+inline constexpr Option graph_form{"--format", "dot or mermaid", Kind::word, "FORM", "dot", 0,
+                                   0,          "dot mermaid"};
+inline constexpr Option watch{"-w,--watch", "go on: once more whenever something has changed"};
 
 }  // namespace options
 
 namespace subjects {
 
 inline constexpr Subject topic{"NAME", "a topic; without a slash it is meant to have one"};
+inline constexpr Subject topics{"NAME", "topics; without a slash they are meant to have one",
+                                Subject::Count::many};
+inline constexpr Subject maybe_topic{"NAME", "only of this topic", Subject::Count::optional};
+inline constexpr Subject type{"TYPE", "a message type: std_msgs/msg/String"};
+inline constexpr Subject node{"NODE", "a node, with its namespace"};
 inline constexpr Subject process{"PROCESS",
                                  "a pid, or INDEX.GENERATION as process list has it (CLIENT)"};
+inline constexpr Subject named_process{
+    "PROCESS", "a pid, a name, or INDEX.GENERATION as process list has it (CLIENT)"};
+inline constexpr Subject level{"LEVEL", "error, warning, notice, info or debug",
+                               Subject::Count::optional};
 
 }  // namespace subjects
 

@@ -3,13 +3,15 @@
 // process list: who takes part, how the daemon stands to them, and what they keep of others' memory.
 // process revoke: ends the membership of one that lives.
 
+#include <agnocast/error.hpp>
 #include <base/text.hpp>
 #include <ctl/commands.hpp>
 #include <ctl/numbers.hpp>
+#include <ctl/objects.hpp>
+#include <ctl/select.hpp>
 #include <ctl/system.hpp>
 
 #include <bit>
-#include <charconv>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -29,10 +31,6 @@ const char* state_of(const wire::DumpProcess& process) {
       return "revoked";
   }
   return "?";
-}
-
-std::string client_of(const wire::DumpProcess& process) {
-  return std::to_string(process.client) + '.' + std::to_string(process.generation);
 }
 
 std::uint64_t heap_bytes_of(const Process& process) noexcept {
@@ -69,6 +67,99 @@ Object object_of(const Process& process, const KeptNumbers& kept) {
 
 }  // namespace
 
+Object process_object(const System& system, const Process& process) {
+  return object_of(process, numbers_of_kept(system, process));
+}
+
+Outcome<void> show_process(const Arguments& arguments, Console& console) {
+  const auto look = look_at(arguments.socket);
+  if (!look) return tl::unexpected(look.error());
+  const System& system = look->system;
+  const auto found = find_processes(system, arguments.subject(0));
+  if (!found) return tl::unexpected(found.error());
+  Object list = Object::array();
+  for (const Process* const process : *found) {
+    Object object = process_object(system, *process);
+    object["windows"] = windows_object(system, *process);
+    object["publishers"] = Object::array();
+    object["subscriptions"] = Object::array();
+    object["refusals"] = Object::array();
+    std::string publishers, subscriptions;
+    for (const auto& [index, topic] : system.topics) {
+      for (const auto* endpoints : {&topic.publishers, &topic.subscriptions}) {
+        for (const Endpoint& endpoint : *endpoints) {
+          if (system.process_of(endpoint) != process) continue;
+          object[endpoint.is_publisher() ? "publishers" : "subscriptions"].push_back(
+              {{"topic", topic.name},
+               {"type", topic.type},
+               {"node_name", endpoint.node_name},
+               {"node_namespace", endpoint.node_namespace},
+               {"generation", endpoint.facts.generation}});
+          (endpoint.is_publisher() ? publishers : subscriptions) +=
+              "\n    " + escaped(topic.name) + ": " + escaped(topic.type);
+        }
+      }
+    }
+    std::string refusals;
+    for (const wire::DumpRefusal& refusal : system.refusals) {
+      if (refusal.pid != process->facts.pid || refusal.uid != process->facts.uid) continue;
+      object["refusals"].push_back(refusal_object(refusal));
+      refusals += "\n    " + refusal_words(refusal);
+    }
+    list.push_back(object);
+    if (arguments.json != Json::no) continue;
+    const KeptNumbers kept = numbers_of_kept(system, *process);
+    const wire::DumpProcess& facts = process->facts;
+    console.line(escaped(process->name) + " (pid " + std::to_string(facts.pid) + ", uid " +
+                 std::to_string(facts.uid) + ", gid " + std::to_string(facts.gid) + "), client " +
+                 client_of(facts) + ", domain " + std::to_string(facts.domain));
+    console.line(std::string("  State: ") + state_of(facts) + " for " +
+                 duration_for_people(facts.age_ns));
+    console.line("  Heap: " + counted(facts.window_count, "window") + " of " +
+                 bytes_for_people(heap_bytes_of(*process)));
+    console.line("  Keeps of others: " + counted(kept.slots, "slot") + ", " +
+                 std::to_string(kept.unread) + " unread, " + std::to_string(kept.held) + " held; " +
+                 std::to_string(kept.lost) + " lost");
+    if (facts.blocked_bytes != 0)
+      console.line("  Blocked: " + bytes_for_people(facts.blocked_bytes) + " of the arena, by " +
+                   escaped(process->blocked_by));
+    console.line("  Publishers:" + publishers);
+    console.line("  Subscribers:" + subscriptions);
+    if (!refusals.empty()) console.line("  Refused lately:" + refusals);
+  }
+  if (arguments.json != Json::no)
+    console.object({{"schema", "agnocast.process-info/1"},
+                    {"process_count", list.size()},
+                    {"processes", list}},
+                   arguments.json);
+  return {};
+}
+
+Object refusal_object(const wire::DumpRefusal& refusal) {
+  const std::string topic = text_of(refusal.topic), name = text_of(refusal.process_name);
+  return {{"code", word_of(static_cast<Errc>(refusal.code))},
+          {"uid", refusal.uid},
+          {"pid", refusal.pid},
+          {"process_name", name.empty() ? Object(nullptr) : Object(name)},
+          {"topic", topic.empty() ? Object(nullptr) : Object(topic)},
+          {"kind", refusal.kind == wire::Kind::publisher      ? Object("publisher")
+                   : refusal.kind == wire::Kind::subscription ? Object("subscription")
+                                                              : Object(nullptr)},
+          {"domain", refusal.domain},
+          {"why", text_of(refusal.why)},
+          {"age_ns", refusal.age_ns},
+          {"times", refusal.times}};
+}
+
+std::string refusal_words(const wire::DumpRefusal& refusal) {
+  std::string text = std::string(word_of(static_cast<Errc>(refusal.code))) + ": ";
+  if (const std::string topic = text_of(refusal.topic); !topic.empty())
+    text += std::string(refusal.kind == wire::Kind::publisher ? "publisher" : "subscription") +
+            " of " + escaped(topic) + ": ";
+  return text + escaped(text_of(refusal.why)) + " (" + duration_for_people(refusal.age_ns) +
+         " ago" + (refusal.times > 1 ? ", " + std::to_string(refusal.times) + " times" : "") + ")";
+}
+
 Outcome<void> list_processes(const Arguments& arguments, Console& console) {
   const auto look = look_at(arguments.socket);
   if (!look) return tl::unexpected(look.error());
@@ -102,28 +193,20 @@ Outcome<void> list_processes(const Arguments& arguments, Console& console) {
 
 namespace {
 
-// Every client that a pid has, or the one that INDEX.GENERATION names; of those that are members.
-Outcome<std::vector<const Process*>> find_processes(const System& system, const std::string& name) {
-  std::uint64_t pid = 0;
-  const char* const end = name.data() + name.size();
-  const auto parsed = std::from_chars(name.data(), end, pid);
-  const bool is_pid = parsed.ec == std::errc() && parsed.ptr == end;
-  if (!is_pid && (parsed.ec != std::errc() || *parsed.ptr != '.'))
+// Not by name: several may have it, and what is ended cannot be taken back.
+Outcome<std::vector<const Process*>> find_members(const System& system, const std::string& name) {
+  if (name.find_first_not_of("0123456789.") != std::string::npos)
     return problem(Status::wrong_usage, escaped(name), "this is neither a pid nor INDEX.GENERATION",
                    "agnocast-ctl process list --all-domains");
-  std::vector<const Process*> found;
-  for (const auto& [index, process] : system.processes) {
-    const bool is_member = process.facts.state == wire::ProcessState::connected ||
-                           process.facts.state == wire::ProcessState::orphaned;
-    // One that the daemon sees without a pid is not found by 0.
-    const bool is_meant =
-        is_pid ? pid != 0 && process.facts.pid == pid : client_of(process.facts) == name;
-    if (is_member && is_meant) found.push_back(&process);
-  }
-  if (found.empty())
-    return problem(Status::no_such_thing, escaped(name), "there is no such process",
-                   "agnocast-ctl process list --all-domains");
-  return found;
+  auto found = find_processes(system, name);
+  if (!found) return found;
+  std::erase_if(*found, [](const Process* process) {
+    return process->facts.state != wire::ProcessState::connected &&
+           process->facts.state != wire::ProcessState::orphaned;
+  });
+  if (!found->empty()) return found;
+  return problem(Status::no_such_thing, escaped(name), "it is no member any more",
+                 "agnocast-ctl process list --all-domains");
 }
 
 }  // namespace
@@ -131,7 +214,7 @@ Outcome<std::vector<const Process*>> find_processes(const System& system, const 
 Outcome<void> revoke_process(const Arguments& arguments, Console& console) {
   auto look = look_at(arguments.socket);
   if (!look) return tl::unexpected(look.error());
-  const auto found = find_processes(look->system, arguments.subject(0));
+  const auto found = find_members(look->system, arguments.subject(0));
   if (!found) return tl::unexpected(found.error());
   Object list = Object::array();
   for (const Process* const process : *found) {

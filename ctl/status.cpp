@@ -5,6 +5,7 @@
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/text.hpp>
 #include <ctl/commands.hpp>
+#include <ctl/objects.hpp>
 #include <ctl/system.hpp>
 
 #include <string>
@@ -44,10 +45,13 @@ Object share_object(const wire::UserShare& share) {
           {"subscriptions", limit_or_null(share.subscriptions)},
           {"executors", limit_or_null(share.executors)},
           {"heap_bytes", limit_or_null(share.heap_bytes)},
-          {"held_messages", limit_or_null(share.held_messages)}};
+          {"held_messages", limit_or_null(share.held_messages)},
+          {"topics", limit_or_null(share.topics)}};
 }
 
-Object object_of(const System& system, const std::string& socket) {
+}  // namespace
+
+Object status_object(const System& system, const std::string& socket) {
   const wire::DumpDaemon& daemon = system.daemon;
   const Sums sums = sums_of(system);
   const wire::DaemonCounters& counters = daemon.counters;
@@ -70,7 +74,10 @@ Object object_of(const System& system, const std::string& socket) {
             {"layout", hexadecimal(abi::fingerprint())},
             {"connections", daemon.connections},
             {"observers", daemon.observers},
-            {"unlocked_count", daemon.unlocked_count}}},
+            {"unlocked_count", daemon.unlocked_count},
+            {"log_level", level_word(daemon.log_level)},
+            {"kept_descriptors", daemon.kept_descriptors},
+            {"kept_descriptors_max", daemon.kept_descriptors_max}}},
           {"in_use",
            {{"processes", system.processes.size()},
             {"processes_orphaned", sums.orphaned},
@@ -109,6 +116,8 @@ Object object_of(const System& system, const std::string& socket) {
           {"quota_per_user", share_object(daemon.quota)},
           {"users", users}};
 }
+
+namespace {
 
 std::string of_limit(std::uint64_t used, std::uint64_t limit) {
   return std::to_string(used) + " of " + std::to_string(limit);
@@ -155,14 +164,20 @@ void print(const System& system, const std::string& socket, Console& console) {
                        counted(counters.requests_answered_again, "request") + " answered again");
   line("refused", counted(counters.requests_refused, "request") + ", " +
                       counted(counters.connections_refused, "connection"));
+  line("kept", daemon.kept_descriptors_max == 0
+                   ? "nothing: the daemon's death ends every membership"
+                   : of_limit(daemon.kept_descriptors, daemon.kept_descriptors_max) +
+                         " descriptors, over the daemon's death");
+  line("log level", level_word(daemon.log_level));
   console.line("");
-  Table table({"UID", "PROCESSES", "PUBLISHERS", "SUBSCRIPTIONS", "EXECUTORS", "HEAP", "MAY HOLD",
-               "OBSERVERS"});
+  Table table({"UID", "PROCESSES", "TOPICS", "PUBLISHERS", "SUBSCRIPTIONS", "EXECUTORS", "HEAP",
+               "MAY HOLD", "OBSERVERS"});
   for (const wire::DumpUser& user : system.users)
     table.add({std::to_string(user.uid), std::to_string(user.use.clients),
-               std::to_string(user.use.publishers), std::to_string(user.use.subscriptions),
-               std::to_string(user.use.executors), bytes_for_people(user.use.heap_bytes),
-               counted(user.use.held_messages, "message"), std::to_string(user.observers)});
+               std::to_string(user.use.topics), std::to_string(user.use.publishers),
+               std::to_string(user.use.subscriptions), std::to_string(user.use.executors),
+               bytes_for_people(user.use.heap_bytes), counted(user.use.held_messages, "message"),
+               std::to_string(user.observers)});
   table.print(console);
 }
 
@@ -174,7 +189,7 @@ Outcome<void> show_status(const Arguments& arguments, Console& console) {
   if (arguments.json == Json::no) {
     print(look->system, arguments.socket, console);
   } else {
-    console.object(object_of(look->system, arguments.socket), arguments.json);
+    console.object(status_object(look->system, arguments.socket), arguments.json);
   }
   return {};
 }

@@ -5,6 +5,9 @@
 #include <base/text.hpp>
 #include <ctl/commands.hpp>
 #include <ctl/numbers.hpp>
+#include <ctl/objects.hpp>
+#include <ctl/pairs.hpp>
+#include <ctl/select.hpp>
 #include <ctl/system.hpp>
 
 #include <algorithm>
@@ -14,27 +17,6 @@
 
 namespace agnocast::ctl {
 namespace {
-
-// Not those that have left and are only being drained.
-std::uint64_t active_count(const std::vector<Endpoint>& endpoints) {
-  return static_cast<std::uint64_t>(std::count_if(
-      endpoints.begin(), endpoints.end(),
-      [](const Endpoint& endpoint) { return endpoint.state() == abi::MemberState::active; }));
-}
-
-bool is_hidden(const std::string& name) { return name.find("/_") != std::string::npos; }
-
-std::vector<const Topic*> topics_of(const System& system, const Arguments& arguments) {
-  std::vector<const Topic*> topics;
-  for (const auto& [index, topic] : system.topics) {
-    if (!arguments.all_domains && topic.facts.domain != arguments.domain) continue;
-    topics.push_back(&topic);
-  }
-  std::sort(topics.begin(), topics.end(), [](const Topic* a, const Topic* b) {
-    return a->name != b->name ? a->name < b->name : a->facts.domain < b->facts.domain;
-  });
-  return topics;
-}
 
 std::string line_of(const Topic& topic, const Arguments& arguments, bool with_type) {
   std::string text = escaped(topic.name);
@@ -72,7 +54,7 @@ void list_both_sides(const std::vector<const Topic*>& topics, const Arguments& a
 
 // --- info
 
-const char* word_of(abi::MemberState state) noexcept {
+const char* state_word(abi::MemberState state) noexcept {
   switch (state) {
     case abi::MemberState::active:
       return "active";
@@ -100,7 +82,7 @@ const char* meaning_of(abi::MemberState state) noexcept {
     case abi::MemberState::free:
       return "over: its process is putting it away";
     default:
-      return word_of(state);
+      return state_word(state);
   }
 }
 
@@ -130,7 +112,7 @@ Object common_object(const System& system, const Endpoint& endpoint) {
   Object object{
       {"node_name", endpoint.node_name},         {"node_namespace", endpoint.node_namespace},
       {"gid", gid_of(system, endpoint)},         {"index", endpoint.facts.index},
-      {"generation", endpoint.facts.generation}, {"state", word_of(endpoint.state())},
+      {"generation", endpoint.facts.generation}, {"state", state_word(endpoint.state())},
       {"qos", qos_object(endpoint.facts.qos)}};
   const Process* const process = system.process_of(endpoint);
   object["pid"] = process == nullptr ? Object(nullptr) : Object(process->facts.pid);
@@ -149,6 +131,7 @@ Object object_of(const System& system, const Topic& topic, const Endpoint& endpo
     const PublisherNumbers numbers = found.value_or(PublisherNumbers{});
     object["is_zero_copy"] = found ? Object(numbers.adopted_messages == 0) : Object(nullptr);
     put("published_messages", found.has_value(), numbers.published);
+    put("published_bytes", found.has_value(), numbers.published_bytes);
     put("adopted_messages", found.has_value(), numbers.adopted_messages);
     put("adopted_bytes", found.has_value(), numbers.adopted_bytes);
     put("allocated_messages", found.has_value(), numbers.messages);
@@ -182,7 +165,8 @@ void print_publisher_numbers(const System& system, const Topic& topic, const End
     console.line("Zero-copy: no, " + std::to_string(numbers.adopted_bytes) + " bytes adopted (" +
                  counted(numbers.adopted_messages, "message") + ")");
   }
-  console.line("Published: " + counted(numbers.published, "message"));
+  console.line("Published: " + counted(numbers.published, "message") + ", " +
+               bytes_for_people(numbers.published_bytes));
   console.line("Allocated: " + counted(numbers.messages, "message") + " of " +
                std::to_string(endpoint.facts.slot_count) + ", " + std::to_string(numbers.held) +
                " held by subscriptions");
@@ -255,31 +239,19 @@ void print_side(const System& system, const Topic& topic, const char* heading,
   for (const Endpoint& endpoint : endpoints) print_endpoint(system, topic, endpoint, console);
 }
 
-// --- which topic
-
-std::string fully_qualified(const std::string& name) {
-  return name.starts_with('/') ? name : '/' + name;
-}
-
-Outcome<const Topic*> find_topic(const System& system, const Arguments& arguments) {
-  const std::string name = fully_qualified(arguments.subject(0));
-  std::vector<std::string_view> names;
-  for (const Topic* topic : topics_of(system, arguments)) {
-    if (topic->name == name) return topic;
-    names.push_back(topic->name);
-  }
-  std::string why = "there is no such topic in domain " + std::to_string(arguments.domain);
-  std::string hint = "agnocast-ctl topic list";
-  if (const std::string_view meant = nearest(name, names); !meant.empty()) {
-    why += "; did you mean " + escaped(meant) + "?";
-    hint = "agnocast-ctl topic info " + escaped(meant);
-  }
-  for (const auto& [index, other] : system.topics) {
-    if (other.name == name)
-      hint = "agnocast-ctl topic info " + escaped(name) + " --domain " +
-             std::to_string(other.facts.domain);
-  }
-  return problem(Status::no_such_thing, escaped(name), why, hint);
+// Publisher by publisher, as a column of answers: is what a subscription gets of it not copied?
+void print_pairs(const System& system, const Topic& topic, Console& console) {
+  const std::vector<Pair> pairs = pairs_of(system, topic);
+  if (pairs.empty()) return;
+  const auto name_of = [](const Endpoint& endpoint) {
+    return escaped(endpoint.node_namespace == "/"
+                       ? '/' + endpoint.node_name
+                       : endpoint.node_namespace + '/' + endpoint.node_name);
+  };
+  console.line("Is it zero-copy?");
+  for (const Pair& pair : pairs)
+    console.line("  " + name_of(*pair.publisher) + " -> " + name_of(*pair.subscription) + ": " +
+                 answer_of(pair));
 }
 
 }  // namespace
@@ -310,7 +282,7 @@ Outcome<void> list_topics(const Arguments& arguments, Console& console) {
 Outcome<void> show_topic(const Arguments& arguments, Console& console) {
   const auto look = look_at(arguments.socket);
   if (!look) return tl::unexpected(look.error());
-  const auto topic = find_topic(look->system, arguments);
+  const auto topic = find_topic(look->system, arguments, arguments.subject(0));
   if (!topic) return tl::unexpected(topic.error());
   const auto sides = {std::pair("Publisher count", &(*topic)->publishers),
                       std::pair("Subscription count", &(*topic)->subscriptions)};
@@ -320,17 +292,71 @@ Outcome<void> show_topic(const Arguments& arguments, Console& console) {
     for (const auto& [heading, endpoints] : sides)
       print_side(look->system, **topic, heading, *endpoints, arguments.has(options::verbose),
                  console);
+    if (arguments.has(options::verbose)) print_pairs(look->system, **topic, console);
     return {};
   }
   Object object{{"schema", "agnocast.topic-info/1"}};
-  object.update(summary_of(**topic));
-  for (const auto& [heading, endpoints] : sides) {
-    Object list = Object::array();
-    for (const Endpoint& endpoint : *endpoints)
-      list.push_back(object_of(look->system, **topic, endpoint));
-    object[endpoints == &(*topic)->publishers ? "publishers" : "subscriptions"] = std::move(list);
-  }
+  object.update(topic_object(look->system, **topic));
   console.object(object, arguments.json);
+  return {};
+}
+
+Object topic_object(const System& system, const Topic& topic) {
+  Object object = summary_of(topic);
+  object["publishers"] = Object::array();
+  object["subscriptions"] = Object::array();
+  for (const Endpoint& publisher : topic.publishers)
+    object["publishers"].push_back(object_of(system, topic, publisher));
+  for (const Endpoint& subscription : topic.subscriptions)
+    object["subscriptions"].push_back(object_of(system, topic, subscription));
+  object["pairs"] = Object::array();
+  for (const Pair& pair : pairs_of(system, topic))
+    object["pairs"].push_back({{"publisher_generation", pair.publisher->facts.generation},
+                               {"subscription_generation", pair.subscription->facts.generation},
+                               {"state", word_of(pair.state)},
+                               {"is_zero_copy", is_zero_copy(pair.state)},
+                               {"why", pair.why}});
+  return object;
+}
+
+Outcome<void> find_topics(const Arguments& arguments, Console& console) {
+  const auto look = look_at(arguments.socket);
+  if (!look) return tl::unexpected(look.error());
+  auto topics = topics_of(look->system, arguments);
+  std::erase_if(topics, [&](const Topic* topic) {
+    return topic->type != arguments.subject(0) ||
+           (!arguments.has(options::hidden) && is_hidden(topic->name));
+  });
+  if (arguments.json != Json::no) {
+    Object names = Object::array();
+    for (const Topic* topic : topics) names.push_back(topic->name);
+    console.object({{"schema", "agnocast.topic-find/1"},
+                    {"type", arguments.subject(0)},
+                    {"topic_count", topics.size()},
+                    {"topics", names}},
+                   arguments.json);
+  } else if (arguments.has(options::count_topics)) {
+    console.line(std::to_string(topics.size()));
+  } else {
+    for (const Topic* topic : topics) console.line(escaped(topic->name));
+  }
+  return {};
+}
+
+Outcome<void> show_type(const Arguments& arguments, Console& console) {
+  const auto look = look_at(arguments.socket);
+  if (!look) return tl::unexpected(look.error());
+  const auto topic = find_topic(look->system, arguments, arguments.subject(0));
+  if (!topic) return tl::unexpected(topic.error());
+  if (arguments.json == Json::no) {
+    console.line(escaped((*topic)->type));
+  } else {
+    console.object({{"schema", "agnocast.topic-type/1"},
+                    {"name", (*topic)->name},
+                    {"type", (*topic)->type},
+                    {"layout_hash", hexadecimal((*topic)->facts.layout_hash)}},
+                   arguments.json);
+  }
   return {};
 }
 

@@ -71,19 +71,6 @@ std::uint64_t wall_clock() {
 
 }  // namespace
 
-const char* word_of(Errc code) noexcept {
-  switch (code) {
-    case Errc::ok:
-      return "ok";
-#define AGNOCAST_ERROR_WORD(name, sentence, remedy) \
-  case Errc::name:                                  \
-    return #name;
-      AGNOCAST_ERROR_TABLE(AGNOCAST_ERROR_WORD)
-#undef AGNOCAST_ERROR_WORD
-  }
-  return "?";
-}
-
 std::string_view name_of(LogLevel level) noexcept {
   for (const auto& [known, name] : levels) {
     if (known == level) return name;

@@ -34,8 +34,6 @@ enum class LogLevel : std::uint8_t { error = 3, warning = 4, notice = 5, info = 
 
 inline constexpr std::string_view log_level_names = "error, warning, notice, info, debug";
 std::string_view name_of(LogLevel level) noexcept;
-/// The enumerator's own word: what explain and the documentation list.
-const char* word_of(Errc code) noexcept;
 std::optional<LogLevel> log_level_of(std::string_view name) noexcept;
 
 struct LogField {

@@ -95,6 +95,10 @@ AGNOCAST_PUBLIC const char* sentence_of(Errc code) noexcept;
 /// allocation.
 AGNOCAST_PUBLIC const char* remedy_of(Errc code) noexcept;
 
+/// The enumerator itself, as the documentation, the log and agnocast-ctl name the code: "hook_missing"; "?" for a
+/// number outside the table. Any thread; no allocation.
+AGNOCAST_PUBLIC const char* word_of(Errc code) noexcept;
+
 /// The std::error_category of Errc; its name is "agnocast". Lives as long as the process.
 AGNOCAST_PUBLIC const std::error_category& error_category() noexcept;
 inline std::error_code make_error_code(Errc code) noexcept {

@@ -108,7 +108,7 @@ TEST(Ctl, TellsOfATopicWhatRos2TellsAndWhatItCost) {
             "  Liveliness lease duration: Infinite\n"
             "Process: wire_client (pid " +
                 pid + ", uid " + std::to_string(::geteuid()) +
-                ")\nZero-copy: no, 12345 bytes adopted (2 messages)\nPublished: 6 messages\n"
+                ")\nZero-copy: no, 12345 bytes adopted (2 messages)\nPublished: 6 messages, 0 B\n"
                 "Allocated: 6 messages of 384, 2 held by subscriptions\n"
                 "Refused: 3 no_slot, 0 would_block, 0 heap_exhausted\n\n"
                 "Subscription count: 1\n\n"
@@ -120,7 +120,10 @@ TEST(Ctl, TellsOfATopicWhatRos2TellsAndWhatItCost) {
                 "Process: wire_client (pid " +
                 pid + ", uid " + std::to_string(::geteuid()) +
                 ")\nLinked: 1 publisher\nHeld: 2 messages, at most 4 of each publisher\n"
-                "Unread: 2 messages\nLost: 9 messages, 1 malformed\n\n");
+                "Unread: 2 messages\nLost: 9 messages, 1 malformed\n\n"
+                "Is it zero-copy?\n  /ns/talker -> /listener: no, adopted: 2 of 6 messages were "
+                "built outside the "
+                "shared heap, 12.1 KiB of them copied into it by publish\n");
   const auto json = run_ctl(daemon.socket_path(), {"topic", "info", "/points", "-j"}).json();
   EXPECT_EQ(json["schema"], "agnocast.topic-info/1");
   EXPECT_EQ(json["name"], "/points");
