@@ -224,10 +224,10 @@ void Context::in_all_memberships(const std::shared_ptr<Endpoint>& endpoint, cons
 }
 
 Result<std::shared_ptr<PublisherEndpoint>> Context::create_publisher(
-    const EndpointRequest& request, void (*destroy_message)(void*) noexcept) {
+    const EndpointRequest& request, const detail::MessageEnd& end_message) {
   auto made = in_present(
-      [&](Context& present) { return present.make_publisher(request, destroy_message, {}); });
-  if (made) in_all_memberships(*made, request, destroy_message);
+      [&](Context& present) { return present.make_publisher(request, end_message, {}); });
+  if (made) in_all_memberships(*made, request, end_message);
   return made;
 }
 
@@ -280,7 +280,7 @@ std::uint64_t Context::lineage_of(const Continued& continued, const wire::Endpoi
 }
 
 Result<std::shared_ptr<PublisherEndpoint>> Context::make_publisher(
-    const EndpointRequest& request, void (*destroy_message)(void*) noexcept, Continued continued) {
+    const EndpointRequest& request, const detail::MessageEnd& end_message, Continued continued) {
   if (Result<void> connected = connect(); !connected)
     return tl::unexpected<Failure>(connected.error());
   if (Result<void> heap = open_heap(); !heap) return tl::unexpected<Failure>(heap.error());
@@ -309,9 +309,9 @@ Result<std::shared_ptr<PublisherEndpoint>> Context::make_publisher(
                                                      request.qos,
                                                      made.slot_count,
                                                      0};
-        publisher = std::make_shared<PublisherEndpoint>(PublisherEndpoint::Identity{
-            core, made.topic, destroy_message, waker(), continued.events, this,
-            lineage_of(continued, made, Kind::publisher)});
+        publisher = std::make_shared<PublisherEndpoint>(
+            PublisherEndpoint::Identity{core, made.topic, end_message, waker(), continued.events,
+                                        this, lineage_of(continued, made, Kind::publisher)});
         const std::lock_guard lock(endpoints_);
         AGNOCAST_CRASH_POINT(C_registered);
         publishers_[{made.topic, made.index}] = publisher;

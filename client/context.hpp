@@ -87,7 +87,7 @@ class Context {
 
   /// Errors also: hook_missing, hook_ineffective, type_mismatch, invalid_name, depth_refused.
   [[nodiscard]] Result<std::shared_ptr<PublisherEndpoint>> create_publisher(
-      const EndpointRequest& request, void (*destroy_message)(void*) noexcept);
+      const EndpointRequest& request, const detail::MessageEnd& end_message);
   /// Errors also: type_mismatch, invalid_name, depth_refused.
   [[nodiscard]] Result<std::shared_ptr<SubscriptionEndpoint>> create_subscription(
       const EndpointRequest& request, std::shared_ptr<Sleeper> sleeper);
@@ -154,7 +154,7 @@ class Context {
   template <class Endpoint, class... More>
   void in_all_memberships(const std::shared_ptr<Endpoint>& endpoint, const More&... more);
   Result<std::shared_ptr<PublisherEndpoint>> make_publisher(const EndpointRequest& request,
-                                                            void (*destroy_message)(void*) noexcept,
+                                                            const detail::MessageEnd& end_message,
                                                             Continued continued);
   Result<std::shared_ptr<SubscriptionEndpoint>> make_subscription(
       const EndpointRequest& request, const std::shared_ptr<Sleeper>& sleeper, Continued continued);

@@ -21,7 +21,7 @@ namespace {
 
 // Messages are destroyed when they are old: maybe after the plugin that brought this code was closed.
 // So what holds it stays loaded; an executable does anyway, and is not found by its name here.
-void pin_object_of(void (*code)(void*) noexcept) noexcept {
+void pin_object_of(void (*code)(const void*, void*) noexcept) noexcept {
   Dl_info where{};
   if (::dladdr(reinterpret_cast<const void*>(code), &where) == 0) return;
   (void)::dlopen(where.dli_fname, RTLD_LAZY | RTLD_NOLOAD | RTLD_NODELETE);
@@ -84,10 +84,10 @@ Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(const Endpoin
   request.layout_hash = publisher->type_.layout_hash();
   request.qos = to_abi(qos);
   request.uses_shared_allocator = code.uses_shared_allocator;
-  auto endpoint = Context::instance().create_publisher(request, code.destroy);
+  auto endpoint = Context::instance().create_publisher(request, code.end);
   if (!endpoint) return tl::unexpected<Failure>(endpoint.error());
   publisher->endpoint_ = std::move(*endpoint);
-  pin_object_of(code.destroy);
+  pin_object_of(code.end.code);
   if (options.events()) {
     publisher->endpoint_->events().wake_for(options.events(), publisher->runner_->sleeper());
     publisher->source_ = std::make_shared<PublisherSource>(publisher->endpoint_, options.events());

@@ -308,7 +308,7 @@ bool PublisherEndpoint::awaits_link() const noexcept {
 }
 
 void PublisherEndpoint::destroy(void* message) noexcept {
-  if (!TwiceOwned::instance().let_go(message)) identity_.destroy(message);
+  if (!TwiceOwned::instance().let_go(message)) identity_.end_message(message);
 }
 
 // --- after the daemon's store was lost

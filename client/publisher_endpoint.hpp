@@ -9,6 +9,7 @@
 // does not cost its publisher one system call per sleeper.
 #pragma once
 
+#include <agnocast/message_type.hpp>
 #include <base/doorbell.hpp>
 #include <client/dataplane/publisher_core.hpp>
 #include <client/departure.hpp>
@@ -33,8 +34,7 @@ class PublisherEndpoint {
   struct Identity {
     Core::Identity core;
     std::uint32_t topic_index;
-    void (*destroy)(
-        void* message) noexcept;         // destructor and deallocation of the message type; static
+    detail::MessageEnd end_message;
     std::function<void()> wake_control;  // asks the control thread to call run_errands(); any
                                          // thread, no allocation
     std::shared_ptr<EndpointEvents> events = {};  // of the endpoint that this one continues

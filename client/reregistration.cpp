@@ -58,11 +58,11 @@ EndpointRequest Reregistration::Request::get() const {
 // --- what there is
 
 void Reregistration::add(const std::shared_ptr<PublisherEndpoint>& publisher,
-                         const EndpointRequest& request, void (*destroy_message)(void*) noexcept) {
+                         const EndpointRequest& request, const detail::MessageEnd& end_message) {
   {
     const std::lock_guard lock(mutex_);
     forget(publishers_, [](const Publisher& entry) { return entry.endpoint.expired(); });
-    publishers_.push_back({publisher, Request(request), destroy_message});
+    publishers_.push_back({publisher, Request(request), end_message});
   }
   check_added(publisher->context());
 }
@@ -332,7 +332,7 @@ Result<void> Reregistration::make_publishers(Context& present) {
                     [&](const Pending& other) { return other.publisher == publisher; }))
       continue;
     pending_.reserve(pending_.size() + 1);  // before anything is there that must not be lost
-    auto made = present.make_publisher(entry.request.get(), entry.destroy_message,
+    auto made = present.make_publisher(entry.request.get(), entry.end_message,
                                        {publisher->lineage(), publisher->shared_events()});
     if (made) {
       AGNOCAST_CRASH_POINT(C_heir);

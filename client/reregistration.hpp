@@ -41,7 +41,7 @@ class Reregistration {
   // --- what there is to move. Forgotten when nobody has it any more.
 
   void add(const std::shared_ptr<PublisherEndpoint>& publisher, const EndpointRequest& request,
-           void (*destroy_message)(void*) noexcept);
+           const detail::MessageEnd& end_message);
   void add(const std::shared_ptr<SubscriptionEndpoint>& subscription,
            const EndpointRequest& request);
   void add(const std::shared_ptr<Sleeper>& sleeper);
@@ -66,7 +66,7 @@ class Reregistration {
   struct Publisher {
     std::weak_ptr<PublisherEndpoint> endpoint;
     Request request;
-    void (*destroy_message)(void*) noexcept;
+    detail::MessageEnd end_message;
   };
   struct Subscription {
     std::weak_ptr<SubscriptionEndpoint> endpoint;

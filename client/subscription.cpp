@@ -53,6 +53,7 @@ detail::Block* take_block(SubscriptionEndpoint& subscription) noexcept {
   block->info.sequence = received->taken.sequence - received->link->first_sequence();
   block->info.publisher = received->link->generation();
   block->info.publish_time_ns = received->taken.stamp_ns;
+  block->info.object_bytes = received->taken.size;
   block->received = std::move(*received);
   return block.release();
 }

@@ -73,11 +73,13 @@ namespace agnocast {
     "raise LimitAS of the unit or ulimit -v, or make [heap] arena_bytes smaller")                  \
   X(switched_off, "agnocast is switched off in this process", "start it without AGNOCAST=off")     \
   X(started_anew, "agnocastd was started anew and does not know this process any more",            \
-    "nothing: the library goes to it by itself; if that lasts, see island_reason and its log")       \
+    "nothing: the library goes to it by itself; if that lasts, see island_reason and its log")     \
   X(revoked, "the membership of this process was ended from outside",                              \
     "see the log of agnocastd for who did it and why, then restart the process")                   \
   X(store_damaged, "what agnocastd keeps across its restarts is damaged",                          \
-    "stop agnocastd and start it: what it kept is given up, and processes go to it by themselves")
+    "stop agnocastd and start it: what it kept is given up, and processes go to it by themselves") \
+  X(type_not_found, "there is no support for a message type of this name",                         \
+    "check the spelling, and source the workspace that has its package (AMENT_PREFIX_PATH)")
 
 /// Codes of everything that a user of the library can be told. Zero is success (std::error_code
 /// convention).

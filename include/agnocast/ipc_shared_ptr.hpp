@@ -21,6 +21,7 @@ struct MessageInfo {
   std::uint64_t publisher =
       0;  ///< generation of the publisher: never the same for two publishers of a daemon's life
   std::uint64_t publish_time_ns = 0;  ///< CLOCK_MONOTONIC when it was published
+  std::uint64_t object_bytes = 0;     ///< sizeof the message object
   /// The same in CLOCK_REALTIME nanoseconds, by the offset of the two clocks now. Costs two clock
   /// reads.
   AGNOCAST_PUBLIC std::uint64_t source_timestamp() const noexcept;

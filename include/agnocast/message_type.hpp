@@ -66,6 +66,18 @@ struct TableReader {
   void (*destroy)(const void* table, void* memory);
 };
 
+/// Ends a message: destructor and deallocation. What it points to lives as long as the process.
+struct MessageEnd {
+  void (*code)(const void* context, void* message) noexcept;
+  const void* context;  ///< of a type that was found at run time its table, else null
+  void operator()(void* message) const noexcept { code(context, message); }
+
+  template <class T>
+  static MessageEnd of() noexcept {
+    return {[](const void*, void* message) noexcept { delete static_cast<T*>(message); }, nullptr};
+  }
+};
+
 /// A type without a table.
 struct PlainType {
   std::string_view name;

@@ -82,9 +82,9 @@ class Patience {
   std::chrono::microseconds step_{10};
 };
 
-/// What only the user's translation unit knows about T.
+/// What only the user's translation unit knows about a message type.
 struct MessageCode {
-  void (*destroy)(void* message) noexcept;
+  MessageEnd end;
   bool uses_shared_allocator;
 };
 
@@ -126,101 +126,9 @@ class AGNOCAST_PUBLIC UntypedPublisher {
 
 }  // namespace detail
 
-/// Any thread may call anything; publishes of one publisher are ordered by a private mutex.
-template <class T>
-class Publisher {
+/// What all publishers can say. Any thread may call anything.
+class PublisherBase {
  public:
-  using SharedPtr = std::shared_ptr<Publisher>;
-
-  /// For create_publisher.
-  explicit Publisher(std::shared_ptr<detail::UntypedPublisher> untyped) noexcept
-      : untyped_(std::move(untyped)) {}
-
-  /// A message to fill. From here to publish (or its destruction) this thread allocates from the
-  /// shared heap; many loans at once are fine, and LoanScope takes one to other threads. If the heap
-  /// is full the memory comes from libc and publish says heap_exhausted. Throws what T's constructor
-  /// throws, and std::bad_alloc.
-  ipc_shared_ptr<T> borrow_loaned_message() {
-    static_assert(std::is_default_constructible_v<T>,
-                  "agnocast: this message has no default constructor, so it cannot be borrowed; "
-                  "publish a std::unique_ptr of it");
-    auto loan = std::make_unique<Loan>();
-    loan->origin = untyped_.get();
-    loan->end = [](detail::Block* block) noexcept { delete static_cast<Loan*>(block); };
-    loan->scope.open();
-    loan->message = new T();
-    return ipc_shared_ptr<T>(loan.release());
-  }
-
-  /// Sets a loan aside that will be filled later: from now on the thread that borrowed it allocates
-  /// as if it had not; LoanScope(loan) goes on. The thing to do before another thread gets it to
-  /// publish: that thread cannot end this one's scope, which then lasts to its next borrow. False if it is no loan of this publisher. Any thread,
-  /// but not while another publishes the same loan.
-  bool pause(const ipc_shared_ptr<T>& message) noexcept {
-    Loan* const loan = loan_of(message);
-    if (loan == nullptr || loan->message == nullptr) return false;
-    loan->scope.close();
-    return true;
-  }
-
-  /// Commits a loan of this publisher; every copy of the handle becomes empty, in other threads too.
-  /// Who published through one copy has published for all: publishing another copy, also at the same
-  /// time, is loan_invalid. A thread that still writes to the message then writes to what
-  /// subscriptions read. On failure `message` is as before, though an adopted message has moved.
-  PublishResult publish(ipc_shared_ptr<T>&& message) noexcept {
-    Loan* const loan = loan_of(message);
-    if (loan == nullptr) return {Errc::loan_invalid, 0};
-    std::unique_ptr<T> object(
-        static_cast<T*>(loan->message.exchange(nullptr, std::memory_order_acq_rel)));
-    if (object == nullptr) return {Errc::loan_invalid, 0};
-    const PublishResult result = publish(std::move(object));
-    if (result) {
-      loan->scope.close();
-      message.reset();
-    } else {
-      loan->message.store(object.release(), std::memory_order_release);
-    }
-    return result;
-  }
-
-  /// Commits a message that was made anywhere. What of it lies outside the shared heap is adopted.
-  /// On failure `message` is as before.
-  PublishResult publish(std::unique_ptr<T>&& message) noexcept {
-    if (const Errc state = untyped_->state(); state != Errc::ok) return {state, 0};
-    if (message == nullptr) return {Errc::loan_invalid, 0};
-    const Result<Adoption> adopted = make_resident(message, untyped_->type(), untyped_->heap());
-    if (!adopted || adopted->adopted_bytes != 0) untyped_->count_adoption(adopted);
-    if (!adopted) return {adopted.error().code, 0};
-    const Errc code = untyped_->publish(message.get(), sizeof(T), adopted->message_bytes);
-    if (code == Errc::ok) (void)message.release();
-    return {code, adopted->adopted_bytes};
-  }
-
-  /// publish for keep-all: while a subscription has not read enough (would_block), waits for it, at
-  /// most `timeout`; one attempt at least. Nobody rings a publisher, so this asks again and again: 10
-  /// µs after the first refusal, then ever more rarely, every millisecond in the end. So a wait of
-  /// long standing costs a thousand short looks a second, and ends up to a millisecond late.
-  template <class Message, class Rep, class Period>
-  PublishResult publish_for(Message&& message,
-                            std::chrono::duration<Rep, Period> timeout) noexcept {
-    static_assert(!std::is_lvalue_reference_v<Message>, "publish_for(std::move(message), timeout)");
-    detail::Patience patience(timeout);
-    std::uint64_t adopted_bytes = 0;
-    for (;;) {
-      PublishResult result = publish(std::move(message));
-      result.adopted_bytes = adopted_bytes += result.adopted_bytes;
-      if (result.code != Errc::would_block || !patience.wait()) return result;
-    }
-  }
-
-  /// The same as publish, for callers that must look at the result.
-  [[nodiscard]] PublishResult try_publish(ipc_shared_ptr<T>&& message) noexcept {
-    return publish(std::move(message));
-  }
-  [[nodiscard]] PublishResult try_publish(std::unique_ptr<T>&& message) noexcept {
-    return publish(std::move(message));
-  }
-
   /// False when AGNOCAST=off was in the environment as this was created (it can be used as always, and
   /// publish says switched_off), and when the membership of the process was revoked (publish says
   /// revoked).
@@ -244,17 +152,156 @@ class Publisher {
     return untyped_->heap_collision_status();
   }
 
+ protected:
+  explicit PublisherBase(std::shared_ptr<detail::UntypedPublisher> untyped) noexcept
+      : untyped_(std::move(untyped)) {}
+  ~PublisherBase() = default;
+  detail::UntypedPublisher& untyped() const noexcept { return *untyped_; }
+
  private:
-  struct Loan : detail::Block {
-    ~Loan() { delete static_cast<T*>(message.load(std::memory_order_relaxed)); }
-    detail::BorrowScope scope;  // closed after the message is gone: member order
+  std::shared_ptr<detail::UntypedPublisher> untyped_;
+};
+
+namespace detail {
+
+/// Loans and their commit, of typed and of generic publishers. `Code` makes, copies, owns and
+/// measures messages, which are T to it: TypedCode, or CodeByTable of generic.hpp.
+template <class T, class Code>
+class LendingPublisher : public PublisherBase {
+ public:
+  using Owner = typename Code::Owner;  // a unique_ptr
+
+  /// Sets a loan aside that will be filled later: from now on the thread that borrowed it allocates
+  /// as if it had not; LoanScope(loan) goes on. The thing to do before another thread gets it to
+  /// publish: that thread cannot end this one's scope, which then lasts to its next borrow. False if it is no loan of this publisher. Any thread,
+  /// but not while another publishes the same loan.
+  bool pause(const ipc_shared_ptr<T>& message) noexcept {
+    Loan* const loan = loan_of(message);
+    if (loan == nullptr || loan->message == nullptr) return false;
+    loan->scope.close();
+    return true;
+  }
+
+  /// Commits a loan of this publisher; every copy of the handle becomes empty, in other threads too.
+  /// Who published through one copy has published for all: publishing another copy, also at the same
+  /// time, is loan_invalid. A thread that still writes to the message then writes to what
+  /// subscriptions read. On failure `message` is as before, though an adopted message has moved.
+  PublishResult publish(ipc_shared_ptr<T>&& message) noexcept {
+    Loan* const loan = loan_of(message);
+    if (loan == nullptr) return {Errc::loan_invalid, 0};
+    Owner object =
+        code_.own(static_cast<T*>(loan->message.exchange(nullptr, std::memory_order_acq_rel)));
+    if (object == nullptr) return {Errc::loan_invalid, 0};
+    const PublishResult result = publish(std::move(object));
+    if (result) {
+      loan->scope.close();
+      message.reset();
+    } else {
+      loan->message.store(object.release(), std::memory_order_release);
+    }
+    return result;
+  }
+
+  /// Commits a message that was made anywhere. What of it lies outside the shared heap is adopted.
+  /// On failure `message` is as before.
+  PublishResult publish(Owner&& message) noexcept {
+    if (const Errc state = untyped().state(); state != Errc::ok) return {state, 0};
+    if (message == nullptr) return {Errc::loan_invalid, 0};
+    const Result<Adoption> adopted =
+        make_resident_by([this](const T& original) { return code_.copy(original); }, message,
+                         untyped().type(), untyped().heap());
+    if (!adopted || adopted->adopted_bytes != 0) untyped().count_adoption(adopted);
+    if (!adopted) return {adopted.error().code, 0};
+    const Errc code = untyped().publish(message.get(), code_.bytes(), adopted->message_bytes);
+    if (code == Errc::ok) (void)message.release();
+    return {code, adopted->adopted_bytes};
+  }
+
+  /// publish for keep-all: while a subscription has not read enough (would_block), waits for it, at
+  /// most `timeout`; one attempt at least. Nobody rings a publisher, so this asks again and again: 10
+  /// µs after the first refusal, then ever more rarely, every millisecond in the end. So a wait of
+  /// long standing costs a thousand short looks a second, and ends up to a millisecond late.
+  template <class Message, class Rep, class Period>
+  PublishResult publish_for(Message&& message,
+                            std::chrono::duration<Rep, Period> timeout) noexcept {
+    static_assert(!std::is_lvalue_reference_v<Message>, "publish_for(std::move(message), timeout)");
+    Patience patience(timeout);
+    std::uint64_t adopted_bytes = 0;
+    for (;;) {
+      PublishResult result = publish(std::move(message));
+      result.adopted_bytes = adopted_bytes += result.adopted_bytes;
+      if (result.code != Errc::would_block || !patience.wait()) return result;
+    }
+  }
+
+  /// The same as publish, for callers that must look at the result.
+  [[nodiscard]] PublishResult try_publish(ipc_shared_ptr<T>&& message) noexcept {
+    return publish(std::move(message));
+  }
+  [[nodiscard]] PublishResult try_publish(Owner&& message) noexcept {
+    return publish(std::move(message));
+  }
+
+ protected:
+  explicit LendingPublisher(std::shared_ptr<UntypedPublisher> untyped, Code code = {}) noexcept
+      : PublisherBase(std::move(untyped)), code_(code) {}
+  ~LendingPublisher() = default;
+
+  ipc_shared_ptr<T> lend() {
+    auto loan = std::make_unique<Loan>(code_);
+    loan->origin = &untyped();
+    loan->end = [](Block* block) noexcept { delete static_cast<Loan*>(block); };
+    loan->scope.open();
+    loan->message = code_.make().release();
+    return ipc_shared_ptr<T>(loan.release());
+  }
+
+ private:
+  struct Loan : Block {
+    explicit Loan(const Code& of) noexcept : code(of) {}
+    ~Loan() { (void)code.own(static_cast<T*>(message.load(std::memory_order_relaxed))); }
+    Code code;
+    BorrowScope scope;  // closed after the message is gone: member order
   };
   Loan* loan_of(const ipc_shared_ptr<T>& message) const noexcept {
-    detail::Block* const block = message.block();
-    return block != nullptr && block->origin == untyped_.get() ? static_cast<Loan*>(block)
-                                                               : nullptr;
+    Block* const block = message.block();
+    return block != nullptr && block->origin == &untyped() ? static_cast<Loan*>(block) : nullptr;
   }
-  std::shared_ptr<detail::UntypedPublisher> untyped_;
+
+  Code code_;
+};
+
+template <class T>
+struct TypedCode {
+  using Owner = std::unique_ptr<T>;
+  Owner make() const { return Owner(new T()); }
+  Owner copy(const T& original) const { return Owner(new T(original)); }
+  Owner own(T* message) const noexcept { return Owner(message); }
+  constexpr std::size_t bytes() const noexcept { return sizeof(T); }
+};
+
+}  // namespace detail
+
+/// Any thread may call anything; publishes of one publisher are ordered by a private mutex.
+template <class T>
+class Publisher : public detail::LendingPublisher<T, detail::TypedCode<T>> {
+ public:
+  using SharedPtr = std::shared_ptr<Publisher>;
+
+  /// For create_publisher.
+  explicit Publisher(std::shared_ptr<detail::UntypedPublisher> untyped) noexcept
+      : detail::LendingPublisher<T, detail::TypedCode<T>>(std::move(untyped)) {}
+
+  /// A message to fill. From here to publish (or its destruction) this thread allocates from the
+  /// shared heap; many loans at once are fine, and LoanScope takes one to other threads. If the heap
+  /// is full the memory comes from libc and publish says heap_exhausted. Throws what T's constructor
+  /// throws, and std::bad_alloc.
+  ipc_shared_ptr<T> borrow_loaned_message() {
+    static_assert(std::is_default_constructible_v<T>,
+                  "agnocast: this message has no default constructor, so it cannot be borrowed; "
+                  "publish a std::unique_ptr of it");
+    return this->lend();
+  }
 };
 
 /// A publisher, or why there is none. Errors: daemon_not_running, hook_missing, hook_ineffective,
@@ -269,8 +316,7 @@ template <class T, class Node>
   if (!type) return tl::unexpected<Failure>(type.error());
   auto untyped = detail::UntypedPublisher::create(
       *name, std::move(*type), qos, options,
-      detail::MessageCode{[](void* message) noexcept { delete static_cast<T*>(message); },
-                          std::is_base_of_v<SharedMessage, T>});
+      detail::MessageCode{detail::MessageEnd::of<T>(), std::is_base_of_v<SharedMessage, T>});
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
   return std::make_shared<Publisher<T>>(std::move(*untyped));
 }

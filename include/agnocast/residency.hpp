@@ -181,6 +181,37 @@ struct Adoption {
   std::uint64_t message_bytes = 0;  ///< Residency::message_bytes of what is there now
 };
 
+namespace detail {
+
+/// make_resident() for any owning pointer; `copy` makes a copy of the message, with memory that is
+/// allocated while it runs, and may throw.
+template <class Pointer, class Copy>
+Result<Adoption> make_resident_by(const Copy& copy_of, Pointer& message, const MessageType& type,
+                                  const SharedHeap& heap) noexcept {
+  const Residency found = check_residency(type, message.get(), heap.windows(heap.context));
+  if (found.is_resident()) return Adoption{0, found.message_bytes};
+
+  SharedScope scope(heap);
+  try {
+    Pointer copy = copy_of(std::as_const(*message));
+    // What is unseen cannot be looked at again, but then it is known that no allocation went
+    // elsewhere.
+    const bool has_strays = scope.close() != 0;
+    const Residency now = check_residency(type, copy.get(), heap.windows(heap.context));
+    if (now.foreign_count != 0 || (now.unseen_count != 0 && has_strays)) {
+      return tl::unexpected(heap.full());
+    }
+    message = std::move(copy);
+    return Adoption{found.foreign_bytes, now.message_bytes};
+  } catch (const std::bad_alloc&) {
+    return tl::unexpected(heap.full());
+  } catch (...) {
+    return fail(Errc::user_code_threw, "copy constructor of the message");
+  }
+}
+
+}  // namespace detail
+
 /// Makes `message` resident, by adoption if it must: a copy is built in the shared heap, the
 /// original destroyed and `message` pointed at the copy. The whole message is copied, resident parts
 /// too; adopted_bytes says what would have been enough.
@@ -193,27 +224,8 @@ template <class T>
 [[nodiscard]] Result<Adoption> make_resident(std::unique_ptr<T>& message, const MessageType& type,
                                              const SharedHeap& heap) noexcept {
   static_assert(detail::require_message<T>());
-  const Residency found = check_residency(type, message.get(), heap.windows(heap.context));
-  if (found.is_resident()) return Adoption{0, found.message_bytes};
-
-  std::unique_ptr<T> copy;
-  SharedScope scope(heap);
-  try {
-    copy.reset(new T(std::as_const(*message)));
-  } catch (const std::bad_alloc&) {
-    return tl::unexpected(heap.full());
-  } catch (...) {
-    return fail(Errc::user_code_threw, "copy constructor of the message");
-  }
-  // What is unseen cannot be looked at again, but then it is known that no allocation went
-  // elsewhere.
-  const bool has_strays = scope.close() != 0;
-  const Residency now = check_residency(type, copy.get(), heap.windows(heap.context));
-  if (now.foreign_count != 0 || (now.unseen_count != 0 && has_strays)) {
-    return tl::unexpected(heap.full());
-  }
-  message = std::move(copy);
-  return Adoption{found.foreign_bytes, now.message_bytes};
+  return detail::make_resident_by(
+      [](const T& original) { return std::unique_ptr<T>(new T(original)); }, message, type, heap);
 }
 
 }  // namespace agnocast

@@ -37,37 +37,49 @@ struct BufferMark<Member, std::void_t<decltype(std::declval<const Member&>().is_
   static bool of(const Member& member) noexcept { return member.is_rosidl_buffer_; }
 };
 
-// sizeof one element; 0 for a number this header does not know, which the library refuses.
-inline std::uint32_t ros_element_bytes(std::uint8_t type_id) noexcept {
+struct RosElementLayout {
+  std::uint32_t bytes = 0;
+  std::uint32_t alignment = 0;
+  template <class T>
+  static constexpr RosElementLayout of() noexcept {
+    return {sizeof(T), alignof(T)};
+  }
+};
+
+// sizeof and alignof one element that is no message; zeros for a number this header does not know,
+// which the library refuses.
+inline RosElementLayout ros_element_layout(std::uint8_t type_id) noexcept {
   namespace ros = rosidl_typesupport_introspection_cpp;
   switch (type_id) {
     case ros::ROS_TYPE_BOOLEAN:
-      return sizeof(bool);
+      return RosElementLayout::of<bool>();
     case ros::ROS_TYPE_CHAR:
     case ros::ROS_TYPE_OCTET:
     case ros::ROS_TYPE_UINT8:
     case ros::ROS_TYPE_INT8:
-      return 1;
+      return RosElementLayout::of<std::uint8_t>();
     case ros::ROS_TYPE_WCHAR:
     case ros::ROS_TYPE_UINT16:
     case ros::ROS_TYPE_INT16:
-      return 2;
+      return RosElementLayout::of<std::uint16_t>();
     case ros::ROS_TYPE_FLOAT:
+      return RosElementLayout::of<float>();
     case ros::ROS_TYPE_UINT32:
     case ros::ROS_TYPE_INT32:
-      return 4;
+      return RosElementLayout::of<std::uint32_t>();
     case ros::ROS_TYPE_DOUBLE:
+      return RosElementLayout::of<double>();
     case ros::ROS_TYPE_UINT64:
     case ros::ROS_TYPE_INT64:
-      return 8;
+      return RosElementLayout::of<std::uint64_t>();
     case ros::ROS_TYPE_LONG_DOUBLE:
-      return sizeof(long double);
+      return RosElementLayout::of<long double>();
     case ros::ROS_TYPE_STRING:
-      return sizeof(std::string);
+      return RosElementLayout::of<std::string>();
     case ros::ROS_TYPE_WSTRING:
-      return sizeof(std::u16string);
+      return RosElementLayout::of<std::u16string>();
     default:
-      return 0;
+      return {};
   }
 }
 
@@ -106,7 +118,7 @@ inline FieldTable read_ros_field(const void* table, std::size_t index) {
           array,
           member.type_id_,
           BufferMark<RosMember>::of(member),
-          ros_element_bytes(member.type_id_),
+          ros_element_layout(member.type_id_).bytes,
           member.offset_,
           member.array_size_,
           member.string_upper_bound_,

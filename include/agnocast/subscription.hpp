@@ -114,17 +114,9 @@ UntypedSubscription::Callback erase(Callback&& callback) {
 
 }  // namespace detail
 
-/// Any thread may call anything.
-template <class T>
-class Subscription {
+/// What all subscriptions can say. Any thread may call anything.
+class SubscriptionBase {
  public:
-  using SharedPtr = std::shared_ptr<Subscription>;
-  explicit Subscription(std::shared_ptr<detail::UntypedSubscription> untyped) noexcept
-      : untyped_(std::move(untyped)) {}
-
-  /// The oldest unread message, or an empty pointer. No system call, except after a publisher's
-  /// heap has grown. Not for one with a callback.
-  ipc_shared_ptr<const T> take() noexcept { return ipc_shared_ptr<const T>(untyped_->take()); }
   /// Messages that were dropped because this subscription's depth was exceeded.
   std::uint64_t get_lost_count() const noexcept { return untyped_->lost(); }
   /// Matched publishers that this process has mapped; a moment ago. Not those that are gone, though
@@ -152,10 +144,26 @@ class Subscription {
   const char* get_topic_name() const noexcept { return untyped_->topic().c_str(); }
 
  protected:
-  bool is_own() const noexcept { return untyped_->is_own(); }
+  explicit SubscriptionBase(std::shared_ptr<detail::UntypedSubscription> untyped) noexcept
+      : untyped_(std::move(untyped)) {}
+  ~SubscriptionBase() = default;
+  detail::UntypedSubscription& untyped() const noexcept { return *untyped_; }
 
  private:
   std::shared_ptr<detail::UntypedSubscription> untyped_;
+};
+
+/// Any thread may call anything.
+template <class T>
+class Subscription : public SubscriptionBase {
+ public:
+  using SharedPtr = std::shared_ptr<Subscription>;
+  explicit Subscription(std::shared_ptr<detail::UntypedSubscription> untyped) noexcept
+      : SubscriptionBase(std::move(untyped)) {}
+
+  /// The oldest unread message, or an empty pointer. No system call, except after a publisher's
+  /// heap has grown. Not for one with a callback.
+  ipc_shared_ptr<const T> take() noexcept { return ipc_shared_ptr<const T>(untyped().take()); }
 };
 
 /// A subscription without a callback. Beside take() it has the habit of Autoware's polling
@@ -170,7 +178,7 @@ class PollingSubscriber : public Subscription<T> {
   /// came in between is skipped (it is not counted as lost). The subscription keeps holding it.
   /// Empty in a forked child.
   ipc_shared_ptr<const T> take_data() noexcept {
-    if (!this->is_own()) return {};
+    if (!this->untyped().is_own()) return {};
     const std::lock_guard lock(mutex_);
     while (auto newer = this->take()) newest_ = std::move(newer);
     return newest_;

@@ -206,8 +206,8 @@ class Tool {
 
   std::string advertise(std::istringstream& line) {
     std::string topic;
-    auto created = Context::instance().create_publisher(
-        request(line, topic), [](void* message) noexcept { delete static_cast<Cloud*>(message); });
+    auto created =
+        Context::instance().create_publisher(request(line, topic), detail::MessageEnd::of<Cloud>());
     if (!created) return text_of(created.error());
     publisher_ = *created;
     number_ = 0;

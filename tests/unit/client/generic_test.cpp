@@ -1,0 +1,212 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: a message type is found by its name wherever it may be, is the type that the compiler knows,
+// and is copied as the compiler would copy it; a name that is none never becomes a path.
+// Method: every message type of interfaces/ beside its C++ type; a program that links no message
+// package, run with environments of the test's choice.
+
+#include <agnocast/generic.hpp>
+#include <every_message.hpp>
+#include <tests/support/child.hpp>
+#include <tests/support/random_message.hpp>
+#include <tests/support/temporary_directory.hpp>
+
+#include <gmock/gmock.h>
+
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <memory>
+#include <sstream>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace agnocast {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+using testing::StartsWith;
+
+TEST(Generic, EveryTypeIsTheOneThatTheCompilerKnows) {
+  int count = 0;
+  test::for_every_message([&](auto* null, const std::string& name) {
+    using T = std::remove_pointer_t<decltype(null)>;
+    const auto found = try_find_message_type(name);
+    ASSERT_TRUE(found) << text_of(found.error());
+    const auto generic = found->message_type();
+    ASSERT_TRUE(generic) << name << ": " << text_of(generic.error());
+    const auto typed = message_type_of<T>();
+    ASSERT_TRUE(typed);
+    EXPECT_EQ(generic->name(), name);
+    EXPECT_EQ(generic->layout_hash(), typed->layout_hash()) << name;
+    EXPECT_EQ(generic->message_bytes(), sizeof(T)) << name;
+    EXPECT_EQ(generic->message_alignment(), alignof(T)) << name;
+    ++count;
+  });
+  EXPECT_GE(count, 80);
+}
+
+TEST(Generic, ACopyByTheTableIsTheCopyOfTheCompiler) {
+  // Without NaN, so that the types' own == can judge.
+  test::RandomMessages random(7, {.has_nan = false, .has_any_text = true});
+  test::for_every_message([&](auto* null, const std::string& name) {
+    using T = std::remove_pointer_t<decltype(null)>;
+    const IntrospectedType type = find_message_type(name);
+    for (int round = 0; round < 20; ++round) {
+      T original;
+      random.fill(type.members(), &original);
+      const OwnedGenericMessage copy = type.copy(&original);
+      EXPECT_EQ(*reinterpret_cast<const T*>(copy.get()), original) << name;
+      EXPECT_TRUE(test::are_same(type.members(), copy.get(), &original)) << name;
+      T other;
+      random.fill(type.members(), &other);
+      EXPECT_TRUE(original == other || !test::are_same(type.members(), copy.get(), &other))
+          << name << ": are_same overlooks a member";
+    }
+    const OwnedGenericMessage fresh = type.make();
+    EXPECT_EQ(*reinterpret_cast<const T*>(fresh.get()), T()) << name << ": with its defaults";
+  });
+}
+
+TEST(Generic, TheKindMsgNeedNotBeSaid) {
+  EXPECT_EQ(&find_message_type("sensor_msgs/PointCloud2").members(),
+            &find_message_type("sensor_msgs/msg/PointCloud2").members());
+  EXPECT_THROW(find_message_type("sensor_msgs/SetCameraInfo_Request"), Error);
+}
+
+TEST(Generic, WhatIsNoNameIsRefusedBeforeAnythingIsSearched) {
+  for (const char* const name : {"",
+                                 "/",
+                                 "//",
+                                 "a",
+                                 "String",
+                                 "std_msgs/msg/",
+                                 "/msg/String",
+                                 "std_msgs//String",
+                                 "std_msgs/msg/String/",
+                                 "std_msgs/msg/x/String",
+                                 "../std_msgs/msg/String",
+                                 "std_msgs/msg/../String",
+                                 "std-msgs/msg/String",
+                                 "std_msgs/foo/String",
+                                 "std_msgs/msg/String ",
+                                 "std_msgs/msg/St\nring",
+                                 "1std_msgs/msg/String",
+                                 "std_msgs/msg/_String",
+                                 "std_msgs::msg::String",
+                                 "\xc3\xa9/msg/String"}) {
+    const auto found = try_find_message_type(name);
+    ASSERT_FALSE(found) << name;
+    EXPECT_EQ(found.error().code, Errc::invalid_name) << name;
+  }
+  for (const std::string& name :
+       {std::string("std_msgs/msg/String\0x", 21), std::string(100000, 'a') + "/msg/String",
+        "std_msgs/msg/" + std::string(300, 'S')})
+    EXPECT_EQ(try_find_message_type(name).error().code, Errc::invalid_name);
+  EXPECT_EQ(text_of(try_find_message_type("\x1b[2Jno/type").error()),
+            "a name is not a ROS 2 name: '?[2Jno/type' is no message type; one is like "
+            "sensor_msgs/msg/PointCloud2");
+}
+
+TEST(Generic, ATypeThatIsNotInItsLibraryIsSaid) {
+  const auto found = try_find_message_type("std_msgs/msg/Strin");
+  ASSERT_FALSE(found);
+  EXPECT_EQ(found.error().code, Errc::type_not_found);
+  EXPECT_EQ(text_of(found.error()),
+            "there is no support for a message type of this name: std_msgs/msg/Strin: "
+            "libstd_msgs__rosidl_typesupport_introspection_cpp.so has no such type");
+}
+
+TEST(Generic, AForkedChildOfAProcessWithoutEndpointsMayLookForTypes) {
+  test::Child child([] { return try_find_message_type("std_msgs/msg/String") ? 0 : 1; });
+  EXPECT_EQ(child.wait(), 0);
+}
+
+// --- where it is found: in a process of its own
+
+struct Answer {
+  int status;
+  std::string text;
+};
+/// With these variables and no others.
+Answer find(const std::vector<std::string>& variables, const std::string& arguments) {
+  std::string command = "env -i ";
+  for (const std::string& variable : variables) command += "'" + variable + "' ";
+  std::FILE* const pipe = ::popen((command + AGNOCAST_TYPE_FINDER + " " + arguments).c_str(), "r");
+  Answer answer{};
+  char letters[4096];
+  for (std::size_t count; (count = std::fread(letters, 1, sizeof letters, pipe)) > 0;)
+    answer.text.append(letters, count);
+  const int status = ::pclose(pipe);
+  answer.status = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  return answer;
+}
+std::string environment(const char* name) {
+  const char* const value = std::getenv(name);
+  return std::string(name) + '=' + (value != nullptr ? value : "");
+}
+constexpr const char* library = "libsensor_msgs__rosidl_typesupport_introspection_cpp.so";
+constexpr const char* found = "PointCloud2, 9 members\n";
+
+/// lib/ of every prefix, in which an overlay has no more than its own libraries.
+std::string directories() {
+  std::string text;
+  std::string prefixes = environment("AMENT_PREFIX_PATH");
+  prefixes.erase(0, prefixes.find('=') + 1);
+  for (std::size_t end; !prefixes.empty(); prefixes.erase(0, end + (end < prefixes.size()))) {
+    end = std::min(prefixes.find(':'), prefixes.size());
+    text += " '" + prefixes.substr(0, end) + "/lib'";
+  }
+  return text;
+}
+
+TEST(Generic, TypesAreFoundAlongEachPathAlone) {
+  if (directories().empty()) GTEST_SKIP() << "AMENT_PREFIX_PATH is not set";
+  EXPECT_EQ(find({environment("AMENT_PREFIX_PATH")}, "sensor_msgs/msg/PointCloud2").text, found)
+      << "with the libraries that this one needs";
+  EXPECT_EQ(find({}, "sensor_msgs/msg/PointCloud2" + directories()).text, found);
+  if (std::getenv("LD_LIBRARY_PATH") != nullptr) {
+    EXPECT_EQ(find({environment("LD_LIBRARY_PATH")}, "sensor_msgs/msg/PointCloud2").text, found);
+  }
+  const Answer nowhere = find({"AMENT_PREFIX_PATH=/nowhere:"}, "sensor_msgs/PointCloud2 /here");
+  EXPECT_EQ(nowhere.status, 1);
+  EXPECT_EQ(nowhere.text, std::string("there is no support for a message type of this name: "
+                                      "sensor_msgs/msg/PointCloud2: no ") +
+                              library + " in /here, /nowhere/lib, nor where the loader looks\n");
+}
+
+TEST(Generic, TheFirstLibraryCountsAlsoIfItIsBroken) {
+  if (directories().empty()) GTEST_SKIP() << "AMENT_PREFIX_PATH is not set";
+  const test::TemporaryDirectory directory;
+  std::ofstream(directory.path(library)) << "no library";
+  const Answer answer =
+      find({environment("AMENT_PREFIX_PATH")}, "sensor_msgs/msg/PointCloud2 " + directory.path());
+  EXPECT_EQ(answer.status, 1);
+  EXPECT_THAT(answer.text, AllOf(StartsWith("there is no support"),
+                                 HasSubstr(directory.path() + "/" + library + ": ")));
+}
+
+TEST(Generic, ALibraryWhoseNeedIsNowhereIsRefusedByName) {
+  if (directories().empty()) GTEST_SKIP() << "AMENT_PREFIX_PATH is not set";
+  const test::TemporaryDirectory directory;
+  std::string where;
+  {
+    std::istringstream all(directories());
+    for (std::string path; all >> path;) {
+      path = path.substr(1, path.size() - 2);
+      if (std::filesystem::exists(path + "/" + library)) where = path;
+    }
+  }
+  std::filesystem::copy_file(where + "/" + library, directory.path() + "/" + library);
+  const Answer answer = find({}, "sensor_msgs/msg/PointCloud2 " + directory.path());
+  EXPECT_EQ(answer.status, 1);
+  EXPECT_THAT(answer.text, HasSubstr("geometry_msgs"));
+}
+
+}  // namespace
+}  // namespace agnocast
