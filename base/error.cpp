@@ -15,11 +15,13 @@ struct Row {
   Errc code;
   const char* word;
   const char* sentence;
+  const char* cause;
   const char* remedy;
 };
 
-constexpr Row rows[] = {{Errc::ok, "ok", "no error", ""},
-#define AGNOCAST_ERROR_ROW(name, sentence, remedy) {Errc::name, #name, sentence, remedy},
+constexpr Row rows[] = {{Errc::ok, "ok", "no error", "", ""},
+#define AGNOCAST_ERROR_ROW(name, sentence, cause, remedy) \
+  {Errc::name, #name, sentence, cause, remedy},
                         AGNOCAST_ERROR_TABLE(AGNOCAST_ERROR_ROW)
 #undef AGNOCAST_ERROR_ROW
 };
@@ -50,6 +52,11 @@ std::atomic<std::uint64_t> last_number{0};
 const char* sentence_of(Errc code) noexcept {
   const Row* row = find(code);
   return row != nullptr ? row->sentence : "unknown error";
+}
+
+const char* cause_of(Errc code) noexcept {
+  const Row* row = find(code);
+  return row != nullptr ? row->cause : "";
 }
 
 const char* remedy_of(Errc code) noexcept {

@@ -170,13 +170,6 @@ Outcome<std::uint64_t> domain_of(const std::string& what, const std::string& tex
   return *number;
 }
 
-std::string choose_socket(const std::string& named, const Surroundings& around) {
-  if (!named.empty()) return named;
-  if (around.agnocast_socket) return *around.agnocast_socket;
-  if (around.has_system_socket || !around.xdg_runtime_dir) return system_socket;
-  return *around.xdg_runtime_dir + "/agnocast/agnocastd.sock";
-}
-
 /// Whether a value is what its option wants; if not, why.
 std::optional<std::string> complaint_of(const Option& option, const std::string& value) {
   const auto bound = [](double number) {
@@ -342,6 +335,13 @@ std::optional<std::string> environment(const char* name) {
 }
 
 }  // namespace
+
+std::string choose_socket(const std::string& named, const Surroundings& around) {
+  if (!named.empty()) return named;
+  if (around.agnocast_socket) return *around.agnocast_socket;
+  if (around.has_system_socket || !around.xdg_runtime_dir) return system_socket;
+  return *around.xdg_runtime_dir + "/agnocast/agnocastd.sock";
+}
 
 std::string plural_of(std::string_view noun) {
   return std::string(noun) + (noun.ends_with('s') ? "es" : "s");

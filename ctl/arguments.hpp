@@ -66,6 +66,9 @@ Outcome<std::variant<Arguments, Answer>> parse_arguments(std::span<const std::st
                                                          std::span<const Command> commands,
                                                          const Surroundings& around);
 
+/// The socket that is meant: the one that is named (--socket), else as the environment says.
+std::string choose_socket(const std::string& named, const Surroundings& around);
+
 /// "agnocast-ctl topic info", and with what stands behind it: "agnocast-ctl topic info NAME".
 std::string full_name(const Command& command);
 std::string usage_of(const Command& command);

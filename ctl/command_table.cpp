@@ -95,6 +95,9 @@ constexpr Command table[] = {
      "The newest records of the daemon's redo log, which stay over its restarts, the newest last.",
      "agnocast-ctl journal\nagnocast-ctl journal -n 100 --topic /points\n"
      "agnocast-ctl journal --process lidar --follow\nagnocast-ctl journal --json"},
+    {"explain", "", "what a code means, what is behind it, what to do", about<s::code>, {}, explain_code,
+     "Every error that a user can see has a code; without one all of them are listed. Needs no daemon.",
+     "agnocast-ctl explain hook_missing\nagnocast-ctl explain"},
     {"log-level", "", "what agnocastd logs, and from now on", about<s::level>, {}, show_log_level,
      "Without a word the level in force. A change lasts until the daemon ends; root and the daemon's user may make it.",
      "agnocast-ctl log-level\nagnocast-ctl log-level debug"},

@@ -50,6 +50,7 @@ Outcome<void> show_top(const Arguments& arguments, Console& console);
 Outcome<void> monitor_system(const Arguments& arguments, Console& console);
 Outcome<void> dump_all(const Arguments& arguments, Console& console);
 Outcome<void> draw_graph(const Arguments& arguments, Console& console);
+Outcome<void> explain_code(const Arguments& arguments, Console& console);
 Outcome<void> show_log_level(const Arguments& arguments, Console& console);
 
 }  // namespace agnocast::ctl

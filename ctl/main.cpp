@@ -6,11 +6,13 @@
 // never subscribes. Nothing changes by it but by `process revoke`, which asks the daemon.
 
 #include <ctl/commands.hpp>
+#include <ctl/completion.hpp>
 
 #include <sys/resource.h>
 
 #include <cstdio>
 #include <cstdlib>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -37,11 +39,26 @@ bool is_written(std::FILE* out) noexcept {
   return std::ferror(out) == 0 && flushed;
 }
 
+// For the shells' scripts: a word a line, and nothing when something is wrong.
+int complete(std::span<const std::string> words, const Surroundings& around) {
+  std::string named;
+  for (std::size_t i = 0; i + 1 < words.size(); ++i) {
+    if (words[i] == "--socket") named = words[i + 1];
+  }
+  const std::string socket = choose_socket(named, around);
+  for (const std::string& word :
+       completions_of(words, all_commands, [&](Names kind) { return names_from(socket, kind); }))
+    std::printf("%s\n", word.c_str());
+  return 0;
+}
+
 int run(int argc, const char* const* argv) {
   const std::vector<std::string> words(argv + (argc > 0 ? 1 : 0), argv + argc);
   const Surroundings around = Surroundings::of_process();
   const Problem unwritten{Status::failed, "output", "it cannot be written",
                           "df; agnocast-ctl status"};
+  if (!words.empty() && words.front() == "--complete")
+    return complete(std::span(words).subspan(1), around);
   const auto parsed = parse_arguments(words, all_commands, around);
   if (!parsed) return complain(parsed.error());
   if (const auto* const answer = std::get_if<Answer>(&*parsed)) {

@@ -16,6 +16,9 @@
 
 namespace agnocast::ctl {
 
+/// What completion offers for a word.
+enum class Names : std::uint8_t { none, topics, types, nodes, processes, codes, levels };
+
 struct Option {
   enum class Kind : std::uint8_t {
     flag,   // no value
@@ -33,6 +36,7 @@ struct Option {
   double least = 0;
   double most = std::numeric_limits<double>::infinity();
   std::string_view words = {};  // separated by blanks
+  Names names_of_value = Names::none;
 };
 
 /// A word that is no option.
@@ -40,6 +44,7 @@ struct Subject {
   enum class Count : std::uint8_t { one, optional, many };  // many: one or more, at the end
   std::string_view name;                                    // "TOPIC"
   std::string_view meaning;
+  Names names = Names::none;
   Count count = Count::one;
 };
 
@@ -68,9 +73,11 @@ inline constexpr Option every_domain{"--all-domains", "of every ROS domain"};
 inline constexpr Option hidden_nodes{"-a,--all", "also those whose name begins with an underscore"};
 inline constexpr Option hidden{"--include-hidden-topics",
                                "also those with a part that begins with an underscore"};
-inline constexpr Option of_topic{"--topic", "of this topic", Kind::text, "NAME"};
-inline constexpr Option of_process{"--process", "of this process: its name or pid", Kind::text,
-                                   "NAME"};
+inline constexpr Option of_topic{"--topic", "of this topic", Kind::text, "NAME", {}, 0, 0,
+                                 {},        Names::topics};
+inline constexpr Option of_process{
+    "--process",     "of this process: its name or pid", Kind::text, "NAME", {}, 0, 0, {},
+    Names::processes};
 
 // How much of each.
 inline constexpr Option show_types{"-t,--show-types", "with the type of each"};
@@ -103,17 +110,22 @@ inline constexpr Option watch{"-w,--watch", "go on: once more whenever something
 
 namespace subjects {
 
-inline constexpr Subject topic{"NAME", "a topic; without a slash it is meant to have one"};
+inline constexpr Subject topic{"NAME", "a topic; without a slash it is meant to have one",
+                               Names::topics};
 inline constexpr Subject topics{"NAME", "topics; without a slash they are meant to have one",
-                                Subject::Count::many};
-inline constexpr Subject maybe_topic{"NAME", "only of this topic", Subject::Count::optional};
-inline constexpr Subject type{"TYPE", "a message type: std_msgs/msg/String"};
-inline constexpr Subject node{"NODE", "a node, with its namespace"};
-inline constexpr Subject process{"PROCESS",
-                                 "a pid, or INDEX.GENERATION as process list has it (CLIENT)"};
+                                Names::topics, Subject::Count::many};
+inline constexpr Subject maybe_topic{"NAME", "only of this topic", Names::topics,
+                                     Subject::Count::optional};
+inline constexpr Subject type{"TYPE", "a message type: std_msgs/msg/String", Names::types};
+inline constexpr Subject node{"NODE", "a node, with its namespace", Names::nodes};
+inline constexpr Subject process{
+    "PROCESS", "a pid, or INDEX.GENERATION as process list has it (CLIENT)", Names::processes};
 inline constexpr Subject named_process{
-    "PROCESS", "a pid, a name, or INDEX.GENERATION as process list has it (CLIENT)"};
-inline constexpr Subject level{"LEVEL", "error, warning, notice, info or debug",
+    "PROCESS", "a pid, a name, or INDEX.GENERATION as process list has it (CLIENT)",
+    Names::processes};
+inline constexpr Subject code{"CODE", "a code that an error named, or its number", Names::codes,
+                              Subject::Count::optional};
+inline constexpr Subject level{"LEVEL", "error, warning, notice, info or debug", Names::levels,
                                Subject::Count::optional};
 
 }  // namespace subjects

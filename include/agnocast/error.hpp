@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What can go wrong, as values. One table holds every code with its sentence and its remedy;
-// messages, documentation and tests are made from it, so a code exists exactly once.
+// What can go wrong, as values. One table holds every code with its sentence, its usual cause and its
+// remedy; messages, agnocast-ctl explain, documentation and tests are made from it, so a code exists
+// exactly once.
 #pragma once
 
 #include <agnocast/export.hpp>
@@ -14,78 +15,119 @@
 
 namespace agnocast {
 
-// AGNOCAST_ERROR_TABLE(X): X(enumerator, sentence, remedy). Codes are appended, never renumbered:
+// AGNOCAST_ERROR_TABLE(X): X(enumerator, sentence, cause, remedy). Codes are appended, never renumbered:
 // they travel on the wire.
-#define AGNOCAST_ERROR_TABLE(X)                                                                    \
-  X(os_failure, "the operating system refused an operation", "see the errno beside it")            \
-  X(internal, "an invariant of agnocast itself is broken; the endpoint is out of service",         \
-    "report it")                                                                                   \
-  X(protocol_violation, "a peer wrote something that the protocol does not allow",                 \
-    "check the peer's version")                                                                    \
-  X(no_slot, "every message slot of this publisher is in use",                                     \
-    "let subscriptions release messages, or raise their hold quota")                               \
-  X(would_block, "a keep-all subscription has not read enough yet",                                \
-    "publish later, or use a deeper history")                                                      \
-  X(heap_exhausted, "the shared heap of this process has no room for the message",                 \
-    "release messages, or raise [heap] window_bytes or [quota] heap_bytes in agnocastd.toml")      \
-  X(invalid_argument, "an argument is outside its domain", "see what is named beside it")          \
-  X(type_refused, "this type cannot be shared between processes",                                  \
-    "see docs/messages.md for what can")                                                           \
-  X(user_code_threw, "a constructor of the message threw an exception",                            \
-    "let it throw nothing but bad_alloc")                                                          \
-  X(daemon_not_running, "agnocastd does not answer",                                               \
-    "start it: systemctl start agnocastd; or name its socket in AGNOCAST_SOCKET")                  \
-  X(permission_denied, "this user may not do that",                                                \
-    "ask the administrator for a rule in agnocastd.toml, or to join the socket's group")           \
-  X(layout_mismatch, "library and daemon disagree about the layout of shared memory",              \
-    "use both from the same version, and restart agnocastd and the process")                       \
-  X(type_mismatch, "the topic has another message type, or the same type with another layout",     \
-    "use the type that agnocast-ctl topic info names, built with the same compiler and library")   \
-  X(invalid_name, "a name is not a ROS 2 name", "see the position named beside it")                \
-  X(depth_refused, "the history depth is outside what the daemon allows",                          \
-    "use a smaller depth, or raise [limits] depth_max in agnocastd.toml")                          \
-  X(quota_exceeded, "a limit of this user or of the daemon is reached",                            \
-    "close what is not needed, or raise the limit that is named beside it in agnocastd.toml")      \
-  X(arena_occupied, "something in this process lies where the shared heaps have to lie",           \
-    "move it, or set [heap] arena_base in agnocastd.toml")                                         \
-  X(lock_limit, "the limit of locked memory is too small",                                         \
-    "set LimitMEMLOCK=infinity in a drop-in of the unit (systemctl edit) or raise ulimit -l")      \
-  X(hook_missing, "the heap hook is not loaded in this process",                                   \
-    "start the process with agnocast-run, or link libagnocast_heaphook")                           \
-  X(hook_ineffective, "memory is not allocated by the heap hook although it is loaded",            \
-    "remove the other allocator that is named beside it, or load the hook before it")              \
-  X(window_exhausted, "this process has all heap windows it may have and they are full",           \
-    "release messages, or raise [heap] window_bytes or windows_per_process in agnocastd.toml")     \
-  X(bad_configuration, "the configuration of agnocastd cannot be used",                            \
-    "correct the line that is named beside it; agnocastd --check-config looks again")              \
-  X(already_running, "another agnocastd has this socket",                                          \
-    "stop it, or start this one with another --socket")                                            \
-  X(endpoint_gone, "the other side has ended", "create it again if it is still needed")            \
-  X(loan_invalid, "this is no open loan of this publisher",                                        \
-    "publish a loan once, with the publisher that lent it; borrow a new one for each message")     \
-  X(qos_incompatible, "publisher and subscription want different qualities of service",            \
-    "offer at least what is requested: reliability and durability")                                \
-  X(limit_reached, "a table of the daemon is full",                                                \
-    "close what is not needed; the table is named beside it")                                      \
-  X(shut_down, "the library does not serve this process any more",                                 \
-    "call exec after fork, and create endpoints before exit handlers run")                         \
-  X(address_limit, "the limit of addresses is too small for the shared heaps",                     \
-    "raise LimitAS of the unit or ulimit -v, or make [heap] arena_bytes smaller")                  \
-  X(switched_off, "agnocast is switched off in this process", "start it without AGNOCAST=off")     \
-  X(started_anew, "agnocastd was started anew and does not know this process any more",            \
-    "nothing: the library goes to it by itself; if that lasts, see island_reason and its log")     \
-  X(revoked, "the membership of this process was ended from outside",                              \
-    "see the log of agnocastd for who did it and why, then restart the process")                   \
-  X(store_damaged, "what agnocastd keeps across its restarts is damaged",                          \
-    "stop agnocastd and start it: what it kept is given up, and processes go to it by themselves") \
-  X(type_not_found, "there is no support for a message type of this name",                         \
+// clang-format off
+#define AGNOCAST_ERROR_TABLE(X)                                                                                                                \
+  X(os_failure, "the operating system refused an operation",                                                                                   \
+    "a call failed in a way that agnocast does not expect: memory or descriptors are short, or a sandbox forbids the call",                    \
+    "see the errno beside it")                                                                                                                 \
+  X(internal, "an invariant of agnocast itself is broken; the endpoint is out of service",                                                     \
+    "a fault of agnocast, or something in the process has overwritten its memory",                                                             \
+    "report it")                                                                                                                               \
+  X(protocol_violation, "a peer wrote something that the protocol does not allow",                                                             \
+    "the two programs are not of the same build, or the other one is faulty or hostile",                                                       \
+    "check the peer's version")                                                                                                                \
+  X(no_slot, "every message slot of this publisher is in use",                                                                                 \
+    "subscriptions hold or have not read as many messages as the publisher has slots",                                                         \
+    "let subscriptions release messages, or raise their hold quota")                                                                           \
+  X(would_block, "a keep-all subscription has not read enough yet",                                                                            \
+    "the reader is slower than the publisher, and keep-all promises that nothing is dropped",                                                  \
+    "publish later, or use a deeper history")                                                                                                  \
+  X(heap_exhausted, "the shared heap of this process has no room for the message",                                                             \
+    "messages that are held, unread or in the history fill the windows, and no further one is ready yet",                                      \
+    "release messages, or raise [heap] window_bytes or [quota] heap_bytes in agnocastd.toml")                                                  \
+  X(invalid_argument, "an argument is outside its domain",                                                                                     \
+    "a value that was passed, or a variable of the environment, cannot be used",                                                               \
+    "see what is named beside it")                                                                                                             \
+  X(type_refused, "this type cannot be shared between processes",                                                                              \
+    "it has parts that mean something in one process only (virtual functions, rosidl::Buffer), or its description contradicts it",             \
+    "see docs/messages.md for what can")                                                                                                       \
+  X(user_code_threw, "a constructor of the message threw an exception",                                                                        \
+    "the message was built outside the shared heap, and the constructor that was to copy it in threw",                                         \
+    "let it throw nothing but bad_alloc")                                                                                                      \
+  X(daemon_not_running, "agnocastd does not answer",                                                                                           \
+    "it was not started, or it listens at another socket than the one that is named",                                                          \
+    "start it: systemctl start agnocastd; or name its socket in AGNOCAST_SOCKET")                                                              \
+  X(permission_denied, "this user may not do that",                                                                                            \
+    "the socket's mode and group do not let this user in, a rule of [[access]] does not name it, or it is not its own process",                \
+    "ask the administrator for a rule in agnocastd.toml, or to join the socket's group")                                                       \
+  X(layout_mismatch, "library and daemon disagree about the layout of shared memory",                                                          \
+    "they were built from different versions, or one of them was not restarted after an update",                                               \
+    "use both from the same version, and restart agnocastd and the process")                                                                   \
+  X(type_mismatch, "the topic has another message type, or the same type with another layout",                                                 \
+    "another process was first on the topic with another type, or was built with other flags or from another version of the message",          \
+    "use the type that agnocast-ctl topic info names, built with the same compiler and library")                                               \
+  X(invalid_name, "a name is not a ROS 2 name",                                                                                                \
+    "it is empty, too long, or has a character that ROS 2 does not allow in names",                                                            \
+    "see the position named beside it")                                                                                                        \
+  X(depth_refused, "the history depth is outside what the daemon allows",                                                                      \
+    "the depth is 0, or above [limits] depth_max",                                                                                             \
+    "use a smaller depth, or raise [limits] depth_max in agnocastd.toml")                                                                      \
+  X(quota_exceeded, "a limit of this user or of the daemon is reached",                                                                        \
+    "the processes of this user together have as much as [quota] or the daemon allows one user",                                               \
+    "close what is not needed, or raise the limit that is named beside it in agnocastd.toml")                                                  \
+  X(arena_occupied, "something in this process lies where the shared heaps have to lie",                                                       \
+    "a library has reserved these addresses, or address randomisation has put something there",                                                \
+    "move it, or set [heap] arena_base in agnocastd.toml")                                                                                     \
+  X(lock_limit, "the limit of locked memory is too small",                                                                                     \
+    "the process locks its memory (mlockall), and RLIMIT_MEMLOCK has no room for what the shared heap uses",                                   \
+    "set LimitMEMLOCK=infinity in a drop-in of the unit (systemctl edit) or raise ulimit -l")                                                  \
+  X(hook_missing, "the heap hook is not loaded in this process",                                                                               \
+    "the process was started without LD_PRELOAD of libagnocast_heaphook.so, or with that of another version",                                  \
+    "start the process with agnocast-run, or link libagnocast_heaphook")                                                                       \
+  X(hook_ineffective, "memory is not allocated by the heap hook although it is loaded",                                                        \
+    "another allocator is linked or preloaded in front of the hook, and answers malloc or operator new instead of it",                         \
+    "remove the other allocator that is named beside it, or load the hook before it")                                                          \
+  X(window_exhausted, "this process has all heap windows it may have and they are full",                                                       \
+    "messages that are held, unread or in the history fill all windows that one process may have",                                             \
+    "release messages, or raise [heap] window_bytes or windows_per_process in agnocastd.toml")                                                 \
+  X(bad_configuration, "the configuration of agnocastd cannot be used",                                                                        \
+    "agnocastd.toml has an unknown key, a value of the wrong kind, or values that contradict each other",                                      \
+    "correct the line that is named beside it; agnocastd --check-config looks again")                                                          \
+  X(already_running, "another agnocastd has this socket",                                                                                      \
+    "a daemon is running there already, for example the one that systemd has started",                                                         \
+    "stop it, or start this one with another --socket")                                                                                        \
+  X(endpoint_gone, "the other side has ended",                                                                                                 \
+    "it was destroyed, or its process has ended, in the meantime",                                                                             \
+    "create it again if it is still needed")                                                                                                   \
+  X(loan_invalid, "this is no open loan of this publisher",                                                                                    \
+    "the message was published, moved from, or borrowed from another publisher",                                                               \
+    "publish a loan once, with the publisher that lent it; borrow a new one for each message")                                                 \
+  X(qos_incompatible, "publisher and subscription want different qualities of service",                                                        \
+    "the publisher offers less than the subscription asks for: best effort instead of reliable, or volatile instead of transient local",       \
+    "offer at least what is requested: reliability and durability")                                                                            \
+  X(limit_reached, "a table of the daemon is full",                                                                                            \
+    "all users together have as many of these as [limits] or the memory layout allows",                                                        \
+    "close what is not needed; the table is named beside it")                                                                                  \
+  X(shut_down, "the library does not serve this process any more",                                                                             \
+    "it is a child of fork without exec, or exit handlers have begun",                                                                         \
+    "call exec after fork, and create endpoints before exit handlers run")                                                                     \
+  X(address_limit, "the limit of addresses is too small for the shared heaps",                                                                 \
+    "RLIMIT_AS (ulimit -v, LimitAS) is smaller than the arena and what the process needs besides",                                             \
+    "raise LimitAS of the unit or ulimit -v, or make [heap] arena_bytes smaller")                                                              \
+  X(switched_off, "agnocast is switched off in this process",                                                                                  \
+    "AGNOCAST=off was in its environment as the endpoint was created",                                                                         \
+    "start it without AGNOCAST=off")                                                                                                           \
+  X(started_anew, "agnocastd was started anew and does not know this process any more",                                                        \
+    "the daemon was stopped and started, or what it keeps across restarts was lost",                                                           \
+    "nothing: the library goes to it by itself; if that lasts, see island_reason and its log")                                                 \
+  X(revoked, "the membership of this process was ended from outside",                                                                          \
+    "somebody asked for it (agnocast-ctl process revoke), or the process held more than its quota, or did not let go of what others wait for", \
+    "see the log of agnocastd for who did it and why, then restart the process")                                                               \
+  X(store_damaged, "what agnocastd keeps across its restarts is damaged",                                                                      \
+    "a fault of the machine, or of agnocastd, or another program has written into its memory",                                                 \
+    "stop agnocastd and start it: what it kept is given up, and processes go to it by themselves")                                             \
+  X(type_not_found, "there is no support for a message type of this name",                                                                     \
+    "the package of the type is not installed or not sourced, or has no type support for introspection",                                       \
     "check the spelling, and source the workspace that has its package (AMENT_PREFIX_PATH)")
+// clang-format on
 
 /// Codes of everything that a user of the library can be told. Zero is success (std::error_code
 /// convention).
 enum class Errc : std::int32_t {
   ok = 0,
-#define AGNOCAST_ERROR_ENUMERATOR(name, sentence, remedy) name,
+#define AGNOCAST_ERROR_ENUMERATOR(name, sentence, cause, remedy) name,
   AGNOCAST_ERROR_TABLE(AGNOCAST_ERROR_ENUMERATOR)
 #undef AGNOCAST_ERROR_ENUMERATOR
 };
@@ -93,6 +135,9 @@ enum class Errc : std::int32_t {
 /// The sentence of a code, static text; "unknown error" for a number outside the table. Any thread;
 /// no allocation.
 AGNOCAST_PUBLIC const char* sentence_of(Errc code) noexcept;
+/// What is usually behind it, static text; empty for a number outside the table. Any thread; no
+/// allocation.
+AGNOCAST_PUBLIC const char* cause_of(Errc code) noexcept;
 /// What the user can do about it, static text; empty for a number outside the table. Any thread; no
 /// allocation.
 AGNOCAST_PUBLIC const char* remedy_of(Errc code) noexcept;

@@ -10,7 +10,9 @@
 
 #include <cerrno>
 #include <exception>
+#include <fstream>
 #include <set>
+#include <sstream>
 #include <string>
 #include <thread>
 #include <type_traits>
@@ -19,23 +21,42 @@ namespace agnocast {
 namespace {
 
 const Errc all_codes[] = {
-#define AGNOCAST_CODE(name, sentence, remedy) Errc::name,
+#define AGNOCAST_CODE(name, sentence, cause, remedy) Errc::name,
     AGNOCAST_ERROR_TABLE(AGNOCAST_CODE)
 #undef AGNOCAST_CODE
 };
 
-TEST(Error, EveryCodeHasItsOwnSentenceAndARemedy) {
+TEST(Error, EveryCodeHasItsOwnSentenceACauseAndARemedy) {
   std::set<std::string> sentences;
   for (Errc code : all_codes) {
     EXPECT_TRUE(sentences.insert(sentence_of(code)).second)
         << "sentence used twice: " << sentence_of(code);
+    EXPECT_STRNE(cause_of(code), "") << sentence_of(code);
     EXPECT_STRNE(remedy_of(code), "") << sentence_of(code);
+    EXPECT_STRNE(word_of(code), "?") << sentence_of(code);
   }
 }
 
 TEST(Error, NumbersOutsideTheTableAreNamedAsUnknown) {
   EXPECT_STREQ(sentence_of(static_cast<Errc>(-1)), "unknown error");
   EXPECT_STREQ(sentence_of(static_cast<Errc>(9999)), "unknown error");
+}
+
+// The table in the documentation is this one, row by row.
+TEST(Error, DocumentationHasTheTable) {
+  std::string rows;
+  for (const Errc code : all_codes)
+    rows += std::string("| `") + word_of(code) + "` | " + sentence_of(code) + " | " +
+            cause_of(code) + " | " + remedy_of(code) + " |\n";
+  std::ifstream file(AGNOCAST_SOURCE_DIR "/docs/errors.md");
+  std::stringstream text;
+  text << file.rdbuf();
+  EXPECT_NE(text.str().find(
+                "| code | what | usually because | what to do |\n| --- | --- | --- | --- |\n" +
+                rows + "\n"),
+            std::string::npos)
+      << "docs/errors.md should have\n"
+      << rows;
 }
 
 TEST(Error, ExceptionSaysWhatThenWhy) {

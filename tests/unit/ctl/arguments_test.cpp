@@ -17,8 +17,8 @@ namespace {
 
 Outcome<void> nothing_done(const Arguments&, Console&) { return {}; }
 namespace o = options;
-constexpr Subject things{"THINGS", "each", Subject::Count::many};
-constexpr Subject value{"VALUE", "what to give", Subject::Count::optional};
+constexpr Subject things{"THINGS", "each", Names::topics, Subject::Count::many};
+constexpr Subject value{"VALUE", "what to give", Names::none, Subject::Count::optional};
 constexpr Option rate{"-r,--rate", "a second", Option::Kind::real, "HZ", "1", 0, 1000};
 constexpr Option colour{"--colour", "of it", Option::Kind::word, "WORD", {}, 0, 0, "red green"};
 constexpr Command commands[] = {

@@ -1,0 +1,6 @@
+# Completion of agnocast-ctl for bash: the program knows what may stand where the cursor is.
+_agnocast_ctl() {
+  local IFS=$'\n'
+  COMPREPLY=($(agnocast-ctl --complete "${COMP_WORDS[@]:1:COMP_CWORD}" 2>/dev/null))
+}
+complete -F _agnocast_ctl agnocast-ctl

@@ -1,0 +1,95 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: what completion offers fits where the cursor is, and manual pages say what help says. Method: the
+// real table of commands, names of this test's own; each word typed so far, one after the other.
+
+#include <agnocast/error.hpp>
+#include <ctl/completion.hpp>
+#include <ctl/help.hpp>
+#include <ctl/manual.hpp>
+
+#include <gmock/gmock.h>
+
+#include <algorithm>
+#include <string>
+#include <vector>
+
+namespace agnocast::ctl {
+namespace {
+
+using testing::Contains;
+using testing::ElementsAre;
+using testing::HasSubstr;
+using testing::IsEmpty;
+using testing::Not;
+using Words = std::vector<std::string>;
+
+Words names(Names kind) {
+  switch (kind) {
+    case Names::topics:
+      return {"/points", "/points_raw", "/clock", "/bad name"};
+    case Names::nodes:
+      return {"/lidar"};
+    case Names::processes:
+      return {"4711"};
+    default:
+      return {};
+  }
+}
+Words offered(const Words& words) { return completions_of(words, all_commands, names); }
+
+TEST(Completion, OffersNounsThenVerbsThenNames) {
+  EXPECT_THAT(offered({"to"}), ElementsAre("top", "topic"));
+  EXPECT_THAT(offered({"topic", "h"}), ElementsAre("hz"));
+  EXPECT_THAT(offered({"topic", "info", "/po"}), ElementsAre("/points", "/points_raw"));
+  EXPECT_THAT(offered({"topic", "info", ""}), Not(Contains("/bad name")));
+  EXPECT_THAT(offered({"topic", "info", "/points", ""}), IsEmpty()) << "it takes one";
+  EXPECT_THAT(offered({"topic", "hz", "/clock", "/p"}), ElementsAre("/points", "/points_raw"));
+  EXPECT_THAT(offered({"node", "info", ""}), ElementsAre("/lidar"));
+  EXPECT_THAT(offered({"topics", ""}), IsEmpty());
+  EXPECT_THAT(offered({"nonsense", ""}), IsEmpty());
+  EXPECT_THAT(offered({}), IsEmpty());
+}
+
+TEST(Completion, OffersOptionsOfTheCommandAndTheirValues) {
+  EXPECT_THAT(offered({"topic", "list", "--s"}), ElementsAre("--show-types", "--socket"));
+  EXPECT_THAT(offered({"topic", "info", "-v", "/c"}), ElementsAre("/clock"));
+  EXPECT_THAT(offered({"graph", "--format", ""}), ElementsAre("dot", "mermaid"));
+  EXPECT_THAT(offered({"journal", "--topic", "/cl"}), ElementsAre("/clock"));
+  EXPECT_THAT(offered({"monitor", "--process", ""}), ElementsAre("4711"));
+  EXPECT_THAT(offered({"--socket", "/x", "topic", "ty"}), ElementsAre("type"));
+  EXPECT_THAT(offered({"topic", "hz", "-w", ""}), IsEmpty()) << "a number";
+  EXPECT_THAT(offered({"topic", "info", "--", "-"}), IsEmpty());
+}
+
+TEST(Completion, OffersEveryCommand) {
+  for (const Command& command : all_commands) {
+    EXPECT_THAT(offered({""}), Contains(std::string(command.noun)));
+    if (command.verb.empty()) continue;
+    EXPECT_THAT(offered({std::string(command.noun), ""}), Contains(std::string(command.verb)));
+  }
+}
+
+TEST(Manual, HasASectionForEachCommandWithWhatHelpSays) {
+  const std::string page = manual_of(all_commands, "November 21, 2026");
+  for (const Command& command : all_commands) {
+    const std::size_t at = page.find(".Ss " + usage_of(command) + "\\&\n");
+    ASSERT_NE(at, std::string::npos) << full_name(command);
+    const std::string section = page.substr(at, page.find(".Ss ", at + 1) - at);
+    std::string flowing = section;
+    std::replace(flowing.begin(), flowing.end(), '\n', ' ');
+    for (const Option* const option : command.options)
+      EXPECT_THAT(flowing, HasSubstr(meaning_of(*option))) << full_name(command);
+    EXPECT_THAT(section, HasSubstr(".Dl agnocast-ctl ")) << full_name(command);
+  }
+}
+
+TEST(Manual, HasEveryCode) {
+  const std::string page = manual_of_errors("November 21, 2026");
+  for (int number = 1; *remedy_of(static_cast<Errc>(number)) != '\0'; ++number)
+    EXPECT_THAT(page,
+                HasSubstr(".It Er " + std::string(word_of(static_cast<Errc>(number))) + "\n"));
+}
+
+}  // namespace
+}  // namespace agnocast::ctl
