@@ -54,6 +54,29 @@ std::string indexed(char kind, ClientIndex client) { return kind + std::to_strin
 
 }  // namespace
 
+Result<std::vector<HandedIn>> receive_descriptors() {
+  char** names = nullptr;
+  const int count = ::sd_listen_fds_with_names(1, &names);
+  if (count < 0) return fail(Errc::os_failure, "receiving kept descriptors", -count);
+  std::vector<HandedIn> all;
+  for (int i = 0; i < count; ++i) {
+    all.push_back({names[i], UniqueFd(SD_LISTEN_FDS_START + i)});
+    std::free(names[i]);
+  }
+  std::free(names);
+  return all;
+}
+
+Result<DescriptorStore> DescriptorStore::of_nobody() {
+  auto handed_in = receive_descriptors();
+  if (!handed_in) return tl::unexpected(handed_in.error());
+  DescriptorStore store;
+  for (HandedIn& one : *handed_in) {
+    if (one.name == passed_socket_name) store.passed_.push_back(std::move(one.fd));
+  }
+  return store;
+}
+
 Result<DescriptorStore> DescriptorStore::of_manager() {
   const char* const socket = std::getenv("NOTIFY_SOCKET");
   if (socket == nullptr || *socket == '\0')
@@ -61,16 +84,17 @@ Result<DescriptorStore> DescriptorStore::of_manager() {
   DescriptorStore store;
   store.keeps_ = true;
   store.kept_count_max_ = limit_of_manager();
-  char** names = nullptr;
-  const int count = ::sd_listen_fds_with_names(1, &names);
-  if (count < 0) return fail(Errc::os_failure, "receiving kept descriptors", -count);
-  for (int i = 0; i < count; ++i) {
-    store.former_[names[i]] = UniqueFd(SD_LISTEN_FDS_START + i);
-    store.kept_.insert(names[i]);
-    std::free(names[i]);
+  auto handed_in = receive_descriptors();
+  if (!handed_in) return tl::unexpected(handed_in.error());
+  for (HandedIn& one : *handed_in) {
+    if (one.name == passed_socket_name) {
+      store.passed_.push_back(std::move(one.fd));
+    } else {
+      store.kept_.insert(one.name);
+      store.former_[one.name] = std::move(one.fd);
+    }
   }
-  std::free(names);
-  const bool says_so = store.kept_count_max_ != SIZE_MAX || count > 0;
+  const bool says_so = store.kept_count_max_ != SIZE_MAX || !store.kept_.empty();
   store.is_refused_ = !says_so && !manager_keeps_anything();
   store.keeps_ = !store.is_refused_;
   return store;

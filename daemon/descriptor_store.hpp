@@ -14,6 +14,9 @@
 // that ends it. What a death in between leaves over is what nobody takes at the next start.
 //
 // Without a manager, or with one that keeps nothing, nothing is kept, and every call succeeds.
+//
+// A manager that listens for the daemon (socket activation) hands its socket in beside them, under the
+// name `socket`. That one is the manager's for good, and never put or removed here.
 #pragma once
 
 #include <agnocast/result.hpp>
@@ -25,6 +28,7 @@
 #include <map>
 #include <set>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace agnocast::daemon {
@@ -33,10 +37,22 @@ namespace agnocast::daemon {
 /// (128 KiB): "w2047.7:" has eight bytes.
 inline constexpr std::size_t kept_count_max = 16'000;
 
+inline constexpr const char* passed_socket_name = "socket";
+
+/// A descriptor that whoever started this process hands in (LISTEN_FDS), with its name.
+struct HandedIn {
+  std::string name;
+  UniqueFd fd;
+};
+/// All of them, close-on-exec from now on; once, and before anything else is opened. Errors: os_failure.
+[[nodiscard]] Result<std::vector<HandedIn>> receive_descriptors();
+
 class DescriptorStore {
  public:
   /// Nobody keeps anything.
   DescriptorStore() = default;
+  /// Nobody keeps anything, and a socket may be handed in all the same. Errors: os_failure.
+  [[nodiscard]] static Result<DescriptorStore> of_nobody();
   /// The manager that started this process (NOTIFY_SOCKET) and what it kept (LISTEN_FDS); once, and
   /// before anything else is opened. Errors: os_failure, invalid_argument (there is no manager).
   [[nodiscard]] static Result<DescriptorStore> of_manager();
@@ -62,6 +78,9 @@ class DescriptorStore {
   /// Removes whatever was not taken, and waits until the manager has done so. The number.
   std::size_t remove_left_over();
 
+  /// What the manager listens at for us; rightly one or none.
+  std::vector<UniqueFd> take_passed_sockets() { return std::move(passed_); }
+
   // --- for the next life
   bool is_kept(const std::string& name) const { return kept_.count(name) != 0; }
   std::size_t kept_count() const noexcept { return kept_.size(); }
@@ -81,6 +100,7 @@ class DescriptorStore {
   std::size_t kept_count_max_ = SIZE_MAX;  // $FDSTORE, where the manager says it
   std::set<std::string> kept_;
   std::map<std::string, UniqueFd> former_;
+  std::vector<UniqueFd> passed_;
 };
 
 /// sd_notify: READY=1, STATUS=…, STOPPING=1. Without NOTIFY_SOCKET nobody asks.

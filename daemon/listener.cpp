@@ -11,10 +11,13 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <array>
 #include <cerrno>
 #include <charconv>
 #include <chrono>
 #include <cstdint>
+#include <cstdio>
+#include <cstring>
 #include <memory>
 #include <string_view>
 #include <system_error>
@@ -125,8 +128,63 @@ constexpr std::string_view bells_suffix = ".bells", lock_suffix = ".lock";
 
 }  // namespace
 
-tl::expected<Listener, Complaint> Listener::open(const ListenerOptions& options) {
-  const std::string& path = options.path;
+tl::expected<std::string, Complaint> Listener::place_of(const UniqueFd& passed) {
+  const auto option = [&](int name) {
+    int value = -1;
+    socklen_t bytes = sizeof value;
+    return ::getsockopt(passed.get(), SOL_SOCKET, name, &value, &bytes) == 0 ? value : -1;
+  };
+  UnixAddress address;
+  socklen_t bytes = UnixAddress::size();
+  if (option(SO_DOMAIN) != AF_UNIX || option(SO_TYPE) != SOCK_SEQPACKET ||
+      option(SO_ACCEPTCONN) != 1 ||
+      ::getsockname(passed.get(), reinterpret_cast<sockaddr*>(&address.address), &bytes) != 0 ||
+      bytes > UnixAddress::size() || address.address.sun_path[0] != '/')
+    return complain(Errc::invalid_argument,
+                    "cannot use the socket that is passed: it must be of AF_UNIX and "
+                    "SOCK_SEQPACKET, listen, and have an absolute path "
+                    "(ListenSequentialPacket=/run/agnocast/agnocastd.sock)");
+  const char* const path = address.address.sun_path;
+  return std::string(path, ::strnlen(path, sizeof address.address.sun_path));
+}
+
+tl::expected<void, Complaint> Listener::listen_at(const std::string& path, UniqueFd passed) {
+  is_passed_ = true;
+  path_ = path;
+  socket_ = PacketListener(std::move(passed));
+  if (auto wanted = socket_.want_credentials(true); !wanted)
+    return complain(Errc::os_failure,
+                    "cannot listen at " + path + ": " + reason(wanted.error().os_errno));
+  return {};
+}
+
+std::string Listener::differences(const ListenerOptions& options) const {
+  if (!is_passed_) return "";
+  struct stat entry {};
+  if (::lstat(path_.c_str(), &entry) != 0)
+    return "nobody can reach " + path_ + ": " + reason(errno);
+  std::string all;
+  const auto add = [&](const std::string& what, const std::string& is, const std::string& wanted) {
+    if (is != wanted) all += (all.empty() ? "" : ", ") + what + " is " + is + " and not " + wanted;
+  };
+  const auto octal = [](mode_t mode) {
+    std::array<char, 8> text{};
+    std::snprintf(text.data(), text.size(), "%04o", mode & 07777U);
+    return std::string(text.data());
+  };
+  add("its path", path_, options.path);
+  add("its mode", octal(entry.st_mode), octal(options.mode));
+  if (options.group) add("its group", std::to_string(entry.st_gid), std::to_string(*options.group));
+  return all;
+}
+
+tl::expected<Listener, Complaint> Listener::open(const ListenerOptions& options, UniqueFd passed) {
+  std::string path = options.path;
+  if (passed) {
+    auto place = place_of(passed);
+    if (!place) return tl::unexpected(place.error());
+    path = std::move(*place);
+  }
   const std::string& directory = options.runtime_directory;
   const std::string base = directory + "/" + path.substr(path.rfind('/') + 1);
   if (path.empty() || path.size() > 107)
@@ -146,11 +204,13 @@ tl::expected<Listener, Complaint> Listener::open(const ListenerOptions& options)
   if (auto locked = listener.lock(base, path); !locked) return tl::unexpected(locked.error());
   listener.former_count_ = read_count(listener.lock_.get());
   write_count(listener.lock_.get(), listener.former_count_ + 1);
-  if (auto cleared = clear_socket(path); !cleared) return tl::unexpected(cleared.error());
+  if (!passed) {
+    if (auto cleared = clear_socket(path); !cleared) return tl::unexpected(cleared.error());
+  }
   if (auto made = make_bells(listener.bells_); !made) return tl::unexpected(made.error());
 
-  if (auto listening = listener.listen(options); !listening)
-    return tl::unexpected(listening.error());
+  auto listening = passed ? listener.listen_at(path, std::move(passed)) : listener.listen(options);
+  if (!listening) return tl::unexpected(listening.error());
   return listener;
 }
 
@@ -193,13 +253,18 @@ tl::expected<void, Complaint> Listener::listen(const ListenerOptions& options) {
   return {};
 }
 
-tl::expected<Listener, Complaint> Listener::adopt(const ListenerOptions& options, UniqueFd socket,
-                                                  UniqueFd lock, const std::string& bells) {
+tl::expected<Listener, Complaint> Listener::adopt(const ListenerOptions& options, UniqueFd passed,
+                                                  UniqueFd socket, UniqueFd lock,
+                                                  const std::string& bells) {
   Listener listener;
   listener.removes_ = false;
   listener.bells_ = bells;
   std::string path = options.path;
-  if (socket) {
+  if (passed) {
+    auto place = place_of(passed);
+    if (!place) return tl::unexpected(place.error());
+    path = std::move(*place);
+  } else if (socket) {
     UnixAddress address;
     socklen_t bytes = UnixAddress::size();
     int listens = 0;
@@ -222,6 +287,11 @@ tl::expected<Listener, Complaint> Listener::adopt(const ListenerOptions& options
   }
   listener.former_count_ = std::max<std::uint64_t>(read_count(listener.lock_.get()), 1) - 1;
   if (::mkdir(bells.c_str(), 0700) == 0) ::chmod(bells.c_str(), 0700);
+  if (passed) {
+    if (auto listening = listener.listen_at(path, std::move(passed)); !listening)
+      return tl::unexpected(listening.error());
+    return listener;
+  }
   if (socket && somebody_listens(path)) {
     listener.socket_ = PacketListener(std::move(socket));
     listener.path_ = path;
@@ -241,13 +311,14 @@ Result<void> Listener::keep(DescriptorStore& store) const {
   if (!store.is_kept("lock")) {
     if (auto kept = store.put("lock", lock_.get()); !kept) return kept;
   }
-  if (renewed_) store.remove("listen");  // the former one, which nobody can reach
+  if (renewed_ || is_passed_) store.remove("listen");  // the former one, which nobody can reach
+  if (is_passed_) return {};
   return store.is_kept("listen") ? Result<void>() : store.put("listen", socket_.fd());
 }
 
 Listener::~Listener() {
   if (path_.empty() || !removes_) return;
-  ::unlink(path_.c_str());
+  if (!is_passed_) ::unlink(path_.c_str());
   clear_bells(bells_);
   ::rmdir(bells_.c_str());
 }

@@ -76,18 +76,15 @@ int run(int argc, const char* const* argv) {
   raise_descriptor_limit();
   Log log = Log::to_stderr(config.daemon.log_level);
   if (options.fd_store == FdStore::own) return supervise(argc, argv, log);
-  DescriptorStore store;
-  if (options.fd_store == FdStore::manager) {
-    if (!die_with_supervisor()) return 1;
-    auto kept = DescriptorStore::of_manager();
-    if (!kept)
-      return complain(kept.error().code == Errc::invalid_argument
-                          ? "--fd-store=manager: nobody is there who keeps descriptors"
-                          : "--fd-store=manager: " + text_of(kept.error()),
-                      "start it by systemd with FileDescriptorStoreMax, or with --fd-store=own");
-    store = std::move(*kept);
-  }
-  const auto trouble = serve(config, *socket, std::move(store), log);
+  const bool has_manager = options.fd_store == FdStore::manager;
+  if (has_manager && !die_with_supervisor()) return 1;
+  auto store = has_manager ? DescriptorStore::of_manager() : DescriptorStore::of_nobody();
+  if (!store)
+    return complain(store.error().code == Errc::invalid_argument
+                        ? "--fd-store=manager: nobody is there who keeps descriptors"
+                        : "--fd-store: " + text_of(store.error()),
+                    "start it by systemd with FileDescriptorStoreMax, or with --fd-store=own");
+  const auto trouble = serve(config, *socket, std::move(*store), log);
   return trouble ? complain(trouble->what, trouble->hint) : 0;
 }
 

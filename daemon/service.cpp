@@ -5,6 +5,7 @@
 #include <daemon/broker.hpp>
 #include <daemon/options.hpp>
 #include <daemon/refuser.hpp>
+#include <daemon/watchdog.hpp>
 
 #include <fcntl.h>
 #include <grp.h>
@@ -22,6 +23,7 @@
 #include <ctime>
 #include <memory>
 #include <utility>
+#include <vector>
 
 namespace agnocast::daemon {
 namespace {
@@ -94,12 +96,14 @@ class Service {
   std::optional<Trouble> go_on();
   std::optional<Trouble> refuse(UniqueFd socket, const Failure& why);
   std::optional<Trouble> wait();
+  void look_at_passed() const;
   void say_ready(bool resumed);
 
   const Config& config_;
   DescriptorStore store_;
   Log& log_;
   ListenerOptions place_;
+  UniqueFd passed_;  // the socket of the manager, until it is used
   Arena arena_;
   UniqueFd signals_;
   std::optional<Dispatcher> dispatcher_;
@@ -125,7 +129,20 @@ std::optional<Trouble> Service::prepare(const std::string& socket) {
                    "groupadd " + config_.daemon.socket_group};
   // Only who may give files away gives the socket to the usual group; a configured one is a must.
   const bool wants_group = !config_.daemon.socket_group.empty() || ::geteuid() == 0;
-  place_ = {socket, choose_runtime_directory(config_, socket),
+  std::string listens_at = socket;
+  std::vector<UniqueFd> passed = store_.take_passed_sockets();
+  if (passed.size() > 1)
+    return Trouble{"the service manager passes " + std::to_string(passed.size()) + " sockets",
+                   "have one ListenSequentialPacket= in agnocastd.socket"};
+  if (!passed.empty()) {
+    auto place = Listener::place_of(passed.front());
+    if (!place) return trouble_of(place.error());
+    listens_at = std::move(*place);
+    passed_ = std::move(passed.front());
+    // systemd passes it as NonBlocking= says, which is off.
+    ::fcntl(passed_.get(), F_SETFL, ::fcntl(passed_.get(), F_GETFL) | O_NONBLOCK);
+  }
+  place_ = {socket, choose_runtime_directory(config_, listens_at),
             static_cast<mode_t>(config_.daemon.socket_mode), wants_group ? group : std::nullopt};
 
   auto signals = watch_signals();
@@ -146,9 +163,10 @@ std::optional<Trouble> Service::prepare(const std::string& socket) {
 std::optional<Trouble> Service::begin() {
   // What a start left that did not come to its end; nobody was served by it.
   store_.remove_left_over();
-  auto listener = Listener::open(place_);
+  auto listener = Listener::open(place_, std::move(passed_));
   if (!listener) return trouble_of(listener.error());
   listener_.emplace(std::move(*listener));
+  look_at_passed();
   auto regions = Regions::create(store_);
   if (!regions) return trouble_of(regions.error());
   broker_.emplace(BrokerOptions{arena_, config_, listener_->former_count()}, log_, *dispatcher_,
@@ -175,22 +193,24 @@ std::optional<Trouble> Service::go_on() {
     lock.reset();
     return begin();
   }
+  const auto place_to_refuse = [&] { return std::move(passed_ ? passed_ : socket); };
   auto regions = Regions::adopt(store_, std::move(board), std::move(journal));
-  if (!regions) return refuse(std::move(socket), regions.error());
+  if (!regions) return refuse(place_to_refuse(), regions.error());
   {
     // Before anything else is made: the listener's place is in the tables.
     const Registry registry(regions->memory());
     if (auto checked = registry.check(); !checked)
-      return refuse(std::move(socket), checked.error());
-    auto listener =
-        Listener::adopt(place_, std::move(socket), std::move(lock), registry.header().bells);
+      return refuse(place_to_refuse(), checked.error());
+    auto listener = Listener::adopt(place_, std::move(passed_), std::move(socket), std::move(lock),
+                                    registry.header().bells);
     if (!listener) return trouble_of(listener.error());
     listener_.emplace(std::move(*listener));
   }
   if (listener_->renewed())
     log_.write(LogLevel::error, "socket made anew", {{"socket", listener_->path()}});
   if (auto kept = listener_->keep(store_); !kept) return trouble_of(kept.error());
-  if (listener_->path() != place_.path)
+  look_at_passed();
+  if (!listener_->is_passed() && listener_->path() != place_.path)
     log_.write(LogLevel::warning, "socket stays where it is", {{"socket", listener_->path()}});
   broker_.emplace(BrokerOptions{arena_, config_, listener_->former_count()}, log_, *dispatcher_,
                   *listener_, std::move(*regions), store_);
@@ -223,6 +243,18 @@ std::optional<Trouble> Service::refuse(UniqueFd socket, const Failure& why) {
   return wait();
 }
 
+// The unit of the socket decides; who has said something else in the configuration is to know.
+void Service::look_at_passed() const {
+  const std::string differences = listener_->differences(place_);
+  if (!differences.empty())
+    log_.write(LogLevel::warning, "socket is not as configured",
+               {{"socket", listener_->path()},
+                {"why", differences},
+                {"hint",
+                 "agnocastd.socket decides: systemctl edit agnocastd.socket, then systemctl "
+                 "restart agnocastd.socket"}});
+}
+
 void Service::say_ready(bool resumed) {
   const Arena& arena = broker_->arena();
   log_.write(LogLevel::notice, "ready",
@@ -236,9 +268,11 @@ void Service::say_ready(bool resumed) {
 }
 
 std::optional<Trouble> Service::wait() {
+  Watchdog watchdog;
   while (ended_by_ == 0) {
-    if (auto waited = dispatcher_->wait(broker_ ? broker_->due_ms() : -1); !waited)
+    if (auto waited = dispatcher_->wait(watchdog.sooner(broker_ ? broker_->due_ms() : -1)); !waited)
       return trouble_of(waited.error());
+    watchdog.tick();
     if (!broker_) continue;
     broker_->serve_waiting();
     broker_->tick();

@@ -132,6 +132,11 @@ class Supervisor {
     std::array<char, 4096> path{};
     const ssize_t bytes = ::readlink("/proc/self/exe", path.data(), path.size() - 1);
     if (bytes > 0) program_.assign(path.data(), static_cast<std::size_t>(bytes));
+    if (auto handed_in = receive_descriptors()) {
+      for (HandedIn& one : *handed_in) {
+        if (one.name == passed_socket_name) sockets_.push_back(std::move(one.fd));
+      }
+    }
     // Meant for this process, and not for its children.
     for (const char* const name : {"NOTIFY_SOCKET", "LISTEN_FDS", "LISTEN_PID", "LISTEN_FDNAMES",
                                    "FDSTORE", "WATCHDOG_PID", "WATCHDOG_USEC"})
@@ -160,6 +165,7 @@ class Supervisor {
   std::vector<std::string> arguments_;
   UniqueFd signals_;
   std::map<std::string, UniqueFd> kept_;
+  std::vector<UniqueFd> sockets_;  // of whoever started us, for every worker
   std::size_t kept_limit_ = kept_limit();
   pid_t worker_ = -1;
   std::uint64_t started_ms_ = 0;
@@ -231,6 +237,10 @@ void Supervisor::become_worker(pid_t parent) noexcept {
   for (const auto& [name, fd] : kept_) {
     names += (names.empty() ? "" : ":") + name;
     passed.push_back(fd.get());
+  }
+  for (const UniqueFd& socket : sockets_) {
+    names += (names.empty() ? "" : ":") + std::string(passed_socket_name);
+    passed.push_back(socket.get());
   }
   const auto count = static_cast<int>(passed.size());
   passed.push_back(socket_.way.get());

@@ -7,7 +7,8 @@
 //
 // To the worker it is what systemd is: descriptors come as datagrams at NOTIFY_SOCKET (FDSTORE=1,
 // FDNAME=…) and go back as LISTEN_FDS, so the worker has one way for both. Only datagrams of the
-// worker itself count. The socket has no name that anybody else could send to.
+// worker itself count. The socket has no name that anybody else could send to. A socket to listen at that
+// was passed to the supervisor is passed on to every worker.
 //
 // A worker that ends by a signal or a failure is started again, at once the first time, then after a
 // pause that doubles: up to five seconds if it never was ready. One that had been ready begins a
@@ -22,7 +23,9 @@
 //                     one takes over
 //
 // The worker never outlives the supervisor (PR_SET_PDEATHSIG): two daemons could not share the
-// regions. No thread, no state but the descriptors; nothing in here can be wrong for long.
+// regions. It does not watch whether the worker still turns its loop (WatchdogSec= is for a unit with
+// --fd-store=manager): who runs the daemon without systemd may stop it in a debugger for as long as he
+// wants. No thread, no state but the descriptors; nothing in here can be wrong for long.
 #pragma once
 
 #include <base/unique_fd.hpp>

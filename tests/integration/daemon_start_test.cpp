@@ -8,12 +8,14 @@
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/listen_at.hpp>
 #include <tests/support/wire_client.hpp>
+#include <tests/support/wire_dump.hpp>
 
 #include <fcntl.h>
 #include <gtest/gtest.h>
 #include <sys/file.h>
 #include <sys/mman.h>
 #include <sys/stat.h>
+#include <sys/un.h>
 #include <unistd.h>
 
 #include <atomic>
@@ -268,6 +270,63 @@ TEST(DaemonStart, SaysOnceThatItsManagerKeepsNothingAndGoesOn) {
   EXPECT_NE(log.find("FileDescriptorStoreMax="), std::string::npos) << log;
   EXPECT_EQ(daemon.stop(), 0);
   EXPECT_FALSE(exists(daemon.socket_path())) << "nobody goes on with it";
+}
+
+TEST(DaemonStart, ListensAtASocketThatIsPassedAndLeavesItWhereItIs) {
+  for (const std::string keeper : {"own", "none"}) {
+    Directory directory;
+    const std::string path = directory / "passed.sock";
+    const auto passed = listen_at(path);
+    ASSERT_TRUE(passed);
+    ASSERT_EQ(::chmod(path.c_str(), 0600), 0);
+    ASSERT_EQ(::fcntl(passed->fd(), F_SETFL, 0), 0);  // as systemd passes it: it blocks
+    WireClient early(path);
+    DaemonProcess daemon({.arguments = {"--fd-store=" + keeper}, .sockets = {passed->fd()}});
+    EXPECT_EQ(early.hello().opcode(), wire::Opcode::welcome);
+    EXPECT_FALSE(exists(daemon.socket_path()));
+    EXPECT_TRUE(daemon.wait_for_log("its path is " + path + " and not " + daemon.socket_path() +
+                                    ", its mode is 0600 and not 0666"));
+    EXPECT_EQ(mode_of(path), 0600u);
+    if (keeper == "own") {
+      const std::uint64_t incarnation = wire_dump(path).incarnation;
+      EXPECT_TRUE(daemon.wait_for_next(daemon.kill_worker()));
+      EXPECT_EQ(wire_dump(path).incarnation, incarnation);
+      EXPECT_EQ(daemon.log().find("former life lost"), std::string::npos);
+    }
+    EXPECT_TRUE(exists(path + ".bells"));
+    EXPECT_EQ(daemon.stop(), 0);
+    EXPECT_FALSE(exists(path + ".bells"));
+    EXPECT_TRUE(PacketSocket::connect(path)) << "it is not the daemon's to remove";
+  }
+}
+
+TEST(DaemonStart, SaysWhatIsWrongWithASocketThatIsPassed) {
+  Directory directory;
+  const auto first = listen_at(directory / "first"), second = listen_at(directory / "second");
+  const auto mute = PacketListener::bind(directory / "mute");
+  const auto without_path = [](int type) {
+    UniqueFd fd(::socket(AF_UNIX, type | SOCK_CLOEXEC, 0));
+    const sockaddr_un any{AF_UNIX, {}};  // of this length the kernel finds an abstract name
+    EXPECT_EQ(::bind(fd.get(), reinterpret_cast<const sockaddr*>(&any), sizeof(sa_family_t)), 0);
+    EXPECT_EQ(::listen(fd.get(), 1), 0);
+    return fd;
+  };
+  const UniqueFd stream = without_path(SOCK_STREAM), nameless = without_path(SOCK_SEQPACKET);
+  ASSERT_TRUE(first && second && mute);
+  const std::vector<std::string> alone = {"--fd-store=none", "--socket", directory / "own"};
+  for (const int wrong : {mute->fd(), stream.get(), nameless.get()}) {
+    const Ended ended = run_daemon(alone, {}, {}, {wrong});
+    EXPECT_EQ(ended.status, 1);
+    EXPECT_NE(ended.err.find("cannot use the socket that is passed: it must be of AF_UNIX and "
+                             "SOCK_SEQPACKET, listen, and have an absolute path"),
+              std::string::npos)
+        << ended.err;
+  }
+  const Ended ended = run_daemon(alone, {}, {}, {first->fd(), second->fd()});
+  EXPECT_EQ(ended.status, 1);
+  EXPECT_EQ(ended.err,
+            "agnocastd: the service manager passes 2 sockets\n"
+            "hint: have one ListenSequentialPacket= in agnocastd.socket\n");
 }
 
 TEST(DaemonStart, NobodyWhoReadsWhatItSaysStopsNothing) {

@@ -60,7 +60,23 @@ struct Start {
   std::string out;  // files
   std::string err;
   bool without_peer_pidfd = false;
+  std::vector<int> sockets;
 };
+
+// As systemd passes them; in the process itself, whose pid is part of it.
+void pass(const std::vector<int>& sockets) {
+  constexpr int first = 3, elsewhere = 100;
+  std::vector<int> copies;
+  for (const int socket : sockets) copies.push_back(::fcntl(socket, F_DUPFD_CLOEXEC, elsewhere));
+  std::string names;
+  for (std::size_t i = 0; i < copies.size(); ++i) {
+    ::dup2(copies[i], first + static_cast<int>(i));
+    names += i == 0 ? "socket" : ":socket";
+  }
+  ::setenv("LISTEN_PID", std::to_string(::getpid()).c_str(), 1);
+  ::setenv("LISTEN_FDS", std::to_string(copies.size()).c_str(), 1);
+  ::setenv("LISTEN_FDNAMES", names.c_str(), 1);
+}
 
 // getsockopt(…, SO_PEERPIDFD, …) fails with ENOPROTOOPT from here on, over exec.
 bool deny_peer_pidfd() {
@@ -105,6 +121,7 @@ pid_t start(const Start& what) {
   ::dup2(err, STDERR_FILENO);
   // Nothing of ours: the first daemon would have it and the next would not.
   ::close_range(3, ~0U, CLOSE_RANGE_CLOEXEC);
+  if (!what.sockets.empty()) pass(what.sockets);
   // Another user may not be able to walk to the program.
   const int program = ::open(argv[0], O_PATH | O_CLOEXEC);
   if (what.uid) {
@@ -195,6 +212,7 @@ void DaemonProcess::begin(const DaemonOptions& options) {
   what.environment.push_back("NOTIFY_SOCKET=" + notify);
   what.uid = options.uid;
   what.without_peer_pidfd = options.without_peer_pidfd;
+  what.sockets = options.sockets;
   what.out = directory_ + "/out";
   what.err = directory_ + "/log";
   pid_ = start(what);
@@ -306,12 +324,13 @@ std::size_t DaemonProcess::shared_bytes() const {
 }
 
 Ended run_daemon(const std::vector<std::string>& arguments, std::optional<uid_t> uid,
-                 const std::vector<std::string>& environment) {
+                 const std::vector<std::string>& environment, const std::vector<int>& sockets) {
   const std::string directory = make_directory();
   ::chmod(directory.c_str(), 0777);
   Start what;
   what.arguments = arguments;
   what.environment = environment;
+  what.sockets = sockets;
   what.uid = uid;
   what.out = directory + "/out";
   what.err = directory + "/err";

@@ -50,6 +50,8 @@ struct DaemonOptions {
   bool without_peer_pidfd = false;
   /// NAME=value, beside the test's own.
   std::vector<std::string> environment = {};
+  /// Passed to it under the name that it knows, as by a socket unit; they stay the test's.
+  std::vector<int> sockets = {};
 };
 
 class DaemonProcess {
@@ -107,7 +109,8 @@ struct Ended {
   std::string err;
 };
 Ended run_daemon(const std::vector<std::string>& arguments, std::optional<uid_t> uid = {},
-                 const std::vector<std::string>& environment = {});
+                 const std::vector<std::string>& environment = {},
+                 const std::vector<int>& sockets = {});
 
 /// A new directory under $TMPDIR (or /tmp), mode 0755. The caller removes it.
 std::string make_directory();
