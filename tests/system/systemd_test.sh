@@ -1,15 +1,17 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 #
-# Goal: under systemd the daemon survives kill -9 and restart as the same incarnation, two users who exchange messages meanwhile lose none,
-# and a stop and a start take no message from them either: they come to the daemon that knows nobody by themselves. A daemon of another
-# layout in place of ours says why it serves nobody and harms nothing.
-# Method: a systemd of its own, our unit as it is installed, and systemd_inside.cpp run in there.
+# Goal: what is installed serves users under systemd: nodes find the daemon whether they or it came first; it survives kill -9,
+# restart and a hang as the same incarnation, two users who exchange messages meanwhile lose none, and a stop and a start take no
+# message from them either: they come to the daemon that knows nobody by themselves. A daemon of another layout in place of ours
+# says why it serves nobody and harms nothing. The units are as tight as their document says, and that is enough for all this.
+# Method: a systemd of its own, agnocast as cmake --install puts it, and systemd_inside.cpp run in there.
 #
-#   systemd_test.sh AGNOCASTD UNIT INSIDE_PROGRAM SUPPORT_DIRECTORY NODE LIBRARY HOOK AGNOCASTD_OF_ANOTHER_LAYOUT
+#   systemd_test.sh BUILD_DIRECTORY INSIDE_PROGRAM SUPPORT_DIRECTORY NODE AGNOCASTD_OF_ANOTHER_LAYOUT [GTEST_OPTION…]
 set -euo pipefail
-agnocastd=$1 unit=$2 inside=$3 node=$5 library=$6 hook=$7 other=$8
-. "$4/systemd_machine.sh"
+build=$1 inside=$2 node=$4 other=$5
+. "$3/systemd_machine.sh"
+shift 5
 
 skip() { echo "SKIPPED: $1"; exit 77; }
 [ "$(id -u)" -eq 0 ] || skip "needs root: it boots a systemd"
@@ -18,16 +20,31 @@ for tool in unshare nsenter pivot_root; do command -v "$tool" >/dev/null || skip
 
 dir=$(mktemp -d)
 trap 'machine_stop "$dir"; rm -rf "$dir"' EXIT
-mkdir -p "$dir/files/usr/bin" "$dir/files/etc/systemd/system"
-cp "$agnocastd" "$dir/files/usr/bin/agnocastd"
-cp "$inside" "$dir/files/usr/bin/agnocast-systemd-inside"
-cp "$unit" "$dir/files/etc/systemd/system/agnocastd.service"
-# Users' processes: what is built lies where the machine cannot see it.
-mkdir -p "$dir/files/opt/agnocast" "$dir/files/etc/agnocast"
-cp "$node" "$library" "$hook" "$other" "$dir/files/opt/agnocast/"
+mkdir "$dir/files"
+DESTDIR=$dir/files cmake --install "$build" --prefix /usr >"$dir/install" || { cat "$dir/install"; exit 1; }
+# What only the test needs: what is built lies where the machine cannot see it.
+mkdir "$dir/files/opt" "$dir/files/opt/agnocast"
+cp "$inside" "$node" "$other" "$dir/files/opt/agnocast/"
+mkdir "$dir/files/opt/agnocast/lib"
+if [ -x "$dir/files/usr/bin/talker" ]; then
+  ldd "$dir/files/usr/bin/talker" | awk '$1 !~ "^libagnocast" && $3 ~ "^/" && $3 !~ "^/(usr/)?lib" { print $3 }' |
+    xargs -r cp -L -t "$dir/files/opt/agnocast/lib"
+fi
 chmod -R a+rX "$dir/files/opt/agnocast"
-printf '[daemon]\nsocket_mode = "0666"\n' >"$dir/files/etc/agnocast/agnocastd.toml"
+# Two who may connect, one who may not, and the user of the example.
+cat >"$dir/files/usr/lib/sysusers.d/agnocast-test.conf" <<'END'
+u agnocast-one -
+u agnocast-two -
+u agnocast-stranger -
+u robot -
+m agnocast-one agnocast
+m agnocast-two agnocast
+END
 # A sandbox may have root and no right to mount.
 unshare --mount --pid --fork true 2>/dev/null || skip "needs the right to make namespaces"
 machine_start "$dir"
-machine_run "$dir" env LD_LIBRARY_PATH=/opt/agnocast /usr/bin/agnocast-systemd-inside
+# As the scripts of a package do it.
+machine_run "$dir" systemd-sysusers
+machine_run "$dir" systemd-tmpfiles --create agnocast.conf
+machine_run "$dir" systemctl enable --quiet agnocastd.service
+machine_run "$dir" "/opt/agnocast/$(basename "$inside")" "$@"

@@ -1,0 +1,15 @@
+# Goal: units that are installed under any prefix start what is installed there and point to its documents. Method: read them.
+. "$(dirname "$0")/support.sh"
+units=$PREFIX/lib/systemd/system
+grep -qx "ExecStart=$PREFIX/$BINDIR/agnocastd --fd-store=manager" "$units/agnocastd.service" || fail "agnocastd.service starts something else"
+for unit in "$units"/agnocastd.{service,socket}; do
+  document=$(sed -n 's,^Documentation=file://,,p' "$unit")
+  [ -f "$document" ] || fail "$unit points to '$document'"
+done
+documents=$(dirname "$(dirname "$document")")
+for file in LICENSE README.md systemd/agnocastd.toml systemd/examples/node.service; do
+  [ -f "$documents/$file" ] || fail "there is no $documents/$file"
+done
+grep -q "^ExecStart=$PREFIX/$BINDIR/agnocast-run $PREFIX/$BINDIR/talker" "$documents/systemd/examples/node.service" || fail "node.service"
+"$PREFIX/$BINDIR/agnocastd" --check-config --config "$documents/systemd/agnocastd.toml" || fail "agnocastd.toml"
+[ -f "$PREFIX/lib/sysusers.d/agnocast.conf" ] && [ -f "$PREFIX/lib/tmpfiles.d/agnocast.conf" ] || fail "group or tmpfiles rule"
