@@ -61,17 +61,21 @@ std::vector<std::string> spellings_of(const Option& option) {
 }
 std::string longest_spelling_of(const Option& option) { return spellings_of(option).back(); }
 
-// Whether the next word is this option's value, whichever command it belongs to.
+// Whether the next word is this option's value, whichever command it belongs to. Where commands
+// disagree (-t) it is not, as long as the command is not known.
 bool takes_value(std::string_view word, std::span<const Command> commands) {
-  const auto is_it = [&](const Option* option) {
-    if (option->kind == Option::Kind::flag || option->value.starts_with('[')) return false;
-    const auto names = spellings_of(*option);
-    return std::find(names.begin(), names.end(), word) != names.end();
+  bool takes = false, is_flag = false;
+  const auto look_at = [&](const Option& option) {
+    const auto names = spellings_of(option);
+    if (std::find(names.begin(), names.end(), word) == names.end()) return;
+    const bool has_none = option.kind == Option::Kind::flag || option.value.starts_with('[');
+    (has_none ? is_flag : takes) = true;
   };
-  return is_it(&options::socket) ||
-         std::any_of(commands.begin(), commands.end(), [&](const Command& command) {
-           return std::any_of(command.options.begin(), command.options.end(), is_it);
-         });
+  look_at(options::socket);
+  for (const Command& command : commands) {
+    for (const Option* const option : command.options) look_at(*option);
+  }
+  return takes && !is_flag;
 }
 
 // The first words that are no options are noun and verb.
@@ -393,8 +397,13 @@ Outcome<std::variant<Arguments, Answer>> parse_arguments(std::span<const std::st
   if (!found) return tl::unexpected(found.error());
   if (std::count(found->rest.begin(), found->rest.end(), "--version") != 0)
     return Answer{version_text()};
-  if (found->command != nullptr)
-    return Parser(*found->command).parse(std::move(found->rest), around);
+  if (found->command != nullptr) {
+    auto parsed = Parser(*found->command).parse(std::move(found->rest), around);
+    if (!parsed) return parsed;
+    if (auto* const arguments = std::get_if<Arguments>(&*parsed))
+      arguments->words.assign(words.begin(), words.end());
+    return parsed;
+  }
   for (const std::string& word : found->rest) {
     if (word == "--help" || word == "-h") return Answer{help_of(commands, found->noun)};
     if (!takes_value(word, commands) && !word.starts_with("-j") && !word.starts_with("--json"))

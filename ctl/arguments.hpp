@@ -33,6 +33,7 @@ struct Arguments {
   std::uint64_t domain = 0;
   bool all_domains = false;
   std::vector<std::string> subjects;
+  std::vector<std::string> words;  // as they were typed
   std::map<const Option*, std::string> given;
 
   bool has(const Option& option) const { return given.count(&option) != 0; }

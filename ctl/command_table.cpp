@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <ctl/commands.hpp>
+#include <ctl/message_options.hpp>
 
 namespace agnocast::ctl {
 namespace {
@@ -45,6 +46,32 @@ constexpr Command table[] = {
      "Bytes a second over the last messages, once a second, and how large the messages are: what a reader may touch, with "
      "all that they point to. Read from counters: nothing subscribes.",
      "agnocast-ctl topic bw /points\nagnocast-ctl topic bw -j /points /imu"},
+    {"topic", "echo", "the messages of a topic, as text", about<s::topic, s::optional_type>,
+     these<o::once_echo, o::message_count, o::timeout, o::field, o::filter, o::csv, o::raw,
+           o::no_arr, o::no_str, o::full_length, o::truncate_length, o::message_info,
+           o::qos_profile, o::qos_depth, o::qos_history, o::qos_reliability, o::qos_durability,
+           o::domain>,
+     echo_topic,
+     "Subscribes and prints each message as ros2 topic echo does. Without a TYPE the topic must be "
+     "there. Quality of service is what all publishers offer, unless an option says otherwise.",
+     "agnocast-ctl topic echo /chatter\n"
+     "agnocast-ctl topic echo /points --field header.stamp --once\n"
+     "agnocast-ctl topic echo /points --no-arr --filter 'm.header.frame_id == \"top\"'"},
+    {"topic", "pub", "publish messages that are written as YAML",
+     about<s::topic, s::type, s::values>,
+     these<o::once_pub, o::rate, o::times, o::wait_matching, o::max_wait, o::keep_alive,
+           o::print_each, o::from_stdin, o::yaml_file, o::node_name, o::qos_profile, o::qos_depth,
+           o::qos_history, o::qos_reliability, o::qos_durability, o::domain>,
+     pub_topic,
+     "Fields that are not named have their defaults; `header: auto` and `stamp: now` are the time "
+     "of publishing. What topic echo prints is read back by --yaml-file.",
+     "agnocast-ctl topic pub /chatter std_msgs/msg/String '{data: hello}'\n"
+     "agnocast-ctl topic pub --once /chatter std_msgs/msg/String --yaml-file message.yaml"},
+    {"topic", "delay", "how old messages are when they arrive, by the stamp in their header",
+     about<s::topic>, these<o::window, o::domain>, show_delay,
+     "Average, extremes and standard deviation over a window of messages, every second, as ros2 "
+     "topic delay prints them. Waits for the topic.",
+     "agnocast-ctl topic delay /points\nagnocast-ctl topic delay /points --window 100"},
     {"node", "list", "the nodes that publish or subscribe", {},
      these<o::hidden_nodes, o::count_nodes, o::domain, o::every_domain>, list_nodes,
      "Names, each on a line, as ros2 node list prints them. A node that has neither a publisher nor a subscription here is "

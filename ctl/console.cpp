@@ -10,7 +10,8 @@ namespace agnocast::ctl {
 
 void Console::object(const Object& object, Json form) {
   // Names are any bytes a client chose; what is no UTF-8 is replaced, not refused.
-  line(object.dump(form == Json::pretty ? 2 : -1, ' ', false, Object::error_handler_t::replace));
+  // ASCII alone: what turns the direction of writing in a terminal is escaped.
+  line(object.dump(form == Json::pretty ? 2 : -1, ' ', true, Object::error_handler_t::replace));
 }
 
 std::string Console::strong(std::string_view text) const {

@@ -3,7 +3,8 @@
 // agnocast-ctl: the one place where answers and complaints leave.
 //
 // It observes (docs/control-plane.md) and reads shared regions; it never maps anything writable and
-// never subscribes. Nothing changes by it but by `process revoke`, which asks the daemon.
+// never subscribes. Nothing changes by it but by `process revoke`, which asks the daemon. The
+// commands that take part are in a program of their own (elsewhere.cpp), with this same main().
 
 #include <ctl/commands.hpp>
 #include <ctl/completion.hpp>

@@ -22,6 +22,7 @@ enum class Status : std::uint8_t {
   no_such_thing = 4,
   permission_denied = 5,
   check_failed = 6,
+  timed_out = 124,  // as timeout(1) says it
 };
 
 struct Problem {

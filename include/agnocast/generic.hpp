@@ -151,7 +151,7 @@ struct CodeByTable {
 /// lives. Any thread.
 class IntrospectedType {
  public:
-  /// For try_find_message_type.
+  /// Of a table that is at hand, which must live as long as the process.
   explicit IntrospectedType(const MessageMembers& members) noexcept : members_(&members) {}
 
   const MessageMembers& members() const noexcept { return *members_; }
@@ -169,6 +169,9 @@ class IntrospectedType {
   OwnedGenericMessage copy(const void* message) const {
     return detail::CodeByTable{members_}.copy(*static_cast<const std::byte*>(message));
   }
+  /// Makes `to` equal to `from`; both are messages of this type. Throws std::bad_alloc, and then `to`
+  /// is a message of parts of both.
+  void assign(const void* from, void* to) const { detail::copy_by_table(*members_, from, to); }
 
  private:
   const MessageMembers* members_;

@@ -1,7 +1,8 @@
-# agnocast_every_message: a header that visits every message type of interfaces/, and the libraries of their packages. Not there
-# when a package is not found.
+# agnocast_every_message: headers that visit every message type of interfaces/, and the libraries of their packages. Not there when
+# a package is not found.
 set(every_message_includes "")
 set(every_message_visits "")
+set(every_message_names "")
 set(every_message_libraries "")
 foreach(package builtin_interfaces std_msgs geometry_msgs sensor_msgs agnocast_test_msgs)
   find_package(${package} QUIET)
@@ -29,6 +30,7 @@ foreach(package builtin_interfaces std_msgs geometry_msgs sensor_msgs agnocast_t
     foreach(type ${names})
       string(APPEND every_message_visits
         "  see(static_cast<${package}::${kind}::${type}*>(nullptr), \"${package}/${kind}/${type}\");\n")
+      string(APPEND every_message_names "    \"${package}/${kind}/${type}\",\n")
     endforeach()
   endforeach()
 endforeach()
@@ -41,6 +43,17 @@ namespace agnocast::test {
 template <class See>
 void for_every_message(See&& see) {
 @every_message_visits@}
+
+}  // namespace agnocast::test
+")
+# Without the C++ types, which take long to compile.
+file(CONFIGURE OUTPUT ${PROJECT_BINARY_DIR}/generated/every_message_name.hpp @ONLY CONTENT
+"#pragma once
+
+namespace agnocast::test {
+
+inline constexpr const char* every_message_name[] = {
+@every_message_names@};
 
 }  // namespace agnocast::test
 ")

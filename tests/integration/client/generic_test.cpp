@@ -149,7 +149,7 @@ TEST_F(Generic, EveryTypeGoesFromTypedToGenericAndBack) {
     GenericLoan loan = generic->borrow_loaned_message();
     ASSERT_TRUE(loan);
     EXPECT_EQ(*static_cast<const T*>(loan.get()), T()) << name << ": with its defaults";
-    detail::copy_by_table(*loan.members(), &sent, loan.get());
+    IntrospectedType(*loan.members()).assign(&sent, loan.get());
     const void* const address = loan.get();
     const PublishResult result = generic->publish(std::move(loan));
     EXPECT_TRUE(result) << name;
