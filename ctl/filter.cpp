@@ -8,7 +8,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
-#include <optional>
 #include <string>
 #include <utility>
 #include <variant>
@@ -17,9 +16,34 @@
 namespace agnocast::ctl {
 namespace {
 
-// long double holds every 64-bit integer: 64 bits of mantissa on x86-64, 113 on AArch64.
-using Operand = std::variant<bool, long double, std::string>;
-enum class Kind : std::uint8_t { boolean, number, text };
+enum class Kind : std::uint8_t { nothing, boolean, number, text };
+
+// What an expression is for one message; of the members that of its kind counts.
+struct Operand {
+  Kind kind = Kind::nothing;  // nothing: an element that is not there
+  bool boolean = false;
+  // Holds every 64-bit integer: 64 bits of mantissa on x86-64, 113 on AArch64.
+  long double number = 0;
+  std::string text = {};
+
+  static Operand of(bool value) { return {Kind::boolean, value}; }
+  static Operand of(long double value) { return {Kind::number, false, value}; }
+  static Operand of(std::string value) { return {Kind::text, false, 0, std::move(value)}; }
+};
+
+template <class T>
+bool compare(const T& a, std::string_view sign, const T& b) {
+  if (sign == "==") return a == b;
+  if (sign == "!=") return a != b;
+  if (sign == "<=") return a <= b;
+  if (sign == ">=") return a >= b;
+  return sign == "<" ? a < b : a > b;
+}
+bool holds(const Operand& a, std::string_view sign, const Operand& b) {
+  if (a.kind == Kind::nothing || b.kind == Kind::nothing) return false;
+  if (a.kind == Kind::boolean) return compare(a.boolean, sign, b.boolean);
+  return a.kind == Kind::number ? compare(a.number, sign, b.number) : compare(a.text, sign, b.text);
+}
 
 const char* name_of(Kind kind) {
   return kind == Kind::boolean ? "a truth value" : kind == Kind::number ? "a number" : "a text";
@@ -31,22 +55,22 @@ Kind kind_of(const Shape& scalar) {
 }
 
 // Texts are compared as bytes; a wide text that is no Unicode equals nothing.
-std::optional<Operand> operand_of(const Scalar& scalar) {
+Operand operand_of(const Scalar& scalar) {
   return std::visit(
-      [](const auto& value) -> std::optional<Operand> {
+      [](const auto& value) -> Operand {
         using T = std::decay_t<decltype(value)>;
         if constexpr (std::is_same_v<T, bool>) {
-          return Operand(value);
+          return Operand::of(value);
         } else if constexpr (std::is_same_v<T, std::string_view>) {
-          return Operand(std::string(value));
+          return Operand::of(std::string(value));
         } else if constexpr (std::is_same_v<T, std::u16string_view>) {
           const auto letters = from_utf16(value);
-          if (!letters) return std::nullopt;
+          if (!letters) return {};
           std::string text;
           for (const char32_t letter : *letters) append_utf8(text, letter);
-          return Operand(std::move(text));
+          return Operand::of(std::move(text));
         } else {
-          return Operand(static_cast<long double>(value));
+          return Operand::of(static_cast<long double>(value));
         }
       },
       scalar);
@@ -56,12 +80,9 @@ std::optional<Operand> operand_of(const Scalar& scalar) {
 
 struct Filter::Node {
   Kind kind = Kind::boolean;
-  std::function<std::optional<Operand>(const Value&)> value;
+  std::function<Operand(const Value&)> value;
 
-  bool is_true(const Value& message) const {
-    const auto is = value(message);
-    return is && std::get<bool>(*is);
-  }
+  bool is_true(const Value& message) const { return value(message).boolean; }
 };
 
 namespace {
@@ -128,7 +149,7 @@ class Parser {
       const std::size_t at = at_;
       Node a = boolean(std::move(first), first_at), b = boolean((this->*next)(), at);
       first = {Kind::boolean,
-               [a, b, both](const Value& message) { return Operand(both(a, b, message)); }};
+               [a, b, both](const Value& message) { return Operand::of(both(a, b, message)); }};
     }
     return first;
   }
@@ -159,7 +180,7 @@ class Parser {
     Node inner = boolean(negation(), at);
     --depth_;
     return {Kind::boolean,
-            [inner](const Value& message) { return Operand(!inner.is_true(message)); }};
+            [inner](const Value& message) { return Operand::of(!inner.is_true(message)); }};
   }
 
   Node comparison() {
@@ -174,14 +195,8 @@ class Parser {
       if (left.kind != right.kind)
         refuse_at(at,
                   std::string(name_of(left.kind)) + " is not compared with " + name_of(right.kind));
-      return {Kind::boolean, [left, right, sign](const Value& message) -> std::optional<Operand> {
-                const auto a = left.value(message), b = right.value(message);
-                if (!a || !b) return Operand(false);
-                if (sign == "==") return Operand(*a == *b);
-                if (sign == "!=") return Operand(*a != *b);
-                if (sign == "<=") return Operand(*a <= *b);
-                if (sign == ">=") return Operand(*a >= *b);
-                return Operand(sign == "<" ? *a < *b : *a > *b);
+      return {Kind::boolean, [left, right, sign](const Value& message) {
+                return Operand::of(holds(left.value(message), sign, right.value(message)));
               }};
     }
     if (rest().starts_with("=")) refuse("is equal is written ==");
@@ -197,25 +212,25 @@ class Parser {
       if (!take(")")) refuse("')' is missing");
       return inner;
     }
-    if (take_word("true") || take_word("True")) return constant(Kind::boolean, Operand(true));
-    if (take_word("false") || take_word("False")) return constant(Kind::boolean, Operand(false));
+    if (take_word("true") || take_word("True")) return constant(Operand::of(true));
+    if (take_word("false") || take_word("False")) return constant(Operand::of(false));
     if (take_word("len")) {
       if (!take("(")) refuse("'(' is missing");
       const Path path = place();
       if (!path.shape().is_array && !path.shape().is_text())
         refuse_at(at, path.shape().type_name() + " has no length");
       if (!take(")")) refuse("')' is missing");
-      return {Kind::number, [path](const Value& message) -> std::optional<Operand> {
+      return {Kind::number, [path](const Value& message) -> Operand {
                 const auto found = path.in(message);
-                if (!found) return std::nullopt;
+                if (!found) return {};
                 if (found->shape().is_array)
-                  return Operand(static_cast<long double>(found->size()));
+                  return Operand::of(static_cast<long double>(found->size()));
                 return std::visit(
-                    [](const auto& value) -> std::optional<Operand> {
+                    [](const auto& value) -> Operand {
                       if constexpr (requires { value.size(); }) {
-                        return Operand(static_cast<long double>(value.size()));
+                        return Operand::of(static_cast<long double>(value.size()));
                       } else {
-                        return std::nullopt;
+                        return {};
                       }
                     },
                     found->scalar());
@@ -228,13 +243,14 @@ class Parser {
     const Path path = place();
     if (!path.shape().is_scalar())
       refuse_at(at, path.shape().type_name() + " is not compared; name a field of it");
-    return {kind_of(path.shape()), [path](const Value& message) -> std::optional<Operand> {
+    return {kind_of(path.shape()), [path](const Value& message) {
               const auto found = path.in(message);
-              return found ? operand_of(found->scalar()) : std::nullopt;
+              return found ? operand_of(found->scalar()) : Operand();
             }};
   }
 
-  static Node constant(Kind kind, Operand operand) {
+  static Node constant(Operand operand) {
+    const Kind kind = operand.kind;
     return {kind, [operand = std::move(operand)](const Value&) { return operand; }};
   }
 
@@ -252,7 +268,7 @@ class Parser {
     const bool is_whole = as_whole.ec == std::errc() && as_whole.ptr == as_real.ptr;
     const long double value = is_whole ? static_cast<long double>(whole) : real;
     at_ = static_cast<std::size_t>(as_real.ptr - text_.data());
-    return constant(Kind::number, Operand(is_negative ? -value : value));
+    return constant(Operand::of(is_negative ? -value : value));
   }
 
   // Between quotes of either kind; a backslash takes the next letter as it is.
@@ -266,7 +282,7 @@ class Parser {
       value += text_[at_];
     }
     ++at_;
-    return constant(Kind::text, Operand(std::move(value)));
+    return constant(Operand::of(std::move(value)));
   }
 
   Path place() {
