@@ -21,9 +21,6 @@ namespace {
 
 constexpr const char* program = "agnocast-ctl";
 constexpr const char* help_command = "agnocast-ctl --help";
-constexpr const char* system_socket = "/run/agnocast/agnocastd.sock";
-// ROS 2's own bound; a higher one has no DDS ports.
-constexpr std::uint64_t domain_max = 232;
 
 std::string version_text() {
   char text[96];
@@ -344,7 +341,7 @@ std::string choose_socket(const std::string& named, const Surroundings& around) 
   if (!named.empty()) return named;
   if (around.agnocast_socket) return *around.agnocast_socket;
   if (around.has_system_socket || !around.xdg_runtime_dir) return system_socket;
-  return *around.xdg_runtime_dir + "/agnocast/agnocastd.sock";
+  return *around.xdg_runtime_dir + user_socket;
 }
 
 std::string plural_of(std::string_view noun) {

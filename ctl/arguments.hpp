@@ -24,6 +24,13 @@ namespace agnocast::ctl {
 
 struct Command;
 
+/// Where the daemon that root starts listens.
+inline constexpr const char* system_socket = "/run/agnocast/agnocastd.sock";
+/// Where any other user's does, in $XDG_RUNTIME_DIR.
+inline constexpr const char* user_socket = "/agnocast/agnocastd.sock";
+// ROS 2's own bound; a higher one has no DDS ports.
+inline constexpr std::uint64_t domain_max = 232;
+
 enum class Json : std::uint8_t { no, compact, pretty };
 
 struct Arguments {

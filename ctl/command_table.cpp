@@ -128,6 +128,11 @@ constexpr Command table[] = {
     {"log-level", "", "what agnocastd logs, and from now on", about<s::level>, {}, show_log_level,
      "Without a word the level in force. A change lasts until the daemon ends; root and the daemon's user may make it.",
      "agnocast-ctl log-level\nagnocast-ctl log-level debug"},
+    {"doctor", "", "find what is wrong, and say which command mends it", {},
+     these<o::include_warnings, o::list_checks>, run_doctor,
+     "Looks at this shell, the way to the daemon, the daemon, its host, and the processes: what is found has an id, a cause, "
+     "and a command that mends it. Works without a daemon and without root.",
+     "agnocast-ctl doctor\nagnocast-ctl doctor -j | jq .checks\nagnocast-ctl doctor --list"},
     {"verify", "", "check every invariant of the running system", {}, {}, verify_system,
      "Looks up to seven times within about two seconds and reports what every look found broken.",
      "agnocast-ctl verify\nagnocast-ctl verify --json || echo broken"},

@@ -39,6 +39,7 @@ Outcome<void> list_processes(const Arguments& arguments, Console& console);
 Outcome<void> revoke_process(const Arguments& arguments, Console& console);
 Outcome<void> list_heaps(const Arguments& arguments, Console& console);
 Outcome<void> show_journal(const Arguments& arguments, Console& console);
+Outcome<void> run_doctor(const Arguments& arguments, Console& console);
 Outcome<void> verify_system(const Arguments& arguments, Console& console);
 Outcome<void> find_topics(const Arguments& arguments, Console& console);
 Outcome<void> show_type(const Arguments& arguments, Console& console);

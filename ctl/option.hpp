@@ -105,6 +105,9 @@ inline constexpr Option sort{"-s,--sort", "the order of the rows",
 inline constexpr Option graph_form{"--format", "dot or mermaid", Kind::word, "FORM", "dot", 0,
                                    0,          "dot mermaid"};
 inline constexpr Option watch{"-w,--watch", "go on: once more whenever something has changed"};
+inline constexpr Option include_warnings{"-w,--include-warnings",
+                                         "count warnings as failed checks"};
+inline constexpr Option list_checks{"-l,--list", "what is checked, and how each is mended"};
 
 }  // namespace options
 

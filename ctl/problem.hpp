@@ -7,6 +7,8 @@
 //   hint: a command, or what to do
 #pragma once
 
+#include <agnocast/error.hpp>
+
 #include <tl/expected.hpp>
 
 #include <cstdint>
@@ -30,6 +32,7 @@ struct Problem {
   std::string what;
   std::string why;
   std::string hint;
+  Errc code = Errc::ok;  // what the daemon, or the way to it, said
 };
 
 template <class T>

@@ -124,7 +124,8 @@ Outcome<Observer> Observer::connect(const std::string& path) {
     if (failure.code == Errc::invalid_argument || failure.code == Errc::os_failure)
       why = failure.what;
     if (failure.os_errno != 0) why += ": " + std::generic_category().message(failure.os_errno);
-    return problem(status_of(failure.code), escaped(path), why, remedy_of(failure.code));
+    return tl::unexpected(Problem{status_of(failure.code), escaped(path), why,
+                                  remedy_of(failure.code), failure.code});
   }
   Observer observer(std::move(*socket), escaped(path));
   wire::Observe hello{};
@@ -175,7 +176,8 @@ Outcome<Observer::Received> Observer::receive() {
   if (received.header().opcode == Opcode::refused) {
     if (!received.read(refused)) return nonsense();
     const auto code = static_cast<Errc>(refused.code);
-    return problem(status_of(code), path_, escaped(text_of(refused.text)), remedy_of(code));
+    return tl::unexpected(
+        Problem{status_of(code), path_, escaped(text_of(refused.text)), remedy_of(code), code});
   }
   return received;
 }

@@ -9,6 +9,7 @@
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <tests/integration/daemon_restart.hpp>
+#include <tests/support/descriptors.hpp>
 #include <tests/support/listen_at.hpp>
 #include <tests/support/wire_client.hpp>
 #include <tests/support/wire_dump.hpp>
@@ -28,18 +29,6 @@ namespace {
 
 using sweep::Child;
 using sweep::serve;
-
-// One descriptor of a process whose file has `name` in it, opened once more by ourselves.
-UniqueFd descriptor_of(pid_t pid, const std::string& name) {
-  const std::string directory = "/proc/" + std::to_string(pid) + "/fd/";
-  for (const auto& entry : std::filesystem::directory_iterator(directory)) {
-    std::error_code ignored;
-    if (std::filesystem::read_symlink(entry.path(), ignored).string().find(name) !=
-        std::string::npos)
-      return UniqueFd(::open(entry.path().c_str(), O_RDWR | O_CLOEXEC));
-  }
-  return UniqueFd();
-}
 
 TEST(DaemonRestart, GoesOnAsTheSameIncarnationWithEverythingItKnew) {
   for (const bool politely : {false, true}) {

@@ -13,6 +13,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <functional>
 #include <optional>
 #include <string>
 #include <vector>
@@ -32,10 +33,11 @@ struct CtlResult {
 };
 
 /// `environment` are "NAME=value"; `uid`: as this user (the test must be root); `out_path`: where its
-/// stdout goes instead.
+/// stdout goes instead; `before` runs in its process, as the test's user.
 inline CtlResult run_ctl(const std::string& socket, std::vector<std::string> words,
                          const std::vector<std::string>& environment = {},
-                         std::optional<uid_t> uid = {}, const char* out_path = nullptr) {
+                         std::optional<uid_t> uid = {}, const char* out_path = nullptr,
+                         const std::function<void()>& before = {}) {
   const auto temporary = [] {
     std::FILE* const file = std::tmpfile();
     const UniqueFd fd(::dup(::fileno(file)));
@@ -56,6 +58,7 @@ inline CtlResult run_ctl(const std::string& socket, std::vector<std::string> wor
     for (const std::string& variable : environment) ::putenv(const_cast<char*>(variable.c_str()));
     ::dup2(out_path == nullptr ? out.get() : ::open(out_path, O_WRONLY | O_CLOEXEC), STDOUT_FILENO);
     ::dup2(err.get(), STDERR_FILENO);
+    if (before) before();
     if (uid && (::setgroups(0, nullptr) != 0 || ::setgid(*uid) != 0 || ::setuid(*uid) != 0))
       ::_exit(99);
     if (uid) ::fexecve(program.get(), arguments.data(), environ);

@@ -1,13 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Descriptors of this process: counted to find leaks, compared to see that the right one arrived.
+// Descriptors of this process: counted to find leaks, compared to see that the right one arrived. And one of
+// another process, by what it is of.
 #pragma once
+
+#include <base/unique_fd.hpp>
 
 #include <dirent.h>
 #include <fcntl.h>
 #include <sys/stat.h>
 
 #include <cstddef>
+#include <filesystem>
 #include <string>
 
 namespace agnocast::test {
@@ -37,6 +41,18 @@ inline bool is_same_file(int left, int right) {
   struct stat b {};
   return ::fstat(left, &a) == 0 && ::fstat(right, &b) == 0 && a.st_dev == b.st_dev &&
          a.st_ino == b.st_ino;
+}
+
+/// One descriptor of a process whose file has `name` in it, opened once more by ourselves.
+inline UniqueFd descriptor_of(pid_t pid, const std::string& name) {
+  const std::string directory = "/proc/" + std::to_string(pid) + "/fd/";
+  for (const auto& entry : std::filesystem::directory_iterator(directory)) {
+    std::error_code ignored;
+    if (std::filesystem::read_symlink(entry.path(), ignored).string().find(name) !=
+        std::string::npos)
+      return UniqueFd(::open(entry.path().c_str(), O_RDWR | O_CLOEXEC));
+  }
+  return UniqueFd();
 }
 
 }  // namespace agnocast::test

@@ -1,0 +1,122 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: doctor finds nothing in a system that works, and of one broken program exactly what is wrong with it,
+// and its remedy, run to its end, brings the program back. Method: the installed examples with the real hook.
+
+#include <tests/support/doctored.hpp>
+#include <tests/support/steered_process.hpp>
+
+#include <gmock/gmock.h>
+
+#include <filesystem>
+#include <string>
+#include <vector>
+
+namespace agnocast::test {
+namespace {
+
+using testing::ElementsAre;
+using testing::HasSubstr;
+using testing::IsEmpty;
+
+class DoctorLive : public testing::Test {
+ protected:
+  DoctorLive() : doctor_(daemon_.socket_path()) {}
+  void SetUp() override {
+    if (!Doctored::has_namespaces()) GTEST_SKIP() << "needs root: a mount namespace";
+  }
+  std::vector<std::string> with(std::vector<std::string> variables) const {
+    variables.push_back("AGNOCAST_SOCKET=" + daemon_.socket_path());
+    return variables;
+  }
+  bool is_published() {
+    const CtlResult info = run_ctl(daemon_.socket_path(), {"topic", "info", "/chatter", "-j"});
+    if (info.status != 0) return false;
+    const auto publishers = info.json()["publishers"];
+    return !publishers.empty() && publishers[0]["published_messages"] > 3;
+  }
+  bool has_members(std::size_t count) {
+    return soon([&] {
+      return run_ctl(daemon_.socket_path(), {"processes", "-j"}).json()["process_count"] == count;
+    });
+  }
+  bool finds_nothing() {
+    return soon([&] { return doctor_.look().all.empty(); });
+  }
+
+  DaemonProcess daemon_;
+  Doctored doctor_;
+  const std::string talker_ = AGNOCAST_EXAMPLES "/talker",
+                    listener_ = AGNOCAST_EXAMPLES "/listener";
+};
+
+TEST_F(DoctorLive, FindsNothingWhereMessagesPass) {
+  const SteeredProcess listener({listener_}, with({})), other({listener_}, with({}));
+  const SteeredProcess talker({talker_, "--rate", "50"}, with({"LD_PRELOAD=" AGNOCAST_HOOK}));
+  ASSERT_TRUE(soon([&] { return is_published(); }));
+  // Two listeners are two nodes of one name.
+  EXPECT_THAT(doctor_.look().ids(), ElementsAre("same-node"));
+  const Remedy remedy(doctor_.look().remedies[0]);
+  ASSERT_TRUE(finds_nothing());
+  const Findings findings = doctor_.look({}, {"-w"});
+  EXPECT_THAT(findings.all, IsEmpty());
+  EXPECT_EQ(findings.result.status, 0) << findings.result.err;
+}
+
+TEST_F(DoctorLive, SaysThatTheLoaderLeftTheHookOut) {
+  const SteeredProcess listener({listener_, "--count", "3"},
+                                with({"LD_PRELOAD=/nonexistent/libagnocast_heaphook.so"}));
+  ASSERT_TRUE(has_members(1));
+  const Findings findings = doctor_.look();
+  ASSERT_THAT(findings.ids(), ElementsAre("hook-not-loaded"));
+  EXPECT_EQ(findings.remedies[0], "kill " + std::to_string(listener.pid()) + " && agnocast-run " +
+                                      listener_ + " --count 3 &");
+}
+
+TEST_F(DoctorLive, SaysThatAnUpdateAwaitsTheRestartOfAProcess) {
+  const std::string directory = make_directory(), hook = directory + "/libagnocast_heaphook.so";
+  std::filesystem::copy_file(AGNOCAST_HOOK, hook);
+  {
+    const SteeredProcess talker({talker_, "--rate", "50"}, with({"LD_PRELOAD=" + hook}));
+    ASSERT_TRUE(soon([&] { return is_published(); }));
+    EXPECT_THAT(doctor_.look().all, IsEmpty());
+    std::filesystem::copy_file(AGNOCAST_HOOK, hook + ".new");
+    std::filesystem::rename(hook + ".new", hook);
+    const Findings findings = doctor_.look();
+    ASSERT_THAT(findings.ids(), ElementsAre("old-library"));
+    EXPECT_THAT(findings.all[0], HasSubstr(hook));
+    const Remedy remedy(findings.remedies[0], with({"LD_PRELOAD=" + hook}));
+    EXPECT_TRUE(finds_nothing());
+    EXPECT_TRUE(soon([&] { return is_published(); }));
+  }
+  remove_directory(directory);
+}
+
+TEST_F(DoctorLive, SaysWhoIsSwitchedOff) {
+  const SteeredProcess listener({listener_}, with({"AGNOCAST=off"}));
+  ASSERT_TRUE(soon([&] { return !doctor_.look().all.empty(); }));
+  const Findings findings = doctor_.look();
+  const std::string pid = std::to_string(listener.pid());
+  ASSERT_THAT(findings.all,
+              ElementsAre("process-switched-off: process " + pid + " runs with AGNOCAST=off"));
+  const Remedy remedy(findings.remedies[0], with({}));
+  EXPECT_TRUE(has_members(1));
+  EXPECT_TRUE(finds_nothing());
+}
+
+TEST_F(DoctorLive, BringsBackWhoWasPutOut) {
+  const SteeredProcess listener({listener_}, with({}));
+  ASSERT_TRUE(has_members(1));
+  ASSERT_EQ(
+      run_ctl(daemon_.socket_path(), {"process", "revoke", std::to_string(listener.pid())}).status,
+      0);
+  ASSERT_TRUE(soon([&] { return !doctor_.look().all.empty(); }));
+  const Findings findings = doctor_.look();
+  ASSERT_THAT(findings.ids(), ElementsAre("process-revoked"));
+  const Remedy remedy(findings.remedies[0], with({}));
+  EXPECT_TRUE(finds_nothing());
+  EXPECT_TRUE(has_members(1));
+}
+
+}  // namespace
+}  // namespace agnocast::test

@@ -1,0 +1,324 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: whatever is wrong with a process, or between two of them, doctor names exactly that, and its remedy
+// mends it. Method: raw clients in processes of their own, which do to themselves what breaks them.
+//
+// A remedy that starts a process anew would start this test program, as that is what runs here; of it only
+// what ends the process is run. doctor_live_test.cpp runs such remedies to their end.
+
+#include <tests/support/doctored.hpp>
+#include <tests/support/member.hpp>
+
+#include <gmock/gmock.h>
+#include <sched.h>
+#include <signal.h>
+#include <sys/mman.h>
+#include <sys/resource.h>
+#include <sys/wait.h>
+
+#include <string>
+#include <vector>
+
+namespace agnocast::test {
+namespace {
+
+using abi::Qos;
+using testing::ElementsAre;
+using testing::HasSubstr;
+using testing::IsEmpty;
+using testing::StartsWith;
+using Node = CtlNode;
+
+class DoctorMembers : public testing::Test {
+ protected:
+  DoctorMembers() : daemon_({.config = "", .more_config = ""}), doctor_(daemon_.socket_path()) {}
+  void SetUp() override {
+    if (!Doctored::has_namespaces()) GTEST_SKIP() << "needs root: a mount namespace";
+  }
+  const std::string& socket() const { return daemon_.socket_path(); }
+  std::string environment() const { return "AGNOCAST_SOCKET=" + socket(); }
+  bool is_well() {
+    return soon([&] { return doctor_.look().all.empty(); });
+  }
+  static std::string first_part(const std::string& remedy) {
+    return remedy.substr(0, remedy.find(" && "));
+  }
+
+  DaemonProcess daemon_;
+  Doctored doctor_;
+};
+
+TEST_F(DoctorMembers, FindNothingWhereMessagesPass) {
+  Node a(socket()), b(socket());
+  a.open_window();
+  const auto p = a.publisher("/points", {7}, "/lidar");
+  const auto s = b.subscription("/points", {5}, "/viewer");
+  a.commit(p, 4);
+  b.link(s, p, 4, 1);
+  const Findings findings = doctor_.look({}, {"-w"});
+  EXPECT_THAT(findings.all, IsEmpty());
+  EXPECT_EQ(findings.result.status, 0);
+}
+
+TEST_F(DoctorMembers, SaysWhoIsStopped) {
+  const Member member(socket(), [](Node& node) { node.publisher("/points"); });
+  EXPECT_THAT(doctor_.look().all, IsEmpty());
+  member.kill(SIGSTOP);
+  ASSERT_TRUE(soon([&] { return !doctor_.look().all.empty(); }));
+  const Findings findings = doctor_.look();
+  const std::string pid = std::to_string(member.pid());
+  ASSERT_THAT(findings.all,
+              ElementsAre("process-stopped: wire_client (pid " + pid + ") is stopped"));
+  EXPECT_EQ(findings.remedies[0], "kill -CONT " + pid);
+  const Remedy remedy(findings.remedies[0]);
+  EXPECT_TRUE(is_well());
+}
+
+TEST_F(DoctorMembers, SaysWhoHasNoConnection) {
+  Member member(socket(), [](Node& node) {
+    node.publisher("/points");
+    node.wire.socket().close();
+  });
+  ASSERT_TRUE(soon([&] { return !doctor_.look().all.empty(); }));
+  const Findings findings = doctor_.look();
+  ASSERT_THAT(findings.ids(), ElementsAre("process-orphaned"));
+  const Remedy remedy(findings.remedies[0]);
+  EXPECT_EQ(member.wait(), -SIGTERM);
+  EXPECT_TRUE(is_well());
+}
+
+TEST_F(DoctorMembers, SaysWhoWasPutOut) {
+  Member member(socket(), [](Node& node) { node.publisher("/points"); });
+  ASSERT_EQ(run_ctl(socket(), {"process", "revoke", std::to_string(member.pid())}).status, 0);
+  ASSERT_TRUE(soon([&] { return !doctor_.look().all.empty(); }));
+  const Findings findings = doctor_.look();
+  ASSERT_THAT(findings.ids(), ElementsAre("process-revoked"));
+  const Remedy remedy(first_part(findings.remedies[0]));
+  EXPECT_EQ(member.wait(), -SIGTERM);
+  EXPECT_TRUE(is_well());
+}
+
+TEST_F(DoctorMembers, SaysWhoKeepsTheMemoryOfTheDead) {
+  Member publisher(socket(), [](Node& node) {
+    node.open_window();
+    node.commit(node.publisher("/points", {7}, "/lidar"), 2);
+  });
+  // In the order of creation, each the first of its topic.
+  const auto of = [&](const char* kind) {
+    return run_ctl(socket(), {"topic", "info", "/points", "-j"}).json()[kind][0];
+  };
+  wire::EndpointCreated published{};
+  published.index = 0;
+  published.generation = of("publishers")["generation"];
+  Member holder(socket(), [&](Node& node) {
+    const auto own = node.subscription("/points", {5}, "/viewer");
+    const auto announcement = node.wire.expect<wire::Announcement>(wire::Opcode::announce);
+    published.first_sequence = announcement.first_sequence;
+    node.link(own, published, 2, 1);
+  });
+  EXPECT_THAT(doctor_.look().all, IsEmpty());
+  publisher.kill();
+  publisher.wait();
+  ASSERT_TRUE(soon([&] { return !doctor_.look().all.empty(); }));
+  const Findings findings = doctor_.look();
+  ASSERT_THAT(findings.ids(), ElementsAre("dead-kept"));
+  EXPECT_THAT(findings.all[0],
+              HasSubstr("/viewer of wire_client (pid " + std::to_string(holder.pid()) +
+                        ") holds 1 message of /points"));
+  const Remedy remedy(first_part(findings.remedies[0]));
+  EXPECT_EQ(holder.wait(), -SIGTERM);
+  EXPECT_TRUE(is_well());
+}
+
+// Root may lock what it likes.
+TEST_F(DoctorMembers, SaysWhoMayNotLockMore) {
+  constexpr uid_t nobody = 65534;
+  ASSERT_EQ(::chmod(daemon_.socket_path().c_str(), 0666), 0);
+  const Member member(socket(), [](Node& node) {
+    node.publisher("/points");
+    const rlimit limit{1 << 20, 1 << 20};
+    const std::size_t bytes = 1 << 16;
+    void* const memory =
+        ::mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+    EXPECT_EQ(::mlock(memory, bytes), 0);
+    EXPECT_EQ(::setrlimit(RLIMIT_MEMLOCK, &limit), 0);
+    EXPECT_EQ(::setresuid(nobody, nobody, 0), 0) << "the daemon's root, the kernel's nobody";
+    EXPECT_EQ(::prctl(PR_SET_DUMPABLE, 1), 0);
+  });
+  const Findings findings = doctor_.look();
+  ASSERT_THAT(findings.ids(), ElementsAre("lock-limit"));
+  EXPECT_THAT(findings.all[0], HasSubstr("has locked 64.0 KiB of at most 1.0 MiB"));
+  EXPECT_EQ(findings.remedies[0],
+            "sudo prlimit --pid " + std::to_string(member.pid()) + " --memlock=unlimited");
+  if (!may_raise_limits()) return;
+  const Remedy remedy(findings.remedies[0]);
+  EXPECT_EQ(remedy.status(), 0);
+  EXPECT_TRUE(is_well());
+}
+
+TEST_F(DoctorMembers, SaysWhoHasNoAddressesLeft) {
+  const Member member(socket(), [](Node& node) {
+    node.publisher("/points");
+    rlimit limit{};
+    EXPECT_EQ(::getrlimit(RLIMIT_AS, &limit), 0);
+    limit.rlim_cur = rlim_t{2} << 30;  // its region alone is half of that
+    EXPECT_EQ(::setrlimit(RLIMIT_AS, &limit), 0);
+  });
+  const Findings findings = doctor_.look();
+  ASSERT_THAT(findings.ids(), ElementsAre("address-limit"));
+  EXPECT_EQ(findings.remedies[0],
+            "sudo prlimit --pid " + std::to_string(member.pid()) + " --as=unlimited");
+  const Remedy remedy(findings.remedies[0]);
+  EXPECT_TRUE(is_well());
+}
+
+TEST_F(DoctorMembers, SaysWhoseClocksAreOthers) {
+  // The children of a process that asks for a time namespace are in it, the process is not.
+  Child outer([&] {
+    ::prctl(PR_SET_PDEATHSIG, SIGKILL);
+    if (::unshare(CLONE_NEWTIME) != 0) return 1;
+    const Member member(socket(), [](Node& node) { node.publisher("/points"); });
+    return sleep_for_ever();
+  });
+  if (!soon([&] { return run_ctl(socket(), {"processes", "-j"}).json()["process_count"] == 1; })) {
+    outer.kill();
+    GTEST_SKIP() << "this kernel has no time namespaces, or lets nobody have one";
+  }
+  const Findings findings = doctor_.look();
+  ASSERT_THAT(findings.ids(), ElementsAre("time-namespace"));
+  const Remedy remedy(first_part(findings.remedies[0]));
+  EXPECT_TRUE(is_well());
+}
+
+TEST_F(DoctorMembers, SaysWhichNodeIsThereTwice) {
+  const Member first(socket(), [](Node& node) { node.publisher("/points", {7}, "/lidar"); });
+  Node own(socket());
+  own.publisher("/points", {7}, "/viewer");
+  EXPECT_THAT(doctor_.look().all, IsEmpty());
+  Member second(socket(), [](Node& node) { node.publisher("/points", {7}, "/lidar"); });
+  const Findings findings = doctor_.look();
+  ASSERT_THAT(findings.ids(), ElementsAre("same-node"));
+  EXPECT_EQ(findings.remedies[0], "kill " + std::to_string(second.pid())) << "the later one";
+  const Remedy remedy(findings.remedies[0]);
+  second.wait();
+  EXPECT_TRUE(is_well());
+}
+
+TEST_F(DoctorMembers, SaysWhichQualitiesDoNotMatch) {
+  Node a(socket()), b(socket());
+  const Qos reliable{5, false, true, false, false}, best_effort{5, false, false, false, false};
+  a.publisher("/points", best_effort, "/lidar");
+  b.subscription("/points", reliable, "/viewer");
+  const Findings findings = doctor_.look();
+  const std::string process = " of wire_client (pid " + std::to_string(::getpid()) + ")";
+  ASSERT_THAT(findings.all,
+              ElementsAre("qos-mismatch: /points: /lidar" + process + " -> /viewer" + process +
+                          ": the publisher is best_effort, the subscription asks for reliable"));
+  const Remedy remedy(findings.remedies[0], {environment()});
+  EXPECT_EQ(remedy.status(), 0) << findings.remedies[0];
+}
+
+TEST_F(DoctorMembers, SaysWhoCameWithAnotherTypeOrLibrary) {
+  {
+    Node a(socket());
+    a.publisher("/points");
+    auto other = WireClient::endpoint("/points", {5}, "other/msg/Type");
+    ASSERT_EQ(a.wire.ask(wire::Opcode::create_publisher, other).refused_code(),
+              Errc::type_mismatch);
+    const Findings findings = doctor_.look();
+    ASSERT_THAT(findings.ids(), ElementsAre("type-mismatch"));
+    EXPECT_THAT(findings.all[0], HasSubstr("other/msg/Type"));
+    const Remedy remedy(findings.remedies[0], {environment()});
+    EXPECT_EQ(remedy.status(), 0) << findings.remedies[0];
+  }
+  DaemonProcess daemon;
+  Doctored doctor(daemon.socket_path());
+  WireClient client(daemon.socket_path());
+  ASSERT_EQ(client.hello(abi::fingerprint() ^ 1).refused_code(), Errc::layout_mismatch);
+  const Findings findings = doctor.look();
+  ASSERT_THAT(findings.ids(), ElementsAre("library-mismatch"));
+  EXPECT_THAT(findings.remedies[0], StartsWith("kill " + std::to_string(::getpid()) + " && "));
+}
+
+TEST_F(DoctorMembers, SaysWhichRuleRefusedSomebody) {
+  DaemonProcess daemon(
+      {.config = "[daemon]\nsocket_mode = \"0666\"\n[[access]]\ntopic = \"/x\"\npublish = [\"*\"]\n"
+                 "[[access]]\ntopic = \"/lidar/**\"\npublish = [\"uid:4711\"]\n"});
+  Doctored doctor(daemon.socket_path());
+  Node a(daemon.socket_path());
+  ASSERT_EQ(a.wire.create_publisher("/lidar/points").refused_code(), Errc::permission_denied);
+  const Findings findings = doctor.look();
+  ASSERT_THAT(findings.ids(), ElementsAre("permission"));
+  EXPECT_THAT(findings.remedies[0], StartsWith("sudo \"${EDITOR:-vi}\" +6 " + daemon.directory() +
+                                               "/agnocastd.toml && "));
+}
+
+TEST_F(DoctorMembers, SaysWhatIsNotZeroCopyOrCannotBeReached) {
+  Node a(socket()), b(socket());
+  a.open_window();
+  const auto p = a.publisher("/points", {7}, "/lidar");
+  const auto s = b.subscription("/points", {5}, "/viewer");
+  a.commit(p, 3);
+  b.link(s, p, 3, 0);
+  auto& endpoint = *reinterpret_cast<abi::PublisherEndpoint*>(a.region.base() + p.extent);
+  endpoint.adopted_messages.store(2);
+  endpoint.adopted_bytes.store(2048);
+  Findings findings = doctor_.look();
+  ASSERT_THAT(findings.ids(), ElementsAre("not-zero-copy"));
+  EXPECT_THAT(findings.remedies[0], HasSubstr("agnocast-run --scope all "));
+  endpoint.adopted_messages.store(0);
+  const dataplane::SubscriptionWords<SharedMemory> counters{b.region.base(), s.extent};
+  counters.counter(offsetof(abi::SubscriptionCounters, unreachable)).store(4);
+  findings = doctor_.look();
+  ASSERT_THAT(findings.ids(), ElementsAre("unreachable"));
+}
+
+TEST_F(DoctorMembers, SaysWhoReadsTooSlowlyOrHoldsTooMuch) {
+  Node a(socket());
+  a.open_window();
+  const auto p = a.publisher("/points", {20}, "/lidar");
+  a.commit(p, 11);
+  Member reader(socket(), [&](Node& node) {
+    const auto s = node.subscription("/points", {10}, "/viewer");
+    node.link(s, p, 2, 0);  // 9 of 10 unread
+    const dataplane::SubscriptionWords<SharedMemory> counters{node.region.base(), s.extent};
+    counters.counter(offsetof(abi::SubscriptionCounters, lost)).store(5);
+  });
+  Findings findings = doctor_.look();
+  ASSERT_THAT(findings.ids(), ElementsAre("slow-reader"));
+  EXPECT_THAT(findings.all[0], HasSubstr("has lost 5 messages of /points and has not read 9"));
+  reader.kill();
+  reader.wait();
+  EXPECT_TRUE(is_well());
+  Member holder(socket(), [&](Node& node) {
+    const auto s = node.subscription("/points", {10}, "/viewer");
+    node.link(s, p, 11, 4);  // its quota
+  });
+  findings = doctor_.look();
+  ASSERT_THAT(findings.ids(), ElementsAre("holder-at-quota"));
+  EXPECT_THAT(findings.all[0], HasSubstr("holds all 4 messages of /points that it may hold"));
+  const Remedy remedy(findings.remedies[0], {environment()});
+  EXPECT_EQ(remedy.status(), 0) << findings.remedies[0];
+  EXPECT_TRUE(soon([&] {
+    return doctor_.look().ids() == std::vector<std::string>{"process-revoked"};
+  })) << "it has to be restarted, and is told so";
+}
+
+TEST_F(DoctorMembers, SaysWhoseHeapIsFull) {
+  DaemonProcess daemon({.more_config = "windows_per_process = 1\n"});
+  Doctored doctor(daemon.socket_path());
+  Node a(daemon.socket_path());
+  a.open_window();
+  a.publisher("/points");
+  EXPECT_THAT(doctor.look().all, IsEmpty());
+  reinterpret_cast<abi::ClientRegionHeader*>(a.region.base())
+      ->window[0]
+      .frontier.store(a.window.bytes - (std::uint64_t{1} << 20));
+  const Findings findings = doctor.look();
+  ASSERT_THAT(findings.ids(), ElementsAre("heap-full"));
+  EXPECT_THAT(findings.all[0], HasSubstr("uses 63.0 MiB of 64.0 MiB in all 1 window"));
+  EXPECT_THAT(findings.remedies[0], HasSubstr("window_bytes = 134217728/"));
+}
+
+}  // namespace
+}  // namespace agnocast::test
