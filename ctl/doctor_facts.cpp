@@ -160,6 +160,12 @@ pid_t daemon_of(const std::string& path) {
   return found;
 }
 
+bool is_listener_stopped(const Door& door) {
+  wire::DumpProcess process{};
+  process.pid = static_cast<std::uint32_t>(std::max<pid_t>(door.listener, 0));
+  return is_stopped(process);
+}
+
 Door look_at_door(const std::string& path, const Shell& shell) {
   Door door;
   door.path = path;
@@ -187,11 +193,7 @@ Door look_at_door(const std::string& path, const Shell& shell) {
       door.listener = who.pid;
   }
   if (const pid_t daemon = daemon_of(path); daemon != 0) door.listener = daemon;
-  if (door.listener > 0) {
-    wire::DumpProcess process{};
-    process.pid = static_cast<std::uint32_t>(door.listener);
-    door.listener_stopped = is_stopped(process);
-  }
+  door.listener_stopped = is_listener_stopped(door);
   return door;
 }
 
@@ -352,6 +354,8 @@ void collect_look(const Arguments& arguments, Facts& facts) {
   auto look = look_at(arguments.socket);
   if (!look) {
     facts.away = look.error();
+    // It may have been stopped just now, and be silent for that.
+    facts.door.listener_stopped = is_listener_stopped(facts.door);
     return;
   }
   facts.look = std::move(*look);

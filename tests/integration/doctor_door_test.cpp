@@ -155,7 +155,7 @@ TEST_F(DoctorDoor, SaysThatTheDaemonIsStopped) {
   DaemonProcess daemon;
   Doctored doctor(daemon.socket_path());
   ASSERT_EQ(::kill(daemon.pid(), SIGSTOP), 0);
-  const Findings findings = doctor.look();
+  const Findings findings = doctor.look();  // whether or not it stands still already
   ASSERT_THAT(findings.ids(), ElementsAre("daemon-stopped"));
   const Remedy remedy(findings.remedies[0]);
   EXPECT_THAT(doctor.look().all, IsEmpty());
