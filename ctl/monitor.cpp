@@ -46,7 +46,8 @@ const char* state_of(const wire::DumpProcess& process) {
 
 Snapshot snapshot_of(const System& system) {
   Snapshot now;
-  for (const auto& [index, topic] : system.topics) {
+  for (const auto& entry : system.topics) {
+    const Topic& topic = entry.second;
     for (const Endpoint& publisher : topic.publishers) {
       const auto numbers = numbers_of_publisher(system, topic, publisher);
       if (!numbers) continue;
