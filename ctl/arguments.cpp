@@ -49,24 +49,13 @@ struct Found {
   std::string noun;               // for help of a noun
 };
 
-/// "--number" of "-n,--number".
-std::vector<std::string> spellings_of(const Option& option) {
-  const std::string names(option.names);
-  const std::size_t comma = names.find(',');
-  if (comma == std::string::npos) return {names};
-  return {names.substr(0, comma), names.substr(comma + 1)};
-}
-std::string longest_spelling_of(const Option& option) { return spellings_of(option).back(); }
-
 // Whether the next word is this option's value, whichever command it belongs to. Where commands
 // disagree (-t) it is not, as long as the command is not known.
 bool takes_value(std::string_view word, std::span<const Command> commands) {
   bool takes = false, is_flag = false;
   const auto look_at = [&](const Option& option) {
-    const auto names = spellings_of(option);
-    if (std::find(names.begin(), names.end(), word) == names.end()) return;
-    const bool has_none = option.kind == Option::Kind::flag || option.value.starts_with('[');
-    (has_none ? is_flag : takes) = true;
+    if (!spellings_of(option).has(word)) return;
+    (takes_next_word(option) ? takes : is_flag) = true;
   };
   look_at(options::socket);
   for (const Command& command : commands) {
@@ -245,9 +234,9 @@ class Parser {
     for (std::string& word : plain) arguments_.subjects.push_back(std::move(word));
     if (auto read = read_subjects(help); !read) return tl::unexpected(read.error());
     for (const auto& [option, value] : values_) {
-      if (app_.count(longest_spelling_of(*option)) == 0) continue;
-      if (const auto why = complaint_of(*option, value))
-        return wrong_usage(longest_spelling_of(*option), *why, help);
+      const std::string name(spellings_of(*option).longest);
+      if (app_.count(name) == 0) continue;
+      if (const auto why = complaint_of(*option, value)) return wrong_usage(name, *why, help);
       arguments_.given[option] = value;
     }
     arguments_.json = json_form(around);

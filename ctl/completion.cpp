@@ -14,21 +14,8 @@
 namespace agnocast::ctl {
 namespace {
 
-std::vector<std::string_view> spellings_of(const Option& option) {
-  const std::size_t comma = option.names.find(',');
-  if (comma == std::string_view::npos) return {option.names};
-  return {option.names.substr(0, comma), option.names.substr(comma + 1)};
-}
-
-bool takes_value(const Option& option) {
-  return option.kind != Option::Kind::flag && !option.value.starts_with('[');
-}
-
 const Option* option_named(const Command* command, std::string_view word) {
-  const auto is_it = [&](const Option* option) {
-    const auto names = spellings_of(*option);
-    return std::find(names.begin(), names.end(), word) != names.end();
-  };
+  const auto is_it = [&](const Option* option) { return spellings_of(*option).has(word); };
   for (const Option* const option : common_options()) {
     if (is_it(option)) return option;
   }
@@ -55,7 +42,7 @@ Place place_of(std::span<const std::string> words, std::span<const Command> comm
       place.only_subjects = true;
     } else if (!place.only_subjects && word.starts_with('-')) {
       const Option* const option = option_named(place.command, word);
-      if (option != nullptr && takes_value(*option)) place.wants_value = option;
+      if (option != nullptr && takes_next_word(*option)) place.wants_value = option;
     } else if (place.command != nullptr) {
       ++place.subjects;
     } else if (place.noun.empty()) {
@@ -104,10 +91,10 @@ std::vector<std::string> completions_of(std::span<const std::string> words,
     }
     add_names(place.wants_value->names_of_value);
   } else if (!place.only_subjects && typed.starts_with('-')) {
-    for (const Option* const option : common_options()) all.emplace(spellings_of(*option).back());
+    for (const Option* const option : common_options()) all.emplace(spellings_of(*option).longest);
     if (place.command != nullptr) {
       for (const Option* const option : place.command->options)
-        all.emplace(spellings_of(*option).back());
+        all.emplace(spellings_of(*option).longest);
     }
   } else if (place.command != nullptr) {
     if (const Subject* const subject = subject_at(*place.command, place.subjects))

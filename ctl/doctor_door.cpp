@@ -90,10 +90,10 @@ Ailments not_in_group(const Facts& facts) {
                    escaped(facts.door.group) + ", which may connect to " + at_door(facts),
                user_and_group(facts)});
 }
-Ailments group_not_in_session(const Facts& facts) {
+Ailments group_not_in_shell(const Facts& facts) {
   return when(is_refused_by_mode(facts) && is_for_group(facts) && facts.door.group_lists_user,
               {"user " + escaped(facts.shell.user) + " is in the group " +
-                   escaped(facts.door.group) + ", but not in this session",
+                   escaped(facts.door.group) + ", but this shell began before",
                user_and_group(facts)});
 }
 Ailments socket_mode(const Facts& facts) {
@@ -252,9 +252,9 @@ constexpr Check table[] = {
     {"not-in-group", "this user is in the socket's group", failed, always,
      "the socket is open to its group only; a new membership is seen by the next login",
      "sudo usermod -aG GROUP USER", not_in_group},
-    {"group-not-in-session", "this session has the socket's group", failed, always,
-     "the user was put into the group after this session had begun",
-     "newgrp GROUP", group_not_in_session},
+    {"group-not-in-shell", "this shell has the socket's group", failed, always,
+     "the user was put into the group after this shell had begun",
+     "newgrp GROUP", group_not_in_shell},
     {"socket-mode", "the socket's mode lets this user connect", failed, always,
      "neither its owner, its group nor its mode ([daemon] socket_mode, socket_group) is for this user",
      "sudo groupadd -f agnocast && sudo chgrp agnocast SOCKET && sudo chmod 0660 SOCKET && sudo usermod -aG agnocast USER",

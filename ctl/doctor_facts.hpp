@@ -38,7 +38,7 @@ struct Door {
   mode_t mode = 0;
   gid_t gid = 0;
   std::string group;
-  bool group_lists_user = false;  // in the database of groups, whatever this session has
+  bool group_lists_user = false;  // in the database of groups, whatever this shell has
   int error = 0;                  // of connect; 0: somebody listens
   pid_t listener = 0;             // who began to listen; 0: nobody, or long ago
   bool listener_stopped = false;

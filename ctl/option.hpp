@@ -39,6 +39,21 @@ struct Option {
   Names names_of_value = Names::none;
 };
 
+/// The ways to type it, the long one last: "-n" and "--number"; equal when there is only one.
+struct Spellings {
+  std::string_view first, longest;
+  constexpr bool has(std::string_view word) const { return word == first || word == longest; }
+};
+constexpr Spellings spellings_of(const Option& option) {
+  const std::size_t comma = option.names.find(',');
+  if (comma == std::string_view::npos) return {option.names, option.names};
+  return {option.names.substr(0, comma), option.names.substr(comma + 1)};
+}
+/// Is the next word its value? Not of one whose value stands behind "=" or not at all.
+constexpr bool takes_next_word(const Option& option) {
+  return option.kind != Option::Kind::flag && !option.value.starts_with('[');
+}
+
 /// A word that is no option.
 struct Subject {
   enum class Count : std::uint8_t { one, optional, many };  // many: one or more, at the end

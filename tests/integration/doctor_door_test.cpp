@@ -127,10 +127,10 @@ TEST_F(DoctorDoor, SaysWhichGroupIsMissing) {
   const Findings findings = doctor.look();
   EXPECT_THAT(findings.ids(), ElementsAre("not-in-group"));
   EXPECT_EQ(findings.remedies[0], "sudo usermod -aG games nobody");
-  // As that command leaves it behind: the session is older.
+  // As that command leaves it behind: the shell is older.
   doctor.overlay()["/etc/group"] = "games:x:" + std::to_string(games->gr_gid) + ":nobody\n";
   const Findings later = doctor.look();
-  EXPECT_THAT(later.ids(), ElementsAre("group-not-in-session"));
+  EXPECT_THAT(later.ids(), ElementsAre("group-not-in-shell"));
   EXPECT_EQ(later.remedies[0], "newgrp games");
 }
 

@@ -29,12 +29,7 @@ std::vector<std::string> in_backticks(std::string_view text) {
 }
 
 bool has_option(const std::string& verb, std::string_view flag) {
-  const auto spells = [&](const Option* option) {
-    const std::string_view names = option->names;
-    const std::size_t comma = names.find(',');
-    return names == flag || names.substr(0, comma) == flag ||
-           (comma != std::string_view::npos && names.substr(comma + 1) == flag);
-  };
+  const auto spells = [&](const Option* option) { return spellings_of(*option).has(flag); };
   return std::any_of(all_commands.begin(), all_commands.end(), [&](const Command& command) {
     return std::string(command.noun) + ' ' + std::string(command.verb) == verb &&
            std::any_of(command.options.begin(), command.options.end(), spells);
