@@ -169,7 +169,7 @@ DumpFacts Broker::facts() const {
     daemon.connections += used.clients;
     daemon.observers += used.observers;
   }
-  facts.refusals = &refusals_.all();
+  facts.refusals = refusals_.all();
   facts.now_ns = now;
   facts.process_of = [this, now](ClientIndex client) {
     DumpFacts::Process process;

@@ -132,7 +132,7 @@ class Writer {
   }
 
   void write_refusals() {
-    for (const Refusals::Refusal& refusal : *facts_.refusals) {
+    for (const Refusals::Refusal& refusal : facts_.refusals) {
       wire::DumpRefusal body{};
       body.code = static_cast<std::uint32_t>(refusal.code);
       body.uid = refusal.uid;

@@ -16,6 +16,7 @@
 #include <cstdint>
 #include <functional>
 #include <map>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -36,7 +37,7 @@ struct DumpFacts {
   abi::wire::DumpDaemon daemon{};       // header left open
   std::map<std::uint32_t, User> users;  // those with connections; owners of processes are added
   std::function<Process(ClientIndex)> process_of;
-  const std::vector<Refusals::Refusal>* refusals = nullptr;
+  std::span<const Refusals::Refusal> refusals;
   std::uint64_t now_ns = 0;  // CLOCK_MONOTONIC
 };
 

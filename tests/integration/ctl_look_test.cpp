@@ -186,7 +186,7 @@ TEST_F(CtlLook, ShowsWhatHurtsFirst) {
   a.open_window();
   const auto fast = a.publisher("/fast", {20}, "/lidar");
   a.commit(fast, 11);
-  stamp(a, fast, 11, second_ns / 100, 5000);
+  stamp(a, fast, 11, second_ns, 5000);
   const auto s = b.subscription("/fast", {10}, "/slow_viewer");
   b.link(s, fast, 2, 0);  // 9 of 10 unread
   a.publisher("/silent");
@@ -206,7 +206,7 @@ TEST_F(CtlLook, ShowsWhatHurtsFirst) {
   EXPECT_EQ(first["state"], "refused");
   EXPECT_EQ(first["lag_messages"], 9);
   EXPECT_EQ(first["message_mean_bytes"], 5000);
-  EXPECT_NEAR(first["rate_hz"].get<double>(), 100, 60) << "less, when we are slow";
+  EXPECT_NEAR(first["rate_hz"].get<double>(), 1, 0.5) << "less, when we look seconds later";
   EXPECT_EQ(first["notes"].size(), 2u);
   EXPECT_EQ(top["topics"][1]["topic"], "/held");
   EXPECT_EQ(top["topics"][1]["state"], "holding");
