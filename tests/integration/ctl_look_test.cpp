@@ -407,6 +407,7 @@ TEST_F(CtlLook, TellsWhatHappens) {
   EXPECT_EQ(::waitpid(monitor, &status, 0), monitor);
   EXPECT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) == 0) << "Ctrl-C is its end";
   for (const auto& event : events()) {
+    judge_json(event.dump());
     if (event["event"] != "lost") continue;
     EXPECT_EQ(event["messages"], 3);
     EXPECT_EQ(event["topic"], "/points");

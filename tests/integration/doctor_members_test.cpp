@@ -89,7 +89,8 @@ TEST_F(DoctorMembers, SaysWhoHasNoConnection) {
 
 TEST_F(DoctorMembers, SaysWhoWasPutOut) {
   Member member(socket(), [](Node& node) { node.publisher("/points"); });
-  ASSERT_EQ(run_ctl(socket(), {"process", "revoke", std::to_string(member.pid())}).status, 0);
+  ASSERT_EQ(run_ctl(socket(), {"process", "revoke", "-j", std::to_string(member.pid())}).status,
+            0);
   ASSERT_TRUE(soon([&] { return !doctor_.look().all.empty(); }));
   const Findings findings = doctor_.look();
   ASSERT_THAT(findings.ids(), ElementsAre("process-revoked"));

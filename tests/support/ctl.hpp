@@ -4,6 +4,7 @@
 #pragma once
 
 #include <base/unique_fd.hpp>
+#include <tests/support/json_judge.hpp>
 
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
@@ -13,6 +14,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <functional>
 #include <optional>
 #include <string>
@@ -78,6 +80,10 @@ inline CtlResult run_ctl(const std::string& socket, std::vector<std::string> wor
       at += count;
     }
   }
+  const bool is_json = std::any_of(words.begin(), words.end(), [](const std::string& word) {
+    return word == "-j" || word.find("json") != std::string::npos;
+  });
+  if (is_json && result.out.starts_with('{')) judge_json(result.out);
   return result;
 }
 

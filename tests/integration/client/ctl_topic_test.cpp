@@ -322,7 +322,8 @@ TEST_F(CtlTopic, WhatEchoPrintsPubPublishesAgain) {
 TEST_F(CtlTopic, DelayIsTheAgeOfTheStamp) {
   auto publisher = create_publisher<PointCloud2>(node, "/stamped", QoS(10));
   SteeredProcess delay(command({"topic", "delay", "/stamped", "-w", "3"}), {});
-  ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 1; }));
+  SteeredProcess for_programs(command({"topic", "delay", "/stamped", "-j"}), {});
+  ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 2; }));
   for (int i = 0; i < 5; ++i) {
     PointCloud2 message;
     message.header.stamp.sec = static_cast<std::int32_t>(::time(nullptr) - 1000);
@@ -337,6 +338,11 @@ TEST_F(CtlTopic, DelayIsTheAgeOfTheStamp) {
   EXPECT_EQ(delay.answer(), "no new messages");
   ::kill(delay.pid(), SIGINT);
   EXPECT_EQ(delay.finish(), 0);
+  const std::string object = for_programs.answer();
+  EXPECT_NEAR(nlohmann::json::parse(object)["average_s"].get<double>(), 1000, 60);
+  test::judge_json(object);
+  ::kill(for_programs.pid(), SIGINT);
+  EXPECT_EQ(for_programs.finish(), 0);
   const auto unstamped = latched("/unstamped", text("x"));
   const CtlResult refused = ctl({"topic", "delay", "/unstamped"});
   EXPECT_EQ(refused.status, 1);
