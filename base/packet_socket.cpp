@@ -3,6 +3,7 @@
 #include <base/packet_socket.hpp>
 #include <base/unix_address.hpp>
 
+#include <sys/eventfd.h>
 #include <sys/stat.h>
 #include <sys/time.h>
 #include <sys/uio.h>
@@ -100,6 +101,14 @@ Result<PacketSocket> PacketSocket::connect(std::string_view path,
     default:
       return fail(Errc::os_failure, "connecting to a socket", errno);
   }
+}
+
+// The kernel says of both with the same flag (MSG_CTRUNC) that it has closed descriptors on the way: of those for
+// which no number was free, and of those that a security module does not let this process receive.
+Failure failure_of_descriptors(const char* what) noexcept {
+  const UniqueFd probe(::eventfd(0, EFD_CLOEXEC));
+  if (!probe && (errno == EMFILE || errno == ENFILE)) return {Errc::os_failure, errno, what};
+  return {Errc::descriptors_withheld, 0, what};
 }
 
 Result<std::pair<PacketSocket, PacketSocket>> PacketSocket::pair() noexcept {

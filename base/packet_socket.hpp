@@ -58,6 +58,11 @@ struct Packet {
   std::span<UniqueFd> fds() noexcept { return {descriptors.data(), descriptor_count}; }
 };
 
+/// Why a packet came with fewer descriptors than its sender gives to it: os_failure with EMFILE or ENFILE if
+/// no more can be opened here, else descriptors_withheld. To be asked while the packet still has what did
+/// come. `what`: which packet, static text.
+Failure failure_of_descriptors(const char* what) noexcept;
+
 class PacketSocket {
  public:
   static constexpr std::chrono::milliseconds connect_patience{5000};

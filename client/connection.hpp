@@ -22,7 +22,6 @@
 #include <base/step.hpp>
 
 #include <array>
-#include <cerrno>
 #include <chrono>
 #include <condition_variable>
 #include <cstddef>
@@ -61,11 +60,17 @@ struct Incoming {
     std::memcpy(&body, bytes.data(), sizeof body);
     return true;
   }
-  /// Why an answer is of no use that has not the body or the descriptors that `what` should have:
-  /// broken, unless this process had no room for the descriptors that came with it.
-  Failure unlike(const char* what) const noexcept {
-    if (packet.descriptors_lost) return {Errc::os_failure, EMFILE, what};
-    return {Errc::protocol_violation, 0, what};
+  /// The body of an answer that is meant to be `opcode` and to bring so many descriptors. Errors:
+  /// protocol_violation; of an answer whose descriptors did not arrive see failure_of_descriptors().
+  template <class T>
+  [[nodiscard]] Result<void> read_as(abi::wire::Opcode opcode, T& body,
+                                     std::size_t descriptor_count,
+                                     const char* what) const noexcept {
+    if (header().opcode != opcode || !read(body) || packet.descriptor_count > descriptor_count)
+      return fail(Errc::protocol_violation, what);
+    if (packet.descriptors_lost || packet.descriptor_count < descriptor_count)
+      return tl::unexpected(failure_of_descriptors(what));
+    return {};
   }
 };
 

@@ -90,8 +90,10 @@ Result<void> Context::open_heap() {
   Result<void> opened =
       connection_->request(Opcode::open_window, request, [&](Incoming& packet) -> Result<void> {
         wire::WindowOpened window{};
-        if (!packet.read(window) || packet.packet.descriptor_count != 2)
-          return tl::unexpected(packet.unlike("a heap window"));
+        if (Result<void> read =
+                packet.read_as(Opcode::window_opened, window, 2, "the answer with a heap window");
+            !read)
+          return read;
         const auto fds = packet.packet.fds();
         return found->attach(region_.base(), window.base, window.bytes, std::move(fds[0]),
                              fds[1].get(), *scope,
@@ -414,10 +416,11 @@ Result<void> Context::make_place(Sleeper& sleeper) {
   Result<void> opened = connection_->request(
       Opcode::open_executor, request,
       [&](Incoming& packet) -> Result<void> {
-        if (packet.header().opcode != Opcode::executor_opened ||
-            packet.packet.descriptor_count != 2) {
-          return tl::unexpected(packet.unlike("a new executor"));
-        }
+        wire::Done answer{};
+        if (Result<void> read =
+                packet.read_as(Opcode::executor_opened, answer, 2, "the answer with an executor");
+            !read)
+          return read;
         const auto fds = packet.packet.fds();
         AGNOCAST_CRASH_POINT(C_sleeper);
         place = std::make_unique<Sleeper::Place>(

@@ -80,7 +80,8 @@ class Context {
   }
 
   /// Any of the following connects first if need be. Errors of all: daemon_not_running,
-  /// layout_mismatch, store_damaged, arena_occupied, lock_limit, address_limit, permission_denied, quota_exceeded,
+  /// layout_mismatch, store_damaged, arena_occupied, lock_limit, address_limit, permission_denied,
+  /// access_denied, descriptors_withheld, quota_exceeded,
   /// limit_reached, shut_down (forked child, exit handlers), invalid_argument (ROS_DOMAIN_ID), os_failure,
   /// started_anew and revoked (an island), and what is named. While a new membership begins they wait
   /// for it, as for a daemon that is away.

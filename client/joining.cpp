@@ -138,10 +138,9 @@ Result<void> Context::say_hello(Reconnection::Clock::time_point deadline) {
     return fail_with(Errc::daemon_not_running, socket_path_ + ": " + first.error().what);
   }
   wire::Welcome welcome{};
-  if (packet.header().opcode != Opcode::welcome || !packet.read(welcome) ||
-      packet.packet.descriptor_count != 2) {
-    return tl::unexpected(packet.unlike("the welcome of agnocastd"));
-  }
+  if (Result<void> read = packet.read_as(Opcode::welcome, welcome, 2, "the welcome of agnocastd");
+      !read)
+    return read;
   if (welcome.fingerprint != abi::fingerprint())
     return fail(Errc::layout_mismatch, "the welcome of agnocastd");
   incarnation_ = welcome.incarnation;

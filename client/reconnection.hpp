@@ -19,11 +19,11 @@
 
 namespace agnocast {
 
-/// It is answered otherwise only when somebody has put another daemon, another rule or whole memory
+/// It is answered otherwise only when somebody has put another daemon, another profile or whole memory
 /// there: nobody waits for it.
 constexpr bool is_mended_by_people(Errc code) noexcept {
   return code == Errc::layout_mismatch || code == Errc::store_damaged ||
-         code == Errc::permission_denied;
+         code == Errc::permission_denied || code == Errc::descriptors_withheld;
 }
 
 class Reconnection {

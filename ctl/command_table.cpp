@@ -122,6 +122,11 @@ constexpr Command table[] = {
      "The newest records of the daemon's redo log, which stay over its restarts, the newest last.",
      "agnocast-ctl journal\nagnocast-ctl journal -n 100 --topic /points\n"
      "agnocast-ctl journal --process lidar --follow\nagnocast-ctl journal --json"},
+    {"access", "", "who may publish and subscribe there, and why", about<s::topic>,
+     these<o::user, o::domain>, show_access,
+     "Which rule of the daemon's configuration decides, whom it names, and who may connect at all; then what one user may, "
+     "and how much of each quota it has. There need not be such a topic.",
+     "agnocast-ctl access /points\nagnocast-ctl access /points --user lidar --json"},
     {"explain", "", "what a code means, what is behind it, what to do", about<s::code>, {}, explain_code,
      "Every error that a user can see has a code; without one all of them are listed. Needs no daemon.",
      "agnocast-ctl explain hook_missing\nagnocast-ctl explain"},

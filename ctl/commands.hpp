@@ -55,6 +55,7 @@ Outcome<void> monitor_system(const Arguments& arguments, Console& console);
 Outcome<void> dump_all(const Arguments& arguments, Console& console);
 Outcome<void> draw_graph(const Arguments& arguments, Console& console);
 Outcome<void> explain_code(const Arguments& arguments, Console& console);
+Outcome<void> show_access(const Arguments& arguments, Console& console);
 Outcome<void> show_log_level(const Arguments& arguments, Console& console);
 
 }  // namespace agnocast::ctl

@@ -364,7 +364,7 @@ void collect_look(const Arguments& arguments, Facts& facts) {
   for (const auto& [index, topic] : system.topics) facts.pairs[&topic] = pairs_of(system, topic);
   for (const wire::DumpRefusal& refusal : system.refusals) {
     std::optional<Rule>& rule = facts.rules.emplace_back();
-    if (static_cast<Errc>(refusal.code) != Errc::permission_denied) continue;
+    if (static_cast<Errc>(refusal.code) != Errc::access_denied) continue;
     const auto access = facts.look->observer.access(refusal.domain, text_of(refusal.topic));
     if (!access) continue;
     const wire::AccessIs& is =

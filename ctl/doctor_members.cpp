@@ -335,7 +335,7 @@ Ailments library_mismatch(const Facts& facts) {
   });
 }
 Ailments permission(const Facts& facts) {
-  return refused(facts, Errc::permission_denied,
+  return refused(facts, Errc::access_denied,
                  [](const wire::DumpRefusal&, const std::optional<Rule>& rule) {
                    return rule ? Fill{{"LINE", std::to_string(rule->line)}} : Fill{};
                  });

@@ -26,6 +26,7 @@ Status status_of(Errc code) {
     case Errc::daemon_not_running:
       return Status::not_reachable;
     case Errc::permission_denied:
+    case Errc::access_denied:
       return Status::permission_denied;
     case Errc::type_not_found:
       return Status::no_such_thing;

@@ -12,6 +12,8 @@ namespace agnocast::ctl {
 
 /// status.cpp; with its schema.
 Object status_object(const System& system, const std::string& socket);
+/// status.cpp: what one user has or may have; unlimited is null.
+Object share_object(const wire::UserShare& share);
 /// topics.cpp
 Object topic_object(const System& system, const Topic& topic);
 /// processes.cpp

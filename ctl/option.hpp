@@ -119,6 +119,8 @@ inline constexpr Option sort{"-s,--sort", "the order of the rows",
                              0,           "trouble topic rate size bandwidth lag hold lost"};
 inline constexpr Option graph_form{"--format", "dot or mermaid", Kind::word, "FORM", "dot", 0,
                                    0,          "dot mermaid"};
+inline constexpr Option user{"--user", "what this one may, by name or number; else who runs it",
+                             Kind::text, "USER"};
 inline constexpr Option watch{"-w,--watch", "go on: once more whenever something has changed"};
 inline constexpr Option include_warnings{"-w,--include-warnings",
                                          "count warnings as failed checks"};

@@ -39,6 +39,8 @@ std::string version_of(const wire::DumpDaemon& daemon) {
          std::to_string(daemon.version_patch);
 }
 
+}  // namespace
+
 Object share_object(const wire::UserShare& share) {
   return {{"processes", limit_or_null(share.clients)},
           {"publishers", limit_or_null(share.publishers)},
@@ -48,8 +50,6 @@ Object share_object(const wire::UserShare& share) {
           {"held_messages", limit_or_null(share.held_messages)},
           {"topics", limit_or_null(share.topics)}};
 }
-
-}  // namespace
 
 Object status_object(const System& system, const std::string& socket) {
   const wire::DumpDaemon& daemon = system.daemon;

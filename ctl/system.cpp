@@ -26,7 +26,8 @@ using wire::Opcode;
 constexpr int patience_ms = 5'000;
 
 Status status_of(Errc code) noexcept {
-  if (code == Errc::permission_denied) return Status::permission_denied;
+  if (code == Errc::permission_denied || code == Errc::access_denied)
+    return Status::permission_denied;
   if (code == Errc::daemon_not_running) return Status::not_reachable;
   if (code == Errc::endpoint_gone) return Status::no_such_thing;
   return Status::failed;
@@ -114,6 +115,14 @@ tl::unexpected<Problem> Observer::nonsense() const {
                  remedy_of(Errc::protocol_violation));
 }
 
+tl::unexpected<Problem> Observer::without_descriptors() const {
+  const Failure why = failure_of_descriptors("this process may not open enough of them");
+  if (why.code == Errc::os_failure)
+    return problem(Status::failed, "descriptors", why.what, "ulimit -n 4096");
+  return tl::unexpected(
+      Problem{Status::failed, path_, sentence_of(why.code), remedy_of(why.code), why.code});
+}
+
 Outcome<Observer> Observer::connect(const std::string& path) {
   auto socket = PacketSocket::connect(path);
   if (!socket) {
@@ -134,9 +143,9 @@ Outcome<Observer> Observer::connect(const std::string& path) {
   auto answer = observer.receive();
   if (!answer) return tl::unexpected(answer.error());
   wire::Observed observed{};
-  if (answer->header().opcode != Opcode::observed || !answer->read(observed) ||
-      answer->packet.descriptor_count != 1)
+  if (answer->header().opcode != Opcode::observed || !answer->read(observed))
     return observer.nonsense();
+  if (answer->packet.descriptor_count != 1) return observer.without_descriptors();
   auto board =
       Mapping::map(answer->packet.descriptors[0].get(), abi::board_bytes, Mapping::Access::read);
   if (!board)
@@ -169,9 +178,7 @@ Outcome<Observer::Received> Observer::receive() {
     return unreachable(path_, "agnocastd has ended the connection");
   received.packet = std::move(*packet);
   if (received.packet.bytes < sizeof(wire::Header) || received.packet.truncated) return nonsense();
-  if (received.packet.descriptors_lost)
-    return problem(Status::failed, "descriptors", "this process may not open enough of them",
-                   "ulimit -n 4096");
+  if (received.packet.descriptors_lost) return without_descriptors();
   wire::Refused refused{};
   if (received.header().opcode == Opcode::refused) {
     if (!received.read(refused)) return nonsense();

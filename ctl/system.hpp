@@ -103,6 +103,7 @@ class Observer {
   template <class Body>
   Outcome<void> send(wire::Opcode opcode, Body body);
   tl::unexpected<Problem> nonsense() const;
+  tl::unexpected<Problem> without_descriptors() const;
   Outcome<void> accept(Received& packet, System& system, wire::DumpEnd& seen) const;
   void map_regions(System& system) const;
 

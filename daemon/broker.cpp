@@ -130,15 +130,18 @@ void Broker::turn_away() {
       send_refused(**socket, Errc::limit_reached, "the daemon has no descriptor left");
   }
   spare_.reset(::open("/dev/null", O_RDONLY | O_CLOEXEC));
-  log_.write_limited("descriptors", LogLevel::error, "connection refused",
-                     {{"why", "no descriptor left; raise LimitNOFILE"}});
+  log_.write_limited(
+      "descriptors", LogLevel::error, "connection refused",
+      {{"code", word_of(Errc::limit_reached)}, {"why", "no descriptor left; raise LimitNOFILE"}});
 }
 
 void Broker::accept(PacketSocket socket) {
   auto identity = identify_peer(socket.fd());
   if (!identity) {
     log_.write_limited("identify", LogLevel::warning, "connection refused",
-                       {{"why", identity.error().what}, {"errno", identity.error().os_errno}});
+                       {{"code", word_of(identity.error().code)},
+                        {"errno", identity.error().os_errno},
+                        {"why", identity.error().what}});
     send_refused(socket, identity.error().code, identity.error().what);
     return;
   }
@@ -153,10 +156,13 @@ void Broker::accept(PacketSocket socket) {
     send_refused(socket, Errc::quota_exceeded, clients_text());
     log_.write_limited("connections uid=" + std::to_string(uid), LogLevel::warning,
                        "connection refused",
-                       {{"uid", uid},
-                        {"code", "quota_exceeded"},
+                       {{"pid", identity->pid},
+                        {"uid", uid},
                         {"limit", "[quota] clients"},
-                        {"value", options_.config.quota.clients}});
+                        {"value", options_.config.quota.clients},
+                        {"used", used.clients},
+                        {"asked", 1},
+                        {"code", "quota_exceeded"}});
     return;
   }
   const PeerId id = ++last_peer_;

@@ -193,7 +193,8 @@ class Broker final : private Post {
   void drop_slow_observers(std::uint64_t now);
   void watch_holds();
   void watch_letting_go();
-  void refuse(Peer& peer, std::uint64_t request, Errc code, int os_errno, std::string_view text);
+  void refuse(Peer& peer, const Request& request, std::uint64_t id, Errc code, int os_errno,
+              std::string_view text);
   /// For people who ask later.
   void remember(const Peer& peer, const Request& request, Errc code, std::string_view why);
   void reply(Peer& peer, Outgoing packet);
@@ -205,6 +206,13 @@ class Broker final : private Post {
 
   /// Why the last request was refused, when there is more to say than a static text.
   [[nodiscard]] tl::unexpected<Failure> refusal(Errc code, const std::string& text);
+  /// The same of a bound of this user, which the log names by itself.
+  struct Exceeded {
+    std::string_view limit;  // static text
+    std::uint64_t value = 0, used = 0, asked = 0;
+  };
+  [[nodiscard]] tl::unexpected<Failure> over_quota(const Exceeded& exceeded,
+                                                   const std::string& text);
   std::string clients_text() const;
   /// [quota] heap_bytes as it is in force.
   std::uint64_t heap_quota() const noexcept;
@@ -227,6 +235,7 @@ class Broker final : private Post {
   HoldWatch hold_watch_;
   LetGoWatch let_go_watch_;
   Refusals refusals_;
+  Exceeded exceeded_;  // by the last request that was refused with quota_exceeded
   std::unordered_map<PeerId, std::unique_ptr<Peer>> peers_;
   std::vector<Peer*> by_client_;
   std::unordered_map<std::uint32_t, std::deque<PeerId>> waiting_;  // for their turn, by uid

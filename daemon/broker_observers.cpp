@@ -47,8 +47,8 @@ Result<void> Broker::observe(Peer& peer, const wire::Observe& request) {
   Connections& used = connections_[peer.session.identity().uid];
   if (!peer.counts_as_observer) {
     if (used.observers >= abi::observer_count_max)
-      return refusal(
-          Errc::quota_exceeded,
+      return over_quota(
+          {"observers", abi::observer_count_max, used.observers, 1},
           "this user may have " + std::to_string(abi::observer_count_max) + " observers");
     --used.clients;
     ++used.observers;

@@ -60,22 +60,41 @@ Result<void> Broker::check_kept(std::uint32_t uid, std::uint64_t more) {
 Result<void> Broker::check_limit(std::uint64_t used, std::uint64_t more, std::uint64_t limit,
                                  std::string_view name) {
   if (used <= limit && more <= limit - used) return {};
-  return refusal(Errc::quota_exceeded, std::string(name) + " is " + std::to_string(limit) +
-                                           ", this user has " + std::to_string(used) +
-                                           " and asks for " + std::to_string(more) + " more");
+  return over_quota({name, limit, used, more},
+                    std::string(name) + " is " + std::to_string(limit) + ", this user has " +
+                        std::to_string(used) + " and asks for " + std::to_string(more) + " more");
 }
 
-void Broker::refuse(Peer& peer, std::uint64_t request, Errc code, int os_errno,
+tl::unexpected<Failure> Broker::over_quota(const Exceeded& exceeded, const std::string& text) {
+  exceeded_ = exceeded;
+  return refusal(Errc::quota_exceeded, text);
+}
+
+void Broker::refuse(Peer& peer, const Request& request, std::uint64_t id, Errc code, int os_errno,
                     std::string_view text) {
-  auto packet = make_body<wire::Refused>(wire::Opcode::refused, request);
+  auto packet = make_body<wire::Refused>(wire::Opcode::refused, id);
   packet.code = static_cast<std::uint32_t>(code);
   packet.os_errno = static_cast<std::uint32_t>(os_errno);
   packet.text = name_of(text);
   const std::uint32_t uid = peer.session.identity().uid;
   ++registry_.counters().requests_refused;
+  std::optional<std::string_view> topic, limit;
+  std::optional<std::uint64_t> value, used, asked;
+  if (const auto* const create = std::get_if<CreateRequest>(&request)) topic = create->topic;
+  if (code == Errc::quota_exceeded && !exceeded_.limit.empty()) {
+    limit = exceeded_.limit;
+    value = exceeded_.value;
+    used = exceeded_.used;
+    asked = exceeded_.asked;
+  }
   log_.write_limited("refused uid=" + std::to_string(uid), LogLevel::warning, "request refused",
                      {{"pid", peer.session.identity().pid},
                       {"uid", uid},
+                      {"topic", topic},
+                      {"limit", limit},
+                      {"value", value},
+                      {"used", used},
+                      {"asked", asked},
                       {"code", word_of(code)},
                       {"errno", os_errno},
                       {"why", text}});
@@ -104,6 +123,7 @@ void Broker::remember(const Peer& peer, const Request& request, Errc code, std::
 void Broker::serve(Peer& peer, const Request& request, std::span<UniqueFd> fds) {
   Result<void> served;
   std::uint64_t id = 0;
+  exceeded_ = {};
   const auto handle = [&](const auto& body) {
     using Body = std::decay_t<decltype(body)>;
     if constexpr (std::is_same_v<Body, wire::Hello>) {
@@ -166,7 +186,7 @@ void Broker::serve(Peer& peer, const Request& request, std::span<UniqueFd> fds) 
   const std::string_view detail = detail_of(served.error());
   const std::string why(detail.empty() ? served.error().what : detail);
   remember(peer, request, served.error().code, why);
-  refuse(peer, id, served.error().code, served.error().os_errno, why);
+  refuse(peer, request, id, served.error().code, served.error().os_errno, why);
   const auto* const rejected = std::get_if<Rejected>(&request);
   if (rejected != nullptr && rejected->ends_connection)
     disconnect(peer, "a packet could not be parsed");
@@ -203,9 +223,10 @@ Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
   end_unwelcomed(peer);
   // Room for one more connection there may be for processes that come back. Those that are gone count
   // as long as others have something of them.
-  if (peer.counts_as_observer ||
-      registry_.usage_of(session.identity().uid).clients >= options_.config.quota.clients)
-    return refusal(Errc::quota_exceeded, clients_text());
+  const std::uint64_t quota = options_.config.quota.clients;
+  const std::uint64_t used = registry_.usage_of(session.identity().uid).clients;
+  if (peer.counts_as_observer || used >= quota)
+    return over_quota({"[quota] clients", quota, used, 1}, clients_text());
   if (auto kept = check_kept(session.identity().uid, kept_per_client); !kept) return kept;
   switch (trace_of_revoked(peer)) {
     case Trace::none:
@@ -510,10 +531,10 @@ Result<void> Broker::create(Peer& peer, const CreateRequest& request) {
   const Decision decision = decide(options_.config.access, subject, record.domain, request.topic,
                                    publisher ? Action::publish : Action::subscribe);
   if (!decision.allowed)
-    return refusal(Errc::permission_denied, "user " + std::to_string(record.uid) + " may not " +
-                                                (publisher ? "publish on " : "subscribe to ") +
-                                                request.topic + " (rule in line " +
-                                                std::to_string(decision.line) + ")");
+    return refusal(Errc::access_denied, "user " + std::to_string(record.uid) + " may not " +
+                                            (publisher ? "publish on " : "subscribe to ") +
+                                            request.topic + " (rule in line " +
+                                            std::to_string(decision.line) + ")");
   if (auto allowed = check_topics(record, request.topic); !allowed) return allowed;
   const Usage usage = registry_.usage_of(record.uid);
   auto allowed =

@@ -49,6 +49,7 @@ bool is_plain(std::string_view text) noexcept {
 }
 
 void append(std::string& line, const LogField& field) {
+  if (std::holds_alternative<std::monostate>(field.value)) return;
   line += ' ';
   line += field.key;
   line += '=';

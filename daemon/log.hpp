@@ -38,7 +38,7 @@ std::optional<LogLevel> log_level_of(std::string_view name) noexcept;
 
 struct LogField {
   std::string_view key;
-  std::variant<std::uint64_t, std::int64_t, std::string_view> value;
+  std::variant<std::uint64_t, std::int64_t, std::string_view, std::monostate> value;
 
   LogField(std::string_view name, std::string_view text) : key(name), value(text) {}
   LogField(std::string_view name, const char* text) : key(name), value(std::string_view(text)) {}
@@ -48,6 +48,12 @@ struct LogField {
   LogField(std::string_view name, T number) : key(name), value(std::uint64_t{number}) {}
   template <std::signed_integral T>
   LogField(std::string_view name, T number) : key(name), value(std::int64_t{number}) {}
+  /// Of some lines of its event only; left out where there is nothing.
+  template <class T>
+  LogField(std::string_view name, const std::optional<T>& known)
+      : key(name), value(std::monostate()) {
+    if (known) value = LogField(name, *known).value;
+  }
 };
 
 class Log {

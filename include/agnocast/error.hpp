@@ -50,8 +50,8 @@ namespace agnocast {
     "it was not started, or it listens at another socket than the one that is named",                                                          \
     "start it: systemctl start agnocastd; or name its socket in AGNOCAST_SOCKET")                                                              \
   X(permission_denied, "this user may not do that",                                                                                            \
-    "the socket's mode and group do not let this user in, a rule of [[access]] does not name it, or it is not its own process",                \
-    "ask the administrator for a rule in agnocastd.toml, or to join the socket's group")                                                       \
+    "the socket's mode and group do not let this user in, or what it asks for is another user's",                                             \
+    "ask the administrator to be let in: into the group of the socket, see agnocast-ctl doctor")                                              \
   X(layout_mismatch, "library and daemon disagree about the layout of shared memory",                                                          \
     "they were built from different versions, or one of them was not restarted after an update",                                               \
     "use both from the same version, and restart agnocastd and the process")                                                                   \
@@ -120,7 +120,13 @@ namespace agnocast {
     "stop agnocastd and start it: what it kept is given up, and processes go to it by themselves")                                             \
   X(type_not_found, "there is no support for a message type of this name",                                                                     \
     "the package of the type is not installed or not sourced, or has no type support for introspection",                                       \
-    "check the spelling, and source the workspace that has its package (AMENT_PREFIX_PATH)")
+    "check the spelling, and source the workspace that has its package (AMENT_PREFIX_PATH)")                                                  \
+  X(access_denied, "a rule of [[access]] does not let this user publish or subscribe there",                                                  \
+    "the first rule of agnocastd.toml that matches the topic and speaks of the action names others",                                          \
+    "see who may and why with agnocast-ctl access TOPIC, and ask the administrator for a rule")                                               \
+  X(descriptors_withheld, "agnocastd has answered, but the descriptors of its answer did not arrive",                                         \
+    "a security profile (AppArmor, SELinux) keeps them from this process, or something that passes no descriptors stands in between",         \
+    "allow it in the profile: share/agnocast/apparmor and share/agnocast/selinux have what it needs, see docs/containers.md")
 // clang-format on
 
 /// Codes of everything that a user of the library can be told. Zero is success (std::error_code

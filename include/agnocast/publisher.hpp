@@ -305,7 +305,7 @@ class Publisher : public detail::LendingPublisher<T, detail::TypedCode<T>> {
 };
 
 /// A publisher, or why there is none. Errors: daemon_not_running, hook_missing, hook_ineffective,
-/// invalid_name, type_mismatch, type_refused, depth_refused, quota_exceeded, permission_denied, …
+/// invalid_name, type_mismatch, type_refused, depth_refused, quota_exceeded, access_denied, …
 /// (include/agnocast/error.hpp).
 template <class T, class Node>
 [[nodiscard]] Result<typename Publisher<T>::SharedPtr> try_create_publisher(

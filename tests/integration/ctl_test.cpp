@@ -484,8 +484,8 @@ TEST(Ctl, SaysWhoMayNotLook) {
   EXPECT_EQ(refused.status, 5) << refused.err;
   EXPECT_EQ(refused.err,
             "agnocast-ctl: " + daemon.socket_path() +
-                ": this user may not do that: Permission denied\nhint: ask the administrator for a "
-                "rule in agnocastd.toml, or to join the socket's group\n");
+                ": this user may not do that: Permission denied\nhint: ask the administrator to be "
+                "let in: into the group of the socket, see agnocast-ctl doctor\n");
 }
 
 TEST(Ctl, DoesNotDisturbByLooking) {

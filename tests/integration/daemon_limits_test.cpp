@@ -303,18 +303,17 @@ TEST(DaemonLimits, FollowsTheRulesOfAccess) {
               const auto other = greeted(daemon);
               EXPECT_EQ(other->open_executor().opcode(), Opcode::executor_opened);
               const Incoming refused = other->create_subscription("/secret/a");
-              EXPECT_EQ(refused.refused_code(), Errc::permission_denied);
+              EXPECT_EQ(refused.refused_code(), Errc::access_denied);
               EXPECT_EQ(refused.refused_text(),
                         "user 65534 may not subscribe to /secret/a (rule in line 3)");
-              EXPECT_EQ(other->create_publisher("/secret/b").refused_code(),
-                        Errc::permission_denied);
-              EXPECT_EQ(other->create_publisher("/cmd").refused_code(), Errc::permission_denied);
+              EXPECT_EQ(other->create_publisher("/secret/b").refused_code(), Errc::access_denied);
+              EXPECT_EQ(other->create_publisher("/cmd").refused_code(), Errc::access_denied);
               EXPECT_EQ(other->create_subscription("/cmd").opcode(), Opcode::endpoint_created);
               EXPECT_EQ(other->create_publisher("/open").opcode(), Opcode::endpoint_created);
               return 0;
             }),
             0);
-  EXPECT_TRUE(daemon.wait_for_log("code=permission_denied"));
+  EXPECT_TRUE(daemon.wait_for_log("code=access_denied"));
   // Of the refused ones nobody hears: what root is told of is the subscription to /cmd, and its
   // end.
   for (const Incoming& packet : root->drain()) {

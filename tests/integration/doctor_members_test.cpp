@@ -247,7 +247,7 @@ TEST_F(DoctorMembers, SaysWhichRuleRefusedSomebody) {
                  "[[access]]\ntopic = \"/lidar/**\"\npublish = [\"uid:4711\"]\n"});
   Doctored doctor(daemon.socket_path());
   Node a(daemon.socket_path());
-  ASSERT_EQ(a.wire.create_publisher("/lidar/points").refused_code(), Errc::permission_denied);
+  ASSERT_EQ(a.wire.create_publisher("/lidar/points").refused_code(), Errc::access_denied);
   const Findings findings = doctor.look();
   ASSERT_THAT(findings.ids(), ElementsAre("permission"));
   EXPECT_THAT(findings.remedies[0], StartsWith("sudo \"${EDITOR:-vi}\" +6 " + daemon.directory() +

@@ -123,10 +123,9 @@ TEST(BadInput, NoPermissionIsNamedWithTheSocketOrTheRule) {
                                  "subscribe = []\n"});
   expect_refusal(node(ruled, "uid=65534 topic=/secret/plan pub"),
                  "user 65534 may not publish on /secret/plan (rule in line 6)",
-                 Errc::permission_denied);
+                 Errc::access_denied);
   expect_refusal(node(ruled, "topic=/secret/plan sub"),
-                 "user 0 may not subscribe to /secret/plan (rule in line 6)",
-                 Errc::permission_denied);
+                 "user 0 may not subscribe to /secret/plan (rule in line 6)", Errc::access_denied);
   EXPECT_EQ(node(ruled, "topic=/secret/plan pub").status, 0);
 }
 
