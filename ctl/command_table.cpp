@@ -117,6 +117,12 @@ constexpr Command table[] = {
      "An edge to a topic carries the rate and the mean size of its messages; an edge from a topic is dashed when what comes "
      "over it is not zero-copy, with the reason.",
      "agnocast-ctl graph | dot -Tsvg > graph.svg\nagnocast-ctl graph --format mermaid"},
+    {"metrics", "", "numbers for Prometheus", {},
+     these<o::metrics_form, o::output, o::every>, write_metrics,
+     "Of every domain: the daemon, users, processes, topics, and what each endpoint counts, in Prometheus' text format or in "
+     "OpenMetrics. With --output into a file, for node_exporter's textfile collector; agnocast_up is 0 there when the daemon "
+     "does not answer. Read from counters: nothing subscribes.",
+     "agnocast-ctl metrics\nagnocast-ctl metrics --output agnocast.prom --every 15\nagnocast-ctl metrics --format openmetrics"},
     {"journal", "", "the last operations and recoveries of the daemon", {},
      these<o::records, o::of_topic, o::of_process, o::follow>, show_journal,
      "The newest records of the daemon's redo log, which stay over its restarts, the newest last.",

@@ -50,6 +50,7 @@ Outcome<void> show_node(const Arguments& arguments, Console& console);
 Outcome<void> show_process(const Arguments& arguments, Console& console);
 Outcome<void> show_heap(const Arguments& arguments, Console& console);
 Outcome<void> list_messages(const Arguments& arguments, Console& console);
+Outcome<void> write_metrics(const Arguments& arguments, Console& console);
 Outcome<void> show_top(const Arguments& arguments, Console& console);
 Outcome<void> monitor_system(const Arguments& arguments, Console& console);
 Outcome<void> dump_all(const Arguments& arguments, Console& console);

@@ -27,6 +27,8 @@ class Console {
   Console(std::FILE* out, bool colour) noexcept : out_(out), colour_(colour) {}
 
   void line(std::string_view text) { std::fprintf(out_, "%.*s\n", int(text.size()), text.data()); }
+  /// Lines, each with its newline.
+  void text(std::string_view lines) { std::fwrite(lines.data(), 1, lines.size(), out_); }
   void object(const Object& object, Json form);
   /// Now, although more is to come.
   void flush() { std::fflush(out_); }

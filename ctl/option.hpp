@@ -119,6 +119,14 @@ inline constexpr Option sort{"-s,--sort", "the order of the rows",
                              0,           "trouble topic rate size bandwidth lag hold lost"};
 inline constexpr Option graph_form{"--format", "dot or mermaid", Kind::word, "FORM", "dot", 0,
                                    0,          "dot mermaid"};
+inline constexpr Option metrics_form{
+    "--format", "prometheus or openmetrics", Kind::word, "FORM", "prometheus", 0,
+    0,          "prometheus openmetrics"};
+inline constexpr Option output{"-o,--output", "into this file, as a whole; else to stdout",
+                               Kind::text, "FILE"};
+inline constexpr Option every{
+    "--every", "go on: again every so many seconds; needs --output", Kind::real, "SECONDS", {}, 1,
+    86400};
 inline constexpr Option user{"--user", "what this one may, by name or number; else who runs it",
                              Kind::text, "USER"};
 inline constexpr Option watch{"-w,--watch", "go on: once more whenever something has changed"};

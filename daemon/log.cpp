@@ -2,17 +2,23 @@
 
 #include <base/standard_error.hpp>
 #include <base/text.hpp>
+#include <base/unique_fd.hpp>
 #include <daemon/log.hpp>
+#include <daemon/log_events.hpp>
 
+#include <sys/socket.h>
 #include <sys/stat.h>
+#include <sys/un.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <array>
+#include <cerrno>
 #include <charconv>
 #include <cstdio>
 #include <cstdlib>
 #include <ctime>
+#include <memory>
 #include <utility>
 
 namespace agnocast::daemon {
@@ -48,20 +54,78 @@ bool is_plain(std::string_view text) noexcept {
   });
 }
 
-void append(std::string& line, const LogField& field) {
-  if (std::holds_alternative<std::monostate>(field.value)) return;
-  line += ' ';
-  line += field.key;
-  line += '=';
-  if (const auto* number = std::get_if<std::uint64_t>(&field.value)) {
-    line += std::to_string(*number);
-  } else if (const auto* signed_number = std::get_if<std::int64_t>(&field.value)) {
-    line += std::to_string(*signed_number);
-  } else {
-    const auto text = std::get<std::string_view>(field.value);
-    line += is_plain(text) ? std::string(text) : in_quotes(text, value_bytes_max);
-  }
+bool is_known(const LogField& field) noexcept {
+  return !std::holds_alternative<std::monostate>(field.value);
 }
+
+/// `shown` makes a text fit to be shown.
+template <class Shown>
+std::string value_of(const LogField& field, const Shown& shown) {
+  if (const auto* number = std::get_if<std::uint64_t>(&field.value)) return std::to_string(*number);
+  if (const auto* number = std::get_if<std::int64_t>(&field.value)) return std::to_string(*number);
+  return shown(std::get<std::string_view>(field.value));
+}
+
+std::string line_of(std::string_view event, Log::Fields fields) {
+  std::string line(event);
+  for (const LogField& field : fields) {
+    if (!is_known(field)) continue;
+    line += ' ';
+    line += field.key;
+    line += '=';
+    line += value_of(field, [](std::string_view text) {
+      return is_plain(text) ? std::string(text) : in_quotes(text, value_bytes_max);
+    });
+  }
+  return line;
+}
+
+/// Journal Export Format, which the socket takes: KEY=value, a line each. No value has a newline.
+std::string entry_of(LogLevel level, std::string_view event, Log::Fields fields,
+                     const std::string& line) {
+  std::string entry = "MESSAGE=" + line +
+                      "\nPRIORITY=" + std::to_string(static_cast<unsigned>(level)) +
+                      "\nSYSLOG_IDENTIFIER=agnocastd\nAGNOCAST_EVENT=" + std::string(event) + '\n';
+  if (const std::string_view id = message_id_of(event); !id.empty())
+    entry += "MESSAGE_ID=" + std::string(id) + '\n';
+  for (const LogField& field : fields) {
+    if (!is_known(field)) continue;
+    entry += "AGNOCAST_";
+    for (const char c : field.key)
+      entry += c >= 'a' && c <= 'z' ? static_cast<char>(c - 'a' + 'A') : c;
+    entry += '=';
+    entry += value_of(field, [](std::string_view text) { return escaped(text, value_bytes_max); });
+    entry += '\n';
+  }
+  return entry;
+}
+
+// sd_journal_send() would wait for a journald that does not read.
+class JournalSocket {
+ public:
+  explicit JournalSocket(std::string path) : path_(std::move(path)) {}
+
+  bool connect() {
+    sockaddr_un address{};
+    address.sun_family = AF_UNIX;
+    path_.copy(address.sun_path, sizeof address.sun_path - 1);
+    socket_.reset(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0));
+    return socket_ && ::connect(socket_.get(), reinterpret_cast<const sockaddr*>(&address),
+                                sizeof address) == 0;
+  }
+  bool send(std::string_view entry) {
+    const auto sent = [&] {
+      return ::send(socket_.get(), entry.data(), entry.size(), MSG_DONTWAIT | MSG_NOSIGNAL) ==
+             static_cast<ssize_t>(entry.size());
+    };
+    // Another journald, with another socket in the same place.
+    return sent() || (errno != EAGAIN && connect() && sent());
+  }
+
+ private:
+  std::string path_;
+  UniqueFd socket_;
+};
 
 std::uint64_t wall_clock() {
   timespec now{};
@@ -89,33 +153,36 @@ std::optional<LogLevel> log_level_of(std::string_view name) noexcept {
 Log::Log(LogLevel level, Format format, Sink sink, Clock clock)
     : level_(level), format_(format), sink_(std::move(sink)), clock_(std::move(clock)) {}
 
-Log Log::to_stderr(LogLevel level) {
-  const bool to_journal = is_journal_stream(std::getenv("JOURNAL_STREAM"), STDERR_FILENO);
-  return Log(level, to_journal ? Format::journald : Format::people, say_on_stderr, wall_clock);
+Log Log::to_stderr(LogLevel level, const std::string& journal_path) {
+  if (!is_journal_stream(std::getenv("JOURNAL_STREAM"), STDERR_FILENO))
+    return Log(level, Format::people, say_on_stderr, wall_clock);
+  const auto journal = std::make_shared<JournalSocket>(journal_path);
+  if (!journal->connect()) return Log(level, Format::journald_pipe, say_on_stderr, wall_clock);
+  return Log(
+      level, Format::journald, [journal](std::string_view entry) { return journal->send(entry); },
+      wall_clock);
 }
 
 void Log::write(LogLevel level, std::string_view event, Fields fields) {
   if (!is_written(level)) return;
-  if (lost_ != 0 && sink_(line_of(LogLevel::warning, "lines were lost", {{"count", lost_}})))
+  if (lost_ != 0 && sink_(text_of(LogLevel::warning, "lines were lost", {{"count", lost_}})))
     lost_ = 0;
-  if (!sink_(line_of(level, event, fields))) ++lost_;
+  if (!sink_(text_of(level, event, fields))) ++lost_;
 }
 
-std::string Log::line_of(LogLevel level, std::string_view event, Fields fields) const {
+std::string Log::text_of(LogLevel level, std::string_view event, Fields fields) const {
   std::string line;
-  if (format_ == Format::journald) {
+  if (format_ == Format::journald_pipe)
     line = '<' + std::to_string(static_cast<unsigned>(level)) + '>';
-  } else {
+  if (format_ == Format::people)
     line = time_text(clock_()) + ' ' + std::string(name_of(level)) + ' ';
-  }
-  line += event;
-  for (const LogField& field : fields) append(line, field);
+  line += line_of(event, fields);
   if (line.size() >= line_bytes_max) {
     line.resize(line_bytes_max - 4);
     line += "...";
   }
-  line += '\n';
-  return line;
+  if (format_ == Format::journald) return entry_of(level, event, fields, line);
+  return line + '\n';
 }
 
 void Log::write_limited(std::string_view cause_name, LogLevel level, std::string_view event,

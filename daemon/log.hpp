@@ -2,8 +2,10 @@
 //
 // Log: what the daemon tells people, one line per event.
 //
-//   to journald   <4>client refused uid=1000 why="no rule"
 //   to people     2026-01-31T12:00:00.123Z warning client refused uid=1000 why="no rule"
+//   to journald   an entry: the same line as MESSAGE=, and AGNOCAST_EVENT=client refused, AGNOCAST_UID=1000,
+//                 AGNOCAST_WHY=no rule to search by, and MESSAGE_ID= (log_events.hpp)
+//   to its pipe   <4>client refused uid=1000 why="no rule"     (stderr, when the entry cannot be sent)
 //
 // Events are our own words and never change with their data, so that one can search for them; the
 // data are fields. Texts of others (names, paths) are escaped and cut, so no client can forge a
@@ -58,10 +60,10 @@ struct LogField {
 
 class Log {
  public:
-  enum class Format : std::uint8_t { people, journald };
+  enum class Format : std::uint8_t { people, journald_pipe, journald };
   using Fields = std::initializer_list<LogField>;
 
-  /// Where lines go, each with its newline. False: it was lost.
+  /// Where lines go, each with its newline; with Format::journald: entries. False: it was lost.
   using Sink = std::function<bool(std::string_view line)>;
   /// Nanoseconds since 1970.
   using Clock = std::function<std::uint64_t()>;
@@ -74,8 +76,8 @@ class Log {
   static constexpr std::size_t cause_count_max = 256;
 
   Log(LogLevel level, Format format, Sink sink, Clock clock);
-  /// Lines to stderr, in journald's form if that is where stderr goes (JOURNAL_STREAM).
-  static Log to_stderr(LogLevel level);
+  /// Lines to stderr; entries to journald if that is where stderr goes (JOURNAL_STREAM).
+  static Log to_stderr(LogLevel level, const std::string& journal = "/run/systemd/journal/socket");
 
   void write(LogLevel level, std::string_view event, Fields fields = {});
   /// The same, at most lines_per_interval times per `cause` and interval. A cause names what a
@@ -98,7 +100,7 @@ class Log {
     LogLevel level = LogLevel::info;
   };
 
-  std::string line_of(LogLevel level, std::string_view event, Fields fields) const;
+  std::string text_of(LogLevel level, std::string_view event, Fields fields) const;
   void say_left_out(const std::string& name, const Cause& cause);
 
   LogLevel level_;

@@ -615,6 +615,32 @@ TEST(Systemd, ServesAndRepairsUsersInOtherPidAndNetworkNamespaces) {
   EXPECT_EQ(subscriber.state().wrong, 0u);
 }
 
+TEST(Systemd, EntriesOfTheJournalAreFoundByTheirFieldsAndExplained) {
+  ASSERT_TRUE(stop_both());
+  ASSERT_EQ(std::system("journalctl --update-catalog"), 0);
+  ASSERT_TRUE(systemctl("start"));
+  WireClient client(socket_path);
+  ASSERT_EQ(client.hello().opcode(), wire::Opcode::welcome);
+  const std::string topic = "/found_" + std::to_string(::getpid());
+  client.ask(wire::Opcode::create_publisher, WireClient::endpoint(topic, {5}, "test/msg/Type"));
+  auto other = WireClient::endpoint(topic, {5}, "other/msg/Type");
+  ASSERT_EQ(client.ask(wire::Opcode::create_publisher, other).refused_code(), Errc::type_mismatch);
+  const std::string found = "journalctl --no-pager -u agnocastd AGNOCAST_TOPIC=" + topic +
+                            " AGNOCAST_CODE=type_mismatch ";
+  EXPECT_TRUE(eventually([&] { return !output_of(found + "-q -o cat").empty(); }));
+  EXPECT_NE(
+      output_of(found + "-o json").find("\"AGNOCAST_PID\":\"" + std::to_string(::getpid()) + '"'),
+      std::string::npos)
+      << output_of(found + "-o json");
+  const std::string explained = output_of(found + "-x");
+  EXPECT_NE(explained.find("agnocast-ctl explain type_mismatch"), std::string::npos) << explained;
+  const std::string level = output_of(
+      "agnocast-ctl log-level debug >/dev/null && agnocast-ctl topic list >/dev/null; "
+      "journalctl --no-pager -u agnocastd AGNOCAST_EVENT=observer -o cat | tail -n 1");
+  EXPECT_NE(level.find("observer pid="), std::string::npos) << "changed while it runs: " << level;
+  EXPECT_EQ(std::system("agnocast-ctl log-level info >/dev/null"), 0);
+}
+
 TEST(Systemd, RevokesAProcessOfAUser) {
   ASSERT_TRUE(stop_both());
   ASSERT_TRUE(systemctl("start"));

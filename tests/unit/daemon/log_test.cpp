@@ -3,19 +3,30 @@
 // Goal: one event is one line that says the truth whatever clients write into it, and floods are
 // counted instead of written. Method: a sink that keeps lines and a clock that the test moves.
 
+#include <base/unique_fd.hpp>
 #include <daemon/log.hpp>
-
-#include "tests/support/child.hpp"
+#include <daemon/log_events.hpp>
+#include <tests/support/child.hpp>
+#include <tests/support/temporary_directory.hpp>
 
 #include <gmock/gmock.h>
 
 #include <fcntl.h>
+#include <sys/socket.h>
 #include <sys/stat.h>
+#include <sys/un.h>
 #include <unistd.h>
 
 #include <array>
 #include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
 #include <limits>
+#include <memory>
+#include <optional>
+#include <regex>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -33,7 +44,7 @@ struct Lines : testing::Test {
   bool has_room = true;
   std::uint64_t now = 1'769'860'800 * second;  // 2026-01-31T12:00:00Z
 
-  Log make(Log::Format format = Log::Format::journald, LogLevel level = LogLevel::info) {
+  Log make(Log::Format format = Log::Format::journald_pipe, LogLevel level = LogLevel::info) {
     return Log(
         level, format,
         [this](std::string_view line) {
@@ -63,7 +74,7 @@ TEST_F(Lines, WhatWasLostIsCountedAndSaidOnce) {
 }
 
 TEST_F(Lines, EveryLevelHasItsPriorityAndItsName) {
-  Log log = make(Log::Format::journald, LogLevel::debug);
+  Log log = make(Log::Format::journald_pipe, LogLevel::debug);
   for (const char* name : {"error", "warning", "notice", "info", "debug"}) {
     const auto level = log_level_of(name);
     ASSERT_TRUE(level) << name;
@@ -77,7 +88,7 @@ TEST_F(Lines, EveryLevelHasItsPriorityAndItsName) {
 }
 
 TEST_F(Lines, WhatIsBelowTheLevelIsNotWritten) {
-  Log log = make(Log::Format::journald, LogLevel::warning);
+  Log log = make(Log::Format::journald_pipe, LogLevel::warning);
   log.write(LogLevel::notice, "x");
   log.write_limited("cause", LogLevel::info, "x");
   EXPECT_THAT(lines, IsEmpty());
@@ -217,7 +228,8 @@ TEST(Log, StderrTakesTheFormOfWhereItGoes) {
       const std::string stream =
           is_journal ? std::to_string(file.st_dev) + ':' + std::to_string(file.st_ino) : "1:1";
       ::setenv("JOURNAL_STREAM", stream.c_str(), 1);
-      Log::to_stderr(LogLevel::info).write(LogLevel::notice, "up", {{"pid", 1}});
+      Log::to_stderr(LogLevel::info, "/nobody/listens/here")
+          .write(LogLevel::notice, "up", {{"pid", 1}});
       return 0;
     });
     EXPECT_EQ(child.wait(), 0);
@@ -231,6 +243,127 @@ TEST(Log, StderrTakesTheFormOfWhereItGoes) {
     }
     ::close(ends[0]);
     ::close(ends[1]);
+  }
+}
+
+// --- entries of the journal
+
+TEST_F(Lines, AnEntryHasEveryFieldAndNoOther) {
+  Log log = make(Log::Format::journald);
+  log.write(LogLevel::warning, "request refused",
+            {{"pid", 7U},
+             {"topic", std::optional<std::string>("/a\nAGNOCAST_UID=0")},
+             {"limit", std::optional<std::string>()},
+             {"why", "no rule"}});
+  log.write(LogLevel::debug, "unheard");
+  EXPECT_THAT(
+      lines,
+      ElementsAre("MESSAGE=request refused pid=7 topic=\"/a\\nAGNOCAST_UID=0\" why=\"no rule\"\n"
+                  "PRIORITY=4\nSYSLOG_IDENTIFIER=agnocastd\nAGNOCAST_EVENT=request refused\n"
+                  "MESSAGE_ID=" +
+                  std::string(message_id_of("request refused")) +
+                  "\nAGNOCAST_PID=7\nAGNOCAST_TOPIC=/a\\nAGNOCAST_UID=0\nAGNOCAST_WHY=no rule\n"));
+}
+
+/// As journald has it.
+struct JournalSocket {
+  explicit JournalSocket(const std::string& path)
+      : fd(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0)) {
+    sockaddr_un address{};
+    address.sun_family = AF_UNIX;
+    path.copy(address.sun_path, sizeof address.sun_path - 1);
+    EXPECT_EQ(::bind(fd.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address), 0);
+  }
+  std::size_t read_all() {
+    std::array<char, 4096> entry{};
+    std::size_t count = 0;
+    for (; ::recv(fd.get(), entry.data(), entry.size(), 0) > 0; ++count) last = entry.data();
+    return count;
+  }
+  UniqueFd fd;
+  std::string last;
+};
+
+TEST(Log, WaitsForNoJournalAndFindsTheNextOne) {
+  const test::TemporaryDirectory directory;
+  const std::string path = directory.path() + "/journal";
+  auto journal = std::make_unique<JournalSocket>(path);
+  std::array<int, 2> ends{};
+  ASSERT_EQ(::pipe2(ends.data(), O_CLOEXEC), 0);
+  const UniqueFd stderr_before(::dup(STDERR_FILENO));
+  ASSERT_GE(::dup2(ends[1], STDERR_FILENO), 0);
+  struct stat file {};
+  ASSERT_EQ(::fstat(STDERR_FILENO, &file), 0);
+  ::setenv("JOURNAL_STREAM",
+           (std::to_string(file.st_dev) + ':' + std::to_string(file.st_ino)).c_str(), 1);
+  Log log = Log::to_stderr(LogLevel::info, path);
+  ASSERT_GE(::dup2(stderr_before.get(), STDERR_FILENO), 0);
+  ::unsetenv("JOURNAL_STREAM");
+  // Nobody reads: a socket takes only so many.
+  constexpr std::size_t many = 10'000;
+  for (std::size_t i = 0; i < many; ++i) log.write(LogLevel::notice, "ready");
+  const std::size_t taken = journal->read_all();
+  EXPECT_GT(taken, 0U);
+  EXPECT_LT(taken, many);
+  log.write(LogLevel::notice, "ready");
+  EXPECT_EQ(journal->read_all(), 2U) << "what was lost is said first";
+  EXPECT_THAT(journal->last, testing::HasSubstr("\nAGNOCAST_EVENT=ready\n"));
+  journal.reset();
+  ASSERT_EQ(::unlink(path.c_str()), 0);
+  log.write(LogLevel::notice, "ready");
+  journal = std::make_unique<JournalSocket>(path);
+  log.write(LogLevel::notice, "ready");
+  EXPECT_EQ(journal->read_all(), 2U);
+  ::close(ends[0]);
+  ::close(ends[1]);
+}
+
+// --- the table of events
+
+std::string text_of(const std::filesystem::path& path) {
+  std::ifstream file(path);
+  return {std::istreambuf_iterator<char>(file), {}};
+}
+
+std::set<std::string> found_in(const std::string& text, const char* pattern) {
+  const std::regex regex(pattern);
+  std::set<std::string> all;
+  for (std::sregex_iterator i(text.begin(), text.end(), regex), end; i != end; ++i)
+    all.insert((*i)[1].str());
+  return all;
+}
+
+TEST(LogEvents, HaveANumberOfTheirOwnAndAPageInTheCatalogue) {
+  std::set<std::string> numbers, words;
+  for (const LogEvent& event : log_events) {
+    EXPECT_TRUE(std::regex_match(std::string(event.id), std::regex("[0-9a-f]{32}"))) << event.words;
+    EXPECT_TRUE(numbers.emplace(event.id).second) << event.words;
+    EXPECT_TRUE(words.emplace(event.words).second) << event.words;
+  }
+  const std::string catalogue = text_of(AGNOCAST_SOURCE_DIR "/systemd/agnocast.catalog");
+  EXPECT_EQ(found_in(catalogue, "\n-- ([0-9a-f]+)\n"), numbers);
+}
+
+// The sources say level and words next to one another, or the words behind a choice of levels.
+TEST(LogEvents, AreThoseOfTheSourcesAndOfTheDocument) {
+  std::string sources;
+  for (const auto& entry : std::filesystem::directory_iterator(AGNOCAST_SOURCE_DIR "/daemon")) {
+    if (entry.path().extension() == ".cpp") sources += text_of(entry.path());
+  }
+  const std::set<std::string> written = found_in(
+      sources,
+      "LogLevel::(?:error|warning|notice|info),\\s*(?:[a-z_.]+uid,\\s*|uid,\\s*)?\"([a-z ]+)\"");
+  EXPECT_GT(written.size(), 20U);
+  for (const std::string& words : written) {
+    EXPECT_TRUE(!message_id_of(words).empty() || log_level_of(words)) << words;
+  }
+  const std::string document = text_of(AGNOCAST_SOURCE_DIR "/docs/agnocastd.md");
+  const std::string log = document.substr(document.find("\n## Log\n"));
+  for (const LogEvent& event : log_events) {
+    EXPECT_NE(sources.find('"' + std::string(event.words) + '"'), std::string::npos) << event.words;
+    EXPECT_TRUE(std::regex_search(
+        log, std::regex("\n\\|(?:[a-z ,]+,)? " + std::string(event.words) + "(?:,[a-z ,]+)? \\|")))
+        << event.words << " is missing in docs/agnocastd.md";
   }
 }
 

@@ -1,0 +1,353 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// metrics: numbers for Prometheus, in its text format or in OpenMetrics, to stdout or into a file that
+// node_exporter's textfile collector reads. The file changes as a whole, and says agnocast_up 0 when the
+// daemon does not answer.
+//
+// What an endpoint counts is a series of that endpoint, not a sum: a sum would fall when one ends, and
+// whoever reads it would take that for a restart of the counter.
+
+#include <base/clock.hpp>
+#include <base/text.hpp>
+#include <base/unique_fd.hpp>
+#include <ctl/commands.hpp>
+#include <ctl/numbers.hpp>
+#include <ctl/overview.hpp>
+#include <ctl/select.hpp>
+#include <ctl/waiting.hpp>
+
+#include <fcntl.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <cstdio>
+#include <cstring>
+#include <limits>
+#include <map>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+namespace agnocast::ctl {
+namespace {
+
+using Labels = std::vector<std::pair<std::string_view, std::string>>;
+
+struct Sample {
+  Labels labels;
+  Object value;
+};
+struct Family {
+  std::string name;  // without the _total of a counter's samples
+  std::string_view type, unit, help;
+  std::vector<Sample> samples;
+};
+
+class Metrics {
+ public:
+  /// `unit` is the end of the name, or empty.
+  void gauge(const std::string& name, std::string_view unit, std::string_view help) {
+    families_.push_back({"agnocast_" + name, "gauge", unit, help, {}});
+  }
+  void counter(const std::string& name, std::string_view unit, std::string_view help) {
+    families_.push_back({"agnocast_" + name, "counter", unit, help, {}});
+  }
+  /// Of the family that was begun last.
+  void sample(Labels labels, double value) {
+    families_.back().samples.push_back({std::move(labels), value});
+  }
+  void sample(Labels labels, std::uint64_t value) {
+    families_.back().samples.push_back({std::move(labels), value});
+  }
+
+  /// Prometheus names a family with the ending of its samples, OpenMetrics without.
+  std::string text(bool is_openmetrics) const {
+    std::string text;
+    for (const Family& family : families_) {
+      const std::string sample = family.name + (family.type == "counter" ? "_total" : "");
+      const std::string& name = is_openmetrics ? family.name : sample;
+      text += "# HELP " + name + ' ' + std::string(family.help) + "\n# TYPE " + name + ' ' +
+              std::string(family.type) + '\n';
+      if (is_openmetrics && !family.unit.empty())
+        text += "# UNIT " + name + ' ' + std::string(family.unit) + '\n';
+      for (const auto& [labels, value] : family.samples)
+        text += sample + text_of(labels) + ' ' + value.dump() + '\n';
+    }
+    return is_openmetrics ? text + "# EOF\n" : text;
+  }
+  Object object() const {
+    Object families = Object::array();
+    for (const Family& family : families_) {
+      Object samples = Object::array();
+      for (const auto& [labels, value] : family.samples) {
+        Object names = Object::object();
+        for (const auto& [label, of] : labels) names[std::string(label)] = of;
+        samples.push_back({{"labels", names}, {"value", value}});
+      }
+      families.push_back({{"name", family.name},
+                          {"type", family.type},
+                          {"unit", family.unit},
+                          {"help", family.help},
+                          {"samples", samples}});
+    }
+    return {{"schema", "agnocast.metrics/1"}, {"families", families}};
+  }
+
+ private:
+  static std::string text_of(const Labels& labels) {
+    if (labels.empty()) return "";
+    std::string text;
+    for (const auto& [name, label] : labels) {
+      text += (text.empty() ? '{' : ',') + std::string(name) + "=\"";
+      for (const char c : escaped(label)) text += c == '\\' ? "\\\\" : std::string(1, c);
+      text += '"';
+    }
+    return text + '}';
+  }
+
+  std::vector<Family> families_;
+};
+
+void add_daemon(const System& system, Metrics& metrics) {
+  const wire::DumpDaemon& daemon = system.daemon;
+  const wire::DaemonCounters& counters = daemon.counters;
+  metrics.gauge("uptime_seconds", "seconds", "How long this life of agnocastd lasts.");
+  metrics.sample({}, static_cast<double>(daemon.uptime_ns) / 1e9);
+  metrics.gauge("arena_bytes", "bytes", "Addresses for shared heaps.");
+  metrics.sample({}, daemon.arena_bytes);
+  metrics.gauge("heap_windows", "", "Windows of the arena that are given out.");
+  metrics.sample({}, daemon.windows_used);
+  metrics.gauge("kept_descriptors", "", "Descriptors that a restart of agnocastd would take over.");
+  metrics.sample({}, daemon.kept_descriptors);
+  metrics.gauge("kept_descriptors_limit", "", "How many may be kept.");
+  metrics.sample({}, daemon.kept_descriptors_max);
+  for (const auto& [name, help, value] :
+       {std::tuple("restarts", "Lives of agnocastd before this one that it goes on from.",
+                   counters.restarts),
+        std::tuple("processes_registered", "Processes that joined.", counters.clients_registered),
+        std::tuple("processes_rejoined", "Processes that came back after they lost agnocastd.",
+                   counters.clients_rejoined),
+        std::tuple("processes_died", "Processes that ended without leaving.",
+                   counters.clients_died),
+        std::tuple("processes_let_go", "Processes that left.", counters.clients_let_go),
+        std::tuple("processes_revoked", "Processes that were put out.", counters.clients_revoked),
+        std::tuple("intents_rolled_back", "Half done operations of dead processes, undone.",
+                   counters.intents_rolled_back),
+        std::tuple("intents_rolled_forward", "Half done operations of dead processes, completed.",
+                   counters.intents_rolled_forward),
+        std::tuple("intents_corrupt", "Half done operations that were not to be understood.",
+                   counters.intents_corrupt),
+        std::tuple("requests_refused", "Requests that were refused; see the log.",
+                   counters.requests_refused),
+        std::tuple("connections_refused", "Connections that were refused; see the log.",
+                   counters.connections_refused)}) {
+    metrics.counter(name, "", help);
+    metrics.sample({}, value);
+  }
+}
+
+void add_users(const System& system, Metrics& metrics) {
+  struct Resource {
+    const char* name;
+    std::uint64_t wire::UserShare::*of;
+  };
+  constexpr Resource resources[] = {{"processes", &wire::UserShare::clients},
+                                    {"publishers", &wire::UserShare::publishers},
+                                    {"subscriptions", &wire::UserShare::subscriptions},
+                                    {"executors", &wire::UserShare::executors},
+                                    {"heap_bytes", &wire::UserShare::heap_bytes},
+                                    {"held_messages", &wire::UserShare::held_messages},
+                                    {"topics", &wire::UserShare::topics}};
+  metrics.gauge("user_in_use", "", "What a user has of each resource.");
+  for (const wire::DumpUser& user : system.users) {
+    for (const Resource& resource : resources)
+      metrics.sample({{"uid", std::to_string(user.uid)}, {"resource", resource.name}},
+                     user.use.*resource.of);
+  }
+  metrics.gauge("user_quota", "", "What each user may have; without a sample: no limit.");
+  for (const Resource& resource : resources) {
+    const std::uint64_t quota = system.daemon.quota.*resource.of;
+    if (quota != std::numeric_limits<std::uint64_t>::max())
+      metrics.sample({{"resource", resource.name}}, quota);
+  }
+}
+
+void add_processes(const System& system, Metrics& metrics) {
+  std::map<wire::ProcessState, std::uint64_t> states{{wire::ProcessState::connected, 0},
+                                                     {wire::ProcessState::orphaned, 0},
+                                                     {wire::ProcessState::dead, 0},
+                                                     {wire::ProcessState::revoked, 0}};
+  for (const auto& [index, process] : system.processes) ++states[process.facts.state];
+  metrics.gauge("processes", "", "Processes by state; dead ones are still in use by others.");
+  for (const auto& [state, count] : states) {
+    const char* const word = state == wire::ProcessState::connected  ? "alive"
+                             : state == wire::ProcessState::orphaned ? "orphaned"
+                             : state == wire::ProcessState::dead     ? "dead"
+                                                                     : "revoked";
+    metrics.sample({{"state", word}}, count);
+  }
+  metrics.gauge("heap_used_bytes", "bytes", "How far a process has used its windows.");
+  for (const auto& [index, process] : system.processes) {
+    std::uint64_t used = 0;
+    for (const WindowNumbers& window : numbers_of_windows(system, process))
+      used += window.used_bytes;
+    metrics.sample({{"pid", std::to_string(process.facts.pid)}, {"process", process.name}}, used);
+  }
+}
+
+void add_topics(const System& system, Metrics& metrics, std::uint64_t now_ns) {
+  Overview overview;
+  const std::vector<Row> rows = overview.look(system, true, 0, now_ns);
+  const auto each = [&](const char* name, std::string_view unit, std::string_view help,
+                        const auto& value_of) {
+    metrics.gauge(name, unit, help);
+    for (const Row& row : rows)
+      metrics.sample(
+          {{"domain", std::to_string(row.topic->facts.domain)}, {"topic", row.topic->name}},
+          value_of(row));
+  };
+  each("topic_publishers", "", "Publishers of a topic.",
+       [](const Row& row) { return row.publishers; });
+  each("topic_subscriptions", "", "Subscriptions of a topic.",
+       [](const Row& row) { return row.subscriptions; });
+  each("topic_unread_messages", "", "Messages that the slowest reader has not taken.",
+       [](const Row& row) { return row.lag; });
+  each("topic_held_messages", "", "Messages that somebody holds.",
+       [](const Row& row) { return row.held; });
+  each("topic_oldest_hold_seconds", "seconds", "Age of the oldest message that is held.",
+       [](const Row& row) { return static_cast<double>(row.oldest_held_ns) / 1e9; });
+  each("topic_trouble", "",
+       "1 when endpoints are refused or do not match, a reader lags, a message is held for long or "
+       "a "
+       "dead publisher is not read to its end.",
+       [](const Row& row) { return std::uint64_t{row.trouble < Trouble::running}; });
+}
+
+std::string name_of_node(const Endpoint& endpoint) {
+  const std::string& space = endpoint.node_namespace;
+  return space + (space.ends_with('/') ? "" : "/") + endpoint.node_name;
+}
+
+Labels labels_of(const System& system, const Topic& topic, const Endpoint& endpoint) {
+  const Process* const process = system.process_of(endpoint);
+  return {{"domain", std::to_string(topic.facts.domain)},
+          {"topic", topic.name},
+          {"node", name_of_node(endpoint)},
+          {"pid", process == nullptr ? "gone" : std::to_string(process->facts.pid)},
+          {"generation", std::to_string(endpoint.facts.generation)}};
+}
+
+void add_endpoints(const System& system, Metrics& metrics) {
+  std::vector<std::pair<Labels, PublisherNumbers>> publishers;
+  std::vector<std::pair<Labels, SubscriptionNumbers>> subscriptions;
+  for (const auto& [index, topic] : system.topics) {
+    for (const Endpoint& publisher : topic.publishers) {
+      if (const auto numbers = numbers_of_publisher(system, topic, publisher))
+        publishers.emplace_back(labels_of(system, topic, publisher), *numbers);
+    }
+    for (const Endpoint& subscription : topic.subscriptions) {
+      if (const auto numbers = numbers_of_subscription(system, topic, subscription))
+        subscriptions.emplace_back(labels_of(system, topic, subscription), *numbers);
+    }
+  }
+  const auto each = [&](const auto& all, const char* name, std::string_view unit,
+                        std::string_view help, auto member) {
+    metrics.counter(name, unit, help);
+    for (const auto& [labels, numbers] : all) metrics.sample(labels, numbers.*member);
+  };
+  each(publishers, "published_messages", "", "Messages of a publisher.",
+       &PublisherNumbers::published);
+  each(publishers, "published_bytes", "bytes", "What its messages lie in, containers included.",
+       &PublisherNumbers::published_bytes);
+  each(publishers, "adopted_messages", "",
+       "Messages with parts from another heap, which had to be copied: they were not zero-copy.",
+       &PublisherNumbers::adopted_messages);
+  each(publishers, "adopted_bytes", "bytes", "What was copied of them.",
+       &PublisherNumbers::adopted_bytes);
+  metrics.counter("unpublished_messages", "", "Messages that could not be published, by reason.");
+  for (const auto& [labels, numbers] : publishers) {
+    for (const auto& [reason, count] :
+         {std::pair("no_slot", numbers.refused_no_slot),
+          std::pair("would_block", numbers.refused_would_block),
+          std::pair("heap_exhausted", numbers.refused_heap_exhausted)}) {
+      Labels with_reason = labels;
+      with_reason.emplace_back("reason", reason);
+      metrics.sample(with_reason, count);
+    }
+  }
+  each(subscriptions, "lost_messages", "", "Messages overwritten before a subscription took them.",
+       &SubscriptionNumbers::lost);
+  each(subscriptions, "malformed_messages", "", "Messages that a subscription's checks refused.",
+       &SubscriptionNumbers::malformed);
+  each(subscriptions, "unreachable_messages", "",
+       "Messages that could not be taken: something else lies at their address.",
+       &SubscriptionNumbers::unreachable);
+}
+
+Metrics metrics_of(const System* system) {
+  Metrics metrics;
+  metrics.gauge("up", "", "1 when agnocastd answered.");
+  metrics.sample({}, std::uint64_t{system != nullptr});
+  if (system != nullptr) {
+    add_daemon(*system, metrics);
+    add_users(*system, metrics);
+    add_processes(*system, metrics);
+    add_topics(*system, metrics, monotonic_ns());
+    add_endpoints(*system, metrics);
+  }
+  return metrics;
+}
+
+/// The whole file at once, for whoever reads it meanwhile, and for everybody.
+Outcome<void> write_file(const std::string& path, const std::string& text) {
+  const std::string made = path + ".new";
+  const auto failed = [&](const char* what) {
+    return problem(Status::failed, escaped(path), std::string(what) + ": " + std::strerror(errno),
+                   "choose a directory that this user may write");
+  };
+  const UniqueFd file(
+      ::open(made.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_NOFOLLOW | O_CLOEXEC, 0644));
+  if (!file) return failed("it cannot be made");
+  std::size_t done = 0;
+  while (done < text.size()) {
+    const ssize_t count = ::write(file.get(), text.data() + done, text.size() - done);
+    if (count < 0 && errno == EINTR) continue;
+    if (count < 0) return failed("it cannot be written");
+    done += static_cast<std::size_t>(count);
+  }
+  if (::rename(made.c_str(), path.c_str()) != 0) return failed("it cannot be put there");
+  return {};
+}
+
+}  // namespace
+
+Outcome<void> write_metrics(const Arguments& arguments, Console& console) {
+  const Waiting waiting;
+  const std::string path = arguments.text(options::output);
+  const bool goes_on = arguments.has(options::every);
+  const bool is_openmetrics = arguments.text(options::metrics_form) == "openmetrics";
+  if (arguments.json != Json::no && !path.empty())
+    return problem(Status::wrong_usage, "--json", "a file is for Prometheus",
+                   "agnocast-ctl metrics --json >FILE");
+  if (goes_on && path.empty())
+    return problem(Status::wrong_usage, "--every", "there is no file to write again and again",
+                   "agnocast-ctl metrics --every 15 --output FILE");
+  for (;;) {
+    const auto look = look_at(arguments.socket);
+    if (!look && path.empty()) return tl::unexpected(look.error());
+    const Metrics metrics = metrics_of(look ? &look->system : nullptr);
+    if (!path.empty()) {
+      if (auto written = write_file(path, metrics.text(is_openmetrics)); !written) return written;
+    } else if (arguments.json != Json::no) {
+      console.object(metrics.object(), arguments.json);
+    } else {
+      console.text(metrics.text(is_openmetrics));
+    }
+    if (!goes_on) return look ? Outcome<void>() : tl::unexpected(look.error());
+    if (!waiting.sleep_ms(static_cast<int>(arguments.real(options::every) * 1000))) return {};
+  }
+}
+
+}  // namespace agnocast::ctl

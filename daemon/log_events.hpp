@@ -1,0 +1,58 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Log events: the numbers by which journald knows them (MESSAGE_ID=). `journalctl MESSAGE_ID=…` finds
+// every one of a kind, `journalctl -x` prints what systemd/agnocast.catalog says of it.
+#pragma once
+
+#include <string_view>
+
+namespace agnocast::daemon {
+
+struct LogEvent {
+  std::string_view words;
+  std::string_view id;  // 32 hexadecimal digits; never given to another event
+};
+
+/// What is of level info or above. Events of level debug have no number.
+inline constexpr LogEvent log_events[] = {
+    {"a descriptor was lost", "9566a3435c504d32bf679fca282f9adf"},
+    {"addresses blocked", "3fe6cd7de60b4f68932a873979a59776"},
+    {"announcement waits", "6f3cdf5166714bd1be3b1a6d69cc96a3"},
+    {"cannot supervise", "9b6ad1f4d8894cfaa9e9a31d567f287c"},
+    {"client gone", "9ab7f407bfc04e79acdae747fa61751a"},
+    {"client lost", "8119847262ef4d259a2192e904c0bbf2"},
+    {"client revoked", "6fca436675da4304bb1b871fe8fa311f"},
+    {"connection ended", "a71de3e96d2246dabd16b8bdcfee1ebf"},
+    {"connection not accepted", "27e99203caa74883bf9f6865d3f74968"},
+    {"connection refused", "f293b5a756fb48bb907ea588c5bbf38a"},
+    {"ended", "60d7ecdaceba42408c20a0b8bbdd44be"},
+    {"former life lost", "ccdb380e6819433a99791b402f556608"},
+    {"heap collides", "e399c03f351f47adbe3e416341c34637"},
+    {"lines were lost", "17e8216904f14e70a3823c0797ab2d44"},
+    {"log level", "f91f871a15c74c3599d9aa8d26c70a1a"},
+    {"memory not backed", "ba768a8ce2214841879d8a4f83a5d082"},
+    {"memory not locked", "1e90627290aa4658ae34f6daa2204f3c"},
+    {"more of the same was left out", "748a560f005945caa7f2a7a5792078a9"},
+    {"no window is free in all processes", "5c779c1dbeb14411b7141d1b70cc3f05"},
+    {"nothing is kept", "3eb879ce4a3042deb2b51e9e64a82d02"},
+    {"notification passed over", "05e614c0755c43d8b0ba4ee9380ee271"},
+    {"ready", "a0421a3bc2964e2f8aa193f2eb5d1a13"},
+    {"refusing everybody", "323e33dd8c6e40b698d644ea08e5bc17"},
+    {"request refused", "b4760de87e594896b2668c9cb15cc6c2"},
+    {"resumed", "05d69499462a470e87a27dbd299b2cf0"},
+    {"socket is not as configured", "ef622ed1bf8e45c0af693c21b427b79c"},
+    {"socket made anew", "0352ee882f214b36af230d4e47a4199a"},
+    {"socket stays where it is", "4612acacc05f428abfc139a305009208"},
+    {"worker died", "7a6b53ead2ae4009bcff371590aa91c2"},
+    {"worker not started", "b5db630c364342d9bc9e90f21c4ed58b"},
+};
+
+/// Empty when it has none.
+constexpr std::string_view message_id_of(std::string_view words) noexcept {
+  for (const LogEvent& event : log_events) {
+    if (event.words == words) return event.id;
+  }
+  return {};
+}
+
+}  // namespace agnocast::daemon
