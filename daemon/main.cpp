@@ -5,6 +5,7 @@
 // Exit status: 0 ended by SIGTERM or SIGINT, or what was asked for is printed · 1 it cannot run
 // here · 2 wrong usage. A complaint is two lines on stderr; everything else goes through the log.
 
+#include <agnocast/error.hpp>
 #include <base/standard_error.hpp>
 #include <daemon/config.hpp>
 #include <daemon/descriptor_store.hpp>
@@ -60,7 +61,9 @@ int run(int argc, const char* const* argv) {
         std::fprintf(stderr, "agnocastd: %s\n", error.text().c_str());
         if (!error.remedy.empty()) std::fprintf(stderr, "hint: %s\n", error.remedy.c_str());
       }
-      return 1;
+      const std::string code = word_of(Errc::bad_configuration);
+      return complain(code + ": " + sentence_of(Errc::bad_configuration),
+                      "agnocast-ctl explain " + code);
     }
     config = *loaded;
   }

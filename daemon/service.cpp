@@ -238,8 +238,7 @@ std::optional<Trouble> Service::refuse(UniqueFd socket, const Failure& why) {
                              "restart every process"
                            : remedy_of(why.code)}});
   // Ready all the same: a manager that starts it again and again would change nothing.
-  notify("READY=1");
-  notify("STATUS=refusing everybody: " + text);
+  notify("READY=1\nSTATUS=refusing everybody: " + text);
   return wait();
 }
 
@@ -263,8 +262,9 @@ void Service::say_ready(bool resumed) {
               {"arena_bytes", arena.bytes},
               {"window_bytes", arena.window_bytes},
               {"unprivileged", ::geteuid() == 0 ? "no" : "yes"}});
-  notify("READY=1");
-  notify(resumed ? "STATUS=serving; goes on with what was there before" : "STATUS=serving");
+  // One datagram: whoever waits for the first reads the second.
+  notify(std::string("READY=1\nSTATUS=serving") +
+         (resumed ? "; goes on with what was there before" : ""));
 }
 
 std::optional<Trouble> Service::wait() {

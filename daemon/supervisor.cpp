@@ -400,11 +400,10 @@ void Supervisor::keep(const Notification& notification, std::vector<UniqueFd> fd
                  {{"name", notification.name},
                   {"why", "as many are kept as may be, or LimitNOFILE is too low"}});
   }
-  if (notification.ready) {
-    was_ready_ = is_ready_ = true;
-    forward("READY=1");
-  }
-  if (!notification.status.empty()) forward("STATUS=" + notification.status);
+  if (notification.ready) was_ready_ = is_ready_ = true;
+  std::string said = notification.ready ? "READY=1\n" : "";
+  if (!notification.status.empty()) said += "STATUS=" + notification.status;
+  if (!said.empty()) forward(said);
   if (notification.stopping && stops_) forward("STOPPING=1");
 }
 

@@ -214,6 +214,19 @@ TEST(DaemonStart, PrintsWhatItIsAskedForAndRefusesTheRest) {
   EXPECT_EQ(unknown.err, "agnocastd: --sokcet: unknown option\nhint: agnocastd --socket\n");
 }
 
+TEST(DaemonStart, SaysWhatIsWrongInItsConfigurationAndUnderWhichCode) {
+  Directory directory;
+  const std::string file = directory / "c.toml";
+  std::ofstream(file) << "[heap]\nwindow_bytes = 5\nwindows = 3\n";
+  const Ended ended = run_daemon({"--config", file, "--socket", directory / "s"});
+  EXPECT_EQ(ended.status, 1);
+  EXPECT_NE(ended.err.find(file + ":3"), std::string::npos) << ended.err;
+  EXPECT_TRUE(ended.err.ends_with(
+      "agnocastd: bad_configuration: the configuration of agnocastd cannot be used\n"
+      "hint: agnocast-ctl explain bad_configuration\n"))
+      << ended.err;
+}
+
 TEST(DaemonStart, WhoMayConnectIsNeverToldOtherwiseWhileItBegins) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root and another user";
   Directory directory;

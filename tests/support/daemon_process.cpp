@@ -220,7 +220,7 @@ void DaemonProcess::begin(const DaemonOptions& options) {
   ASSERT_TRUE(process);
   pollfd entries[] = {{ready.get(), POLLIN, 0}, {process->fd(), POLLIN, 0}};
   // Descriptors that come with another word are closed: this manager keeps nothing.
-  for (std::string text; text != "READY=1";) {
+  for (std::string text; !text.starts_with("READY=1\n");) {
     if (::poll(entries, 2, patience_ms) <= 0 || (entries[0].revents & POLLIN) == 0) {
       ADD_FAILURE() << "agnocastd does not serve; it wrote:\n" << log();
       return;

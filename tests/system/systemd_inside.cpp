@@ -69,10 +69,8 @@ bool eventually(Condition condition) {
   }
   return condition();
 }
-// It is said behind READY, so it may come a moment later.
 bool goes_on_with_what_was() {
-  return eventually(
-      [] { return property("StatusText") == "serving; goes on with what was there before"; });
+  return property("StatusText") == "serving; goes on with what was there before";
 }
 pid_t main_pid() { return static_cast<pid_t>(std::atoi(property("MainPID").c_str())); }
 /// kill(2) to one process: what could not be asked for is no process, and 0 would be everybody in the test's group.

@@ -10,12 +10,16 @@
 
 #include <cerrno>
 #include <exception>
+#include <filesystem>
 #include <fstream>
+#include <iterator>
+#include <regex>
 #include <set>
 #include <sstream>
 #include <string>
 #include <thread>
 #include <type_traits>
+#include <vector>
 
 namespace agnocast {
 namespace {
@@ -57,6 +61,38 @@ TEST(Error, DocumentationHasTheTable) {
             std::string::npos)
       << "docs/errors.md should have\n"
       << rows;
+}
+
+std::string texts_below(const std::vector<std::string>& folders) {
+  std::string all;
+  for (const std::string& folder : folders) {
+    for (const auto& entry :
+         std::filesystem::recursive_directory_iterator(AGNOCAST_SOURCE_DIR "/" + folder)) {
+      const std::string name = entry.path().filename();
+      if (entry.path().extension() != ".cpp" && entry.path().extension() != ".hpp") continue;
+      if (name == "error.cpp" || name == "error.hpp" || name == "error_test.cpp") continue;
+      std::ifstream file(entry.path());
+      all.append(std::istreambuf_iterator<char>(file), {});
+    }
+  }
+  return all;
+}
+
+// A code that nothing makes is a promise to handle what never comes; one that no test meets may be made
+// in the wrong place. What a test expects is named there as the code, or as its word in an answer.
+TEST(Error, EveryCodeIsMadeSomewhereAndMetByATest) {
+  const std::string product =
+      texts_below({"base", "client", "ctl", "daemon", "heaphook", "include", "journal"});
+  const std::string tests = texts_below({"tests"});
+  for (const Errc code : all_codes) {
+    const std::string word = word_of(code);
+    const std::regex name("Errc::" + word + "\\b");
+    EXPECT_TRUE(std::regex_search(product, name)) << word << " is made nowhere";
+    // It stands for a fault of ours, which no test can bring about from outside.
+    if (code == Errc::internal) continue;
+    EXPECT_TRUE(std::regex_search(tests, name) || tests.find('"' + word) != std::string::npos)
+        << "no test meets " << word;
+  }
 }
 
 TEST(Error, ExceptionSaysWhatThenWhy) {
