@@ -76,8 +76,17 @@ Ailments not_a_socket(const Facts& facts) {
               {at_door(facts) + " is no socket", elsewhere(facts)});
 }
 Ailments nobody_listens(const Facts& facts) {
-  return when(facts.away && facts.door.kind == Kind::socket && facts.door.error == ECONNREFUSED,
+  return when(facts.away && facts.door.kind == Kind::socket && facts.door.error == ECONNREFUSED &&
+                  !facts.door.is_mounted,
               {"there is no agnocastd: nobody listens at " + at_door(facts)});
+}
+// Whether the daemon is away or has made its socket anew cannot be seen from here: the file stays what it was.
+Ailments socket_mounted(const Facts& facts) {
+  const std::string& path = facts.door.path;
+  return when(
+      facts.away && facts.door.is_mounted && facts.door.error == ECONNREFUSED,
+      {"nobody listens at " + at_door(facts) + " any more, and the file is mounted by itself",
+       {{"DIRECTORY", shell_word(path.substr(0, path.rfind('/')))}}});
 }
 Ailments foreign_socket(const Facts& facts) {
   return when(
@@ -123,6 +132,39 @@ Ailments observers(const Facts& facts) {
       {"agnocastd lets no further agnocast-ctl look: " + (facts.away ? facts.away->why : ""),
        {{"USER", shell_word(facts.shell.user)}}});
 }
+// An answer without the descriptors that belong to it, although there was room for them.
+Ailments descriptors_withheld(const Facts& facts) {
+  if (!is_code(facts, Errc::descriptors_withheld)) return {};
+  const std::string& name = facts.shell.confinement;
+  Ailment found{"connected to " + at_door(facts) + ", but no descriptor arrived"};
+  if (name.empty()) {
+    found.words["ALLOW"] = "sudo ss -xlp src " + shell_word(facts.door.path);
+    found.cause = "no profile confines this shell: what listens there passes no descriptors on";
+  } else if (name.find(':') == std::string::npos || name.front() == '/') {
+    found.words["ALLOW"] =
+        "PROFILE=\"$(sudo grep -rlF " + shell_word(name) +
+        " /etc/apparmor.d | head -n 1)\" && sudo sed -i " +
+        shell_word("\\|" + name + ".*{|a include \"" + facts.share + "/apparmor/agnocast\"") +
+        " \"$PROFILE\" && sudo apparmor_parser -r \"$PROFILE\"";
+    found.cause = "the AppArmor profile " + escaped(name) + " of this shell keeps them away";
+  } else {
+    const std::string module = facts.share + "/selinux/agnocast";
+    found.words["ALLOW"] = "cd \"$(mktemp -d)\" && checkmodule -M -m -o agnocast.mod " +
+                           shell_word(module + ".te") +
+                           " && semodule_package -o agnocast.pp -m agnocast.mod -f " +
+                           shell_word(module + ".fc") + " && sudo semodule -i agnocast.pp";
+    found.cause = "the SELinux context " + escaped(name) + " of this shell keeps them away";
+  }
+  return {found};
+}
+// Connecting itself has gone well.
+bool is_short_of_descriptors(const Facts& facts) {
+  return is_code(facts, Errc::os_failure) && facts.door.error == 0;
+}
+Ailments descriptors_short(const Facts& facts) {
+  return when(is_short_of_descriptors(facts),
+              {"connected to " + at_door(facts) + ", but this shell may not open what comes"});
+}
 Ailments daemon_silent(const Facts& facts) {
   // What another check names.
   const Door& door = facts.door;
@@ -130,7 +172,8 @@ Ailments daemon_silent(const Facts& facts) {
       door.error == ECONNREFUSED || door.error == EACCES || door.error == EPROTOTYPE ||
       door.listener_stopped || is_code(facts, Errc::layout_mismatch) ||
       is_code(facts, Errc::store_damaged) || is_code(facts, Errc::quota_exceeded) ||
-      is_code(facts, Errc::protocol_violation);
+      is_code(facts, Errc::protocol_violation) || is_code(facts, Errc::descriptors_withheld) ||
+      is_short_of_descriptors(facts);
   return when(facts.away && door.kind == Kind::socket && door.closed.empty() && !is_named,
               {"whoever listens at " + at_door(facts) +
                " does not serve: " + (facts.away ? facts.away->why : "")});
@@ -246,6 +289,10 @@ constexpr Check table[] = {
     {"nobody-listens", "somebody listens at the socket", failed, always,
      "the daemon was killed, or stopped by its service manager, and the socket stayed",
      "START", nobody_listens},
+    {"socket-mounted", "the socket came here with its directory", failed, always,
+     "a file that is mounted into a container stays the socket that was there then; the daemon has made another one since, or is away. "
+     "Mount the directory",
+     "podman run --volume DIRECTORY:DIRECTORY IMAGE", socket_mounted},
     {"foreign-socket", "the socket is agnocastd's", failed, always,
      "it speaks another protocol: another program has this path",
      "ELSEWHERE", foreign_socket},
@@ -265,6 +312,12 @@ constexpr Check table[] = {
     {"daemon-silent", "agnocastd answers", failed, always,
      "it hangs or has no descriptor left, or another program listens there that never answers",
      "ANEW", daemon_silent},
+    {"descriptors-withheld", "the descriptors of the daemon's answers arrive", failed, always,
+     "a security profile (AppArmor, SELinux) of this shell or container keeps them away, or what listens there passes none on",
+     "ALLOW", descriptors_withheld},
+    {"descriptors-short", "this shell may open the descriptors that come with an answer", failed, always,
+     "its limit of open files is too small, as is that of what it starts",
+     "ulimit -n 4096", descriptors_short},
     {"observers", "this user may look once more", failed, always,
      "agnocast-ctl runs too often at once",
      "killall -u USER agnocast-ctl", observers},

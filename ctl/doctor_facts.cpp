@@ -22,8 +22,10 @@
 #include <cerrno>
 #include <charconv>
 #include <cstdlib>
+#include <filesystem>
 #include <sstream>
 #include <string_view>
+#include <system_error>
 
 namespace agnocast::ctl {
 namespace {
@@ -99,6 +101,14 @@ std::optional<std::string> variable(const char* name) {
   return value;
 }
 
+/// Both modules say it in the same place, AppArmor with its mode behind the name; who has neither has nothing there.
+std::string confinement() {
+  std::string name = contents_of("/proc/self/attr/apparmor/current");
+  if (name.empty()) name = contents_of("/proc/self/attr/current");
+  name.resize(std::min(name.find_first_of(" \n\0", 0, 3), name.size()));
+  return name == "unconfined" ? std::string() : name;
+}
+
 Shell look_at_shell() {
   Shell shell{variable("AGNOCAST_SOCKET"),
               variable("XDG_RUNTIME_DIR"),
@@ -107,7 +117,8 @@ Shell look_at_shell() {
               variable("LD_PRELOAD"),
               ::geteuid(),
               {},
-              {}};
+              {},
+              confinement()};
   std::array<gid_t, 1024> groups;
   const int count = ::getgroups(groups.size(), groups.data());
   for (int i = 0; i < count; ++i) shell.groups.push_back(groups[static_cast<std::size_t>(i)]);
@@ -160,6 +171,16 @@ pid_t daemon_of(const std::string& path) {
   return found;
 }
 
+bool is_mount_point(const std::string& path) {
+  std::error_code unknown;
+  const std::string real = std::filesystem::canonical(path, unknown).string();
+  for (const std::string& line : split(contents_of("/proc/self/mountinfo"), '\n')) {
+    const auto words = split(line, ' ');
+    if (words.size() > 4 && words[4] == real) return true;
+  }
+  return false;
+}
+
 bool is_listener_stopped(const Door& door) {
   wire::DumpProcess process{};
   process.pid = static_cast<std::uint32_t>(std::max<pid_t>(door.listener, 0));
@@ -175,6 +196,7 @@ Door look_at_door(const std::string& path, const Shell& shell) {
   if (::stat(path.c_str(), &file) != 0) return door;
   door.kind = S_ISSOCK(file.st_mode) ? Door::Kind::socket : Door::Kind::other;
   door.mode = file.st_mode & 07777;
+  door.is_mounted = is_mount_point(path);
   door.gid = file.st_gid;
   door.group = std::to_string(file.st_gid);
   if (const group* const group = ::getgrgid(file.st_gid); group != nullptr) {
@@ -427,6 +449,11 @@ Facts collect_facts(const Arguments& arguments) {
   Facts facts;
   facts.shell = look_at_shell();
   facts.door = look_at_door(arguments.socket, facts.shell);
+  std::error_code unknown;
+  facts.share = (std::filesystem::read_symlink("/proc/self/exe", unknown).parent_path() /
+                 AGNOCAST_SHARE_FROM_BIN)
+                    .lexically_normal()
+                    .string();
   const bool is_named = facts.shell.socket || arguments.has(options::socket);
   collect_look(arguments, facts);
   collect_daemon(facts);

@@ -26,6 +26,7 @@ struct Shell {
   uid_t uid = 0;
   std::vector<gid_t> groups;
   std::string user;
+  std::string confinement;  // its AppArmor profile or SELinux context; empty: none
 };
 
 /// The socket, and what stands at it.
@@ -34,7 +35,8 @@ struct Door {
   std::string path;
   bool is_systems = false;  // the place of the system's daemon
   Kind kind = Kind::nothing;
-  std::string closed;  // the first directory on the way that this user may not walk through
+  bool is_mounted = false;  // the file by itself, not with its directory
+  std::string closed;       // the first directory on the way that this user may not walk through
   mode_t mode = 0;
   gid_t gid = 0;
   std::string group;
@@ -85,6 +87,7 @@ struct Facts {
   std::string configuration_fault;
   std::uint64_t restarts_lately = 0;
 
+  std::string share;  // where profiles are installed
   // The host.
   std::string huge_pages;  // of shared memory: "never"
   std::uint64_t map_count_max = 0;

@@ -118,7 +118,8 @@ tl::unexpected<Problem> Observer::nonsense() const {
 tl::unexpected<Problem> Observer::without_descriptors() const {
   const Failure why = failure_of_descriptors("this process may not open enough of them");
   if (why.code == Errc::os_failure)
-    return problem(Status::failed, "descriptors", why.what, "ulimit -n 4096");
+    return tl::unexpected(
+        Problem{Status::failed, "descriptors", why.what, "ulimit -n 4096", why.code});
   return tl::unexpected(
       Problem{Status::failed, path_, sentence_of(why.code), remedy_of(why.code), why.code});
 }

@@ -7,9 +7,11 @@
 #include <tests/integration/ctl_node.hpp>
 #include <tests/support/doctored.hpp>
 #include <tests/support/listen_at.hpp>
+#include <tests/support/proxy_without_descriptors.hpp>
 
 #include <gmock/gmock.h>
 #include <grp.h>
+#include <sys/resource.h>
 #include <sys/stat.h>
 
 #include <fstream>
@@ -170,6 +172,61 @@ TEST_F(DoctorDoor, SaysThatTheDaemonHasAnotherLayout) {
   EXPECT_TRUE(serves(daemon.socket_path()));
   EXPECT_THAT(doctor.look().all, IsEmpty());
   EXPECT_TRUE(end_daemon_at(daemon.socket_path()));
+}
+
+TEST_F(DoctorDoor, SaysThatNoDescriptorArrivesAndWhatKeepsThemAway) {
+  DaemonProcess daemon;
+  const std::string path = daemon.directory() + "/proxy.sock";
+  Doctored doctor(path);
+  const ProxyWithoutDescriptors proxy(path, daemon.socket_path());
+  Findings findings = doctor.look();
+  ASSERT_THAT(findings.ids(), ElementsAre("descriptors-withheld"));
+  EXPECT_EQ(findings.all[0],
+            "descriptors-withheld: connected to " + path + ", but no descriptor arrived");
+  EXPECT_EQ(findings.remedies[0], "sudo ss -xlp src " + path);
+  const Remedy remedy(findings.remedies[0]);
+  EXPECT_EQ(remedy.status(), 0);
+  // What the kernel says of a shell with a profile; this one need not have such a module.
+  const std::string says = "/proc/self/attr/current";
+  doctor.overlay()[says] = "/opt/my node (enforce)\n";
+  if (doctor.look().remedies == findings.remedies)
+    GTEST_SKIP() << "this kernel has no " << says << " that could be another";
+  doctor.overlay()[says] = "my-node (enforce)\n";
+  findings = doctor.look();
+  ASSERT_THAT(findings.ids(), ElementsAre("descriptors-withheld"));
+  EXPECT_THAT(findings.remedies[0], HasSubstr("grep -rlF my-node /etc/apparmor.d"));
+  EXPECT_THAT(findings.remedies[0], HasSubstr("share/agnocast/apparmor/agnocast"));
+  doctor.overlay()[says] = std::string("system_u:system_r:container_t:s0:c1,c2") + '\0';
+  findings = doctor.look();
+  ASSERT_THAT(findings.ids(), ElementsAre("descriptors-withheld"));
+  EXPECT_THAT(findings.remedies[0], HasSubstr("share/agnocast/selinux/agnocast.te"));
+  EXPECT_THAT(Doctored(daemon.socket_path()).look().all, IsEmpty()) << "without the proxy";
+}
+
+// The kernel cuts descriptors off for both reasons with the same flag; which one it was is seen here.
+TEST_F(DoctorDoor, TellsAProfileFromALimitOfOpenFiles) {
+  DaemonProcess daemon;
+  // The standard three and the connection.
+  const CtlResult result = run_ctl(daemon.socket_path(), {"doctor", "-j"}, {}, {}, nullptr, [] {
+    ::close_range(3, ~0U, 0);
+    const rlimit four{4, 4};
+    ::setrlimit(RLIMIT_NOFILE, &four);
+  });
+  for (const auto& check : result.json()["checks"]) {
+    if (check["id"] == "descriptors-short") {
+      EXPECT_EQ(check["status"], "failed");
+      EXPECT_EQ(check["findings"][0]["remedy"], "ulimit -n 4096");
+    } else {
+      EXPECT_NE(check["status"], "failed") << check.dump();
+    }
+  }
+  EXPECT_EQ(run_ctl(daemon.socket_path(), {"topic", "list"}, {}, {}, nullptr,
+                    [] {
+                      const rlimit mended{4096, 4096};
+                      ::setrlimit(RLIMIT_NOFILE, &mended);
+                    })
+                .status,
+            0);
 }
 
 TEST_F(DoctorDoor, SaysThatTooManyLook) {

@@ -9,6 +9,7 @@
 #include <agnocast/abi/fingerprint.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/listen_at.hpp>
+#include <tests/support/proxy_without_descriptors.hpp>
 #include <tests/support/wire_client.hpp>
 
 #include <gtest/gtest.h>
@@ -165,6 +166,18 @@ TEST(BadInput, AnotherLayoutIsNamedByBothSides) {
       "the library has layout 0x0000000000001234, the daemon has layout " + std::string(ours);
   expect_refusal(outcome, why, Errc::layout_mismatch);
   EXPECT_TRUE(daemon.wait_for_log(why));
+}
+
+TEST(BadInput, AnAnswerWithoutItsDescriptorsIsToldFromALimitOfOpenFiles) {
+  DaemonProcess daemon;
+  const std::string path = daemon.directory() + "/proxy.sock";
+  {
+    const ProxyWithoutDescriptors proxy(path, daemon.socket_path());
+    expect_refusal(node(path, "sub"), "the welcome of agnocastd", Errc::descriptors_withheld);
+  }
+  // The standard three, the connection and what wakes the control thread; for the welcome's two there is no room.
+  expect_refusal(node(daemon, "sub", "LD_PRELOAD=" AGNOCAST_HOOK " prlimit --nofile=5"),
+                 "the welcome of agnocastd: Too many open files", Errc::os_failure);
 }
 
 // --- what is asked for
