@@ -124,9 +124,14 @@ Allowed allowed_by(const wire::AccessIs& is) {
   allowed.everybody = is.everybody != 0;
   allowed.line = is.line;
   allowed.pattern = text_of(is.pattern);
-  allowed.why = is.line == 0 ? "none of " + counted(is.rule_count, "rule") + " speaks of it"
-                             : "rule " + in_quotes(allowed.pattern) + ", line " +
-                                   std::to_string(is.line) + " of the configuration";
+  if (is.line != 0) {
+    allowed.why = "rule " + in_quotes(allowed.pattern) + ", line " + std::to_string(is.line) +
+                  " of the configuration";
+  } else {
+    allowed.why = is.rule_count == 0
+                      ? "there are no rules"
+                      : "none of " + counted(is.rule_count, "rule") + " speaks of it";
+  }
   constexpr std::string_view separator = ", ";
   std::string_view rest = is.principals;
   while (!rest.empty() && !allowed.everybody) {

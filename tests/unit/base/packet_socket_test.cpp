@@ -165,9 +165,17 @@ TEST(PacketSocket, DescriptorsThatThisProcessMayNotOpenAreReported) {
     const Packet packet = pair.receive();
     if (!packet.descriptors_lost) return 3;
     if (packet.descriptor_count != 2) return 4;
+    const Failure why = failure_of_descriptors("a packet");
+    if (why.code != Errc::os_failure || why.os_errno != EMFILE) return 6;
     return pair.text(packet) == "x" ? 0 : 5;
   });
   EXPECT_EQ(child.wait(), 0);
+}
+
+TEST(PacketSocket, WhereThereIsRoomForDescriptorsTheyWereWithheld) {
+  const std::size_t before = open_descriptor_count();
+  EXPECT_EQ(failure_of_descriptors("a packet").code, Errc::descriptors_withheld);
+  EXPECT_EQ(open_descriptor_count(), before);
 }
 
 TEST(PacketSocket, EmptyPacketEndsTheConnectionAndItsDescriptorsAreClosed) {

@@ -63,6 +63,13 @@ TEST_F(Lines, JournaldGetsThePriorityAndPeopleTheTime) {
                                  "2026-01-31T12:00:00.007Z error out of descriptors errno=-24\n"));
 }
 
+TEST_F(Lines, AFieldThatIsNotKnownIsLeftOut) {
+  const std::optional<std::uint64_t> none, some = 7;
+  const std::optional<std::string_view> text = "/a topic";
+  make().write(LogLevel::info, "event", {{"a", none}, {"b", some}, {"c", text}, {"d", 1}});
+  EXPECT_THAT(lines, ElementsAre("<6>event b=7 c=\"/a topic\" d=1\n"));
+}
+
 TEST_F(Lines, WhatWasLostIsCountedAndSaidOnce) {
   Log log = make();
   has_room = false;
