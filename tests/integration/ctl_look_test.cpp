@@ -38,16 +38,6 @@ using Words = std::vector<std::string>;
 
 constexpr std::uint64_t second_ns = 1'000'000'000;
 
-/// Commit times, one period apart, the last one now; and bytes of each.
-void stamp(Node& node, const wire::EndpointCreated& publisher, std::uint64_t count,
-           std::uint64_t period_ns, std::uint64_t bytes) {
-  const dataplane::PublisherWords<SharedMemory> words{node.region.base(), publisher.extent};
-  const std::uint64_t now = monotonic_ns();
-  for (std::uint64_t i = 0; i < count; ++i)
-    words.slot_stamp(i).store(now - (count - 1 - i) * period_ns);
-  words.counter(offsetof(abi::PublisherEndpoint, published_bytes)).store(count * bytes);
-}
-
 class CtlLook : public testing::Test {
  protected:
   CtlResult ctl(Words words, const std::vector<std::string>& environment = {}) {
@@ -128,7 +118,7 @@ TEST_F(CtlLook, SaysWhoHoldsAMessageAndWhoHasNotTakenIt) {
   const auto p = a.publisher("/points", {7}, "/lidar");
   const auto s = b.subscription("/points", {5}, "/viewer");
   a.commit(p, 4);
-  stamp(a, p, 4, second_ns, 1000);
+  a.stamp(p, 4, second_ns, 1000);
   b.link(s, p, 2, 1);  // took two, holds the first
   const auto list = json({"message", "list", "/points"});
   ASSERT_EQ(list["message_count"], 4);
@@ -186,13 +176,13 @@ TEST_F(CtlLook, ShowsWhatHurtsFirst) {
   a.open_window();
   const auto fast = a.publisher("/fast", {20}, "/lidar");
   a.commit(fast, 11);
-  stamp(a, fast, 11, second_ns, 5000);
+  a.stamp(fast, 11, second_ns, 5000);
   const auto s = b.subscription("/fast", {10}, "/slow_viewer");
   b.link(s, fast, 2, 0);  // 9 of 10 unread
   a.publisher("/silent");
   const auto held = a.publisher("/held", {20}, "/lidar");
   a.commit(held, 2);
-  stamp(a, held, 2, 5 * second_ns, 10);
+  a.stamp(held, 2, 5 * second_ns, 10);
   const auto h = b.subscription("/held", {10}, "/holder");
   b.link(h, held, 2, 1);
   auto other = WireClient::endpoint("/fast", {5}, "other/msg/Type");
@@ -496,7 +486,7 @@ TEST_F(CtlLook, EveryCommandLooksWithoutBeingSeen) {
   a.open_window();
   const auto p = a.publisher("/points", {7}, "/lidar");
   a.commit(p, 2);
-  stamp(a, p, 2, second_ns, 100);
+  a.stamp(p, 2, second_ns, 100);
   b.subscription("/points");
   a.wire.drain();
   b.wire.drain();

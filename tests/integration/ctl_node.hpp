@@ -5,6 +5,7 @@
 #pragma once
 
 #include <agnocast/abi/fingerprint.hpp>
+#include <base/clock.hpp>
 #include <client/dataplane/views.hpp>
 #include <tests/support/wire_client.hpp>
 
@@ -14,8 +15,14 @@ namespace agnocast::test {
 
 /// A raw client whose region lies open. Domain 0 unless said otherwise.
 struct CtlNode {
-  explicit CtlNode(const std::string& socket, std::uint64_t domain = 0) : wire(socket) {
-    Incoming answer = wire.hello(abi::fingerprint(), domain);
+  explicit CtlNode(const std::string& socket, std::uint64_t domain = 0,
+                   const std::string& process = "wire_client")
+      : wire(socket) {
+    wire::Hello hello{};
+    hello.fingerprint = abi::fingerprint();
+    hello.domain = domain;
+    hello.process_name = wire_name(process);
+    Incoming answer = wire.ask(wire::Opcode::hello, hello);
     if (answer.opcode() != wire::Opcode::welcome) {
       ADD_FAILURE() << answer.refused_text();
       return;
@@ -55,6 +62,15 @@ struct CtlNode {
       words.order(sequence).store(abi::pack_entry(sequence, i));
       words.head().store(abi::pack_entry(sequence, i));
     }
+  }
+  /// Commit times of the first `count`, one period apart, the last one now; and bytes of each.
+  void stamp(const wire::EndpointCreated& publisher, std::uint64_t count, std::uint64_t period_ns,
+             std::uint64_t bytes) {
+    const dataplane::PublisherWords<SharedMemory> words{region.base(), publisher.extent};
+    const std::uint64_t now = monotonic_ns();
+    for (std::uint64_t i = 0; i < count; ++i)
+      words.slot_stamp(i).store(now - (count - 1 - i) * period_ns);
+    words.counter(offsetof(abi::PublisherEndpoint, published_bytes)).store(count * bytes);
   }
   void open_window() {
     window = wire.open_window(0).as<wire::WindowOpened>();

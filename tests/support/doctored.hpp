@@ -87,11 +87,15 @@ class Doctored {
   std::map<std::string, std::string>& directories() { return directories_; }
   void set_user(uid_t uid) { uid_ = uid; }
 
+  /// Any command, as doctor is run.
+  CtlResult run(const std::vector<std::string>& words, std::vector<std::string> environment = {}) {
+    environment.push_back("PATH=" AGNOCAST_TEST_PATH ":/usr/sbin:/usr/bin:/sbin:/bin");
+    return run_ctl(socket_, words, environment, uid_, nullptr, [this] { enter(); });
+  }
   Findings look(std::vector<std::string> environment = {}, std::vector<std::string> words = {}) {
     words.insert(words.begin(), {"doctor", "-j"});
-    environment.push_back("PATH=" AGNOCAST_TEST_PATH ":/usr/sbin:/usr/bin:/sbin:/bin");
     Findings findings;
-    findings.result = run_ctl(socket_, words, environment, uid_, nullptr, [this] { enter(); });
+    findings.result = run(words, std::move(environment));
     if (findings.result.out.empty()) return findings;
     const auto report = findings.result.json();
     EXPECT_EQ(report["schema"], "agnocast.doctor/1");

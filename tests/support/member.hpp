@@ -20,13 +20,13 @@ class Member {
  public:
   /// `body(node)` runs in the process; the constructor returns when it is over.
   template <class Body>
-  Member(const std::string& socket, Body body) {
+  Member(const std::string& socket, Body body, const std::string& name = "wire_client") {
     int ends[2];
     EXPECT_EQ(::pipe2(ends, O_CLOEXEC), 0);
     UniqueFd read(ends[0]), write(ends[1]);
     child_.emplace([&] {
       ::prctl(PR_SET_PDEATHSIG, SIGKILL);
-      CtlNode node(socket);
+      CtlNode node(socket, 0, name);
       body(node);
       if (::write(write.get(), "+", 1) != 1) return 1;
       return sleep_for_ever();
