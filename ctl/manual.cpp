@@ -3,6 +3,7 @@
 #include <ctl/manual.hpp>
 
 #include <agnocast/error.hpp>
+#include <base/mdoc.hpp>
 #include <ctl/help.hpp>
 
 #include <string_view>
@@ -11,61 +12,13 @@
 namespace agnocast::ctl {
 namespace {
 
-/// Text as mdoc prints it, whatever it has: a backslash begins an escape, a dot a macro.
-std::string plain(std::string_view text) {
-  std::string out;
-  for (const char c : text) {
-    if (c == '\\') {
-      out += "\\e";
-    } else {
-      out += c;
-    }
-  }
-  return out.starts_with('.') || out.starts_with('\'') ? "\\&" + out : out;
-}
-
-/// Lines of text as mdoc wants them: a sentence begins one, none is long.
-std::string lines_of(std::string_view text) {
-  constexpr std::size_t columns = 78;
-  std::string all, line;
-  const auto end_line = [&] {
-    if (!line.empty()) all += plain(line) + '\n';
-    line.clear();
-  };
-  while (!text.empty()) {
-    const std::size_t blank = text.find(' ');
-    const std::string_view word = text.substr(0, blank);
-    if (!line.empty() && line.size() + 1 + word.size() > columns) end_line();
-    line += (line.empty() ? "" : " ") + std::string(word);
-    if (word.ends_with('.')) end_line();
-    text.remove_prefix(blank == std::string_view::npos ? text.size() : blank + 1);
-  }
-  end_line();
-  return all;
-}
-
-std::string heading(const char* title, const char* section, const char* does,
-                    const std::string& date) {
-  std::string upper;
-  for (const char* c = title; *c != '\0'; ++c)
-    upper += *c >= 'a' && *c <= 'z' ? static_cast<char>(*c - 'a' + 'A') : *c;
-  return ".Dd " + date + "\n.Dt " + upper + ' ' + section + "\n.Os\n.Sh NAME\n.Nm " +
-         title + "\n.Nd " + does + '\n';
-}
+using mdoc::heading;
+using mdoc::lines_of;
+using mdoc::plain;
 
 /// ".It Fl n , Fl Fl number Ar COUNT".
 std::string item_of(const Option& option) {
-  std::string item = ".It";
-  std::string_view names = option.names;
-  while (!names.empty()) {
-    const std::size_t comma = names.find(',');
-    std::string_view name = names.substr(0, comma);
-    if (item != ".It") item += " ,";
-    item += name.starts_with("--") ? " Fl Fl " : " Fl ";
-    name.remove_prefix(name.starts_with("--") ? 2 : 1);
-    item += name;
-    names.remove_prefix(comma == std::string_view::npos ? names.size() : comma + 1);
-  }
+  std::string item = ".It " + mdoc::flags_of(option.names);
   if (option.value.starts_with('[')) {
     item +=
         " Ns Oo = Ns Ar " + std::string(option.value.substr(2, option.value.size() - 3)) + " Oc";
@@ -126,7 +79,7 @@ std::string manual_of(std::span<const Command> commands, const std::string& date
          ".It 0\ndone.\n.It 1\nfailed.\n.It 2\nwrong usage.\n.It 3\nthe daemon cannot be reached.\n"
          ".It 4\nno such topic, node or process.\n.It 5\npermission denied.\n"
          ".It 6\na check failed.\n.It 124\ntimed out.\n.El\n"
-         ".Sh SEE ALSO\n.Xr agnocast-errors 7\n";
+         ".Sh SEE ALSO\n.Xr agnocast-run 1 ,\n.Xr agnocast-errors 7 ,\n.Xr agnocastd 8\n";
 }
 
 std::string manual_of_errors(const std::string& date) {

@@ -48,44 +48,60 @@ tl::expected<std::string, UsageError> checked(std::string path, const char* what
   return path;
 }
 
+// What the parser writes to.
+struct Values {
+  std::string socket, config, level, fd_store;
+  bool foreground = false, check_config = false, print_config = false, version = false;
+};
+
+void describe_options(CLI::App& app, Values& values) {
+  app.allow_extras();  // so that we can say what is unknown, and what was meant
+  app.add_option("--socket", values.socket, "where clients connect")->type_name("PATH");
+  app.add_option("--config", values.config,
+                 std::string("configuration; ") + default_config_file + " if it exists")
+      ->type_name("FILE");
+  app.add_flag("--foreground", values.foreground,
+               "stay in the foreground; it always does, so this changes nothing");
+  app.add_option("--log-level", values.level, std::string(log_level_names))->type_name("LEVEL");
+  app.add_option("--fd-store", values.fd_store,
+                 "who keeps memory and identities over the daemon's death: own (a supervisor, the "
+                 "default), manager (systemd; the default where it sets $FDSTORE), none")
+      ->type_name("WHO")
+      ->take_last();
+  app.add_flag("--check-config", values.check_config,
+               "look for mistakes in the configuration and end");
+  app.add_flag("--print-config", values.print_config, "print the configuration in force and end");
+  app.add_flag("--version", values.version, "print version and layout of shared memory and end");
+  app.set_help_flag("--help", "print this and end");
+  for (CLI::Option* const option : app.get_options()) {
+    if (option->get_expected_max() == 0) option->disable_flag_override();
+  }
+}
+
 }  // namespace
 
 std::string UsageError::text() const {
   return "agnocastd: " + what + ": " + why + "\nhint: " + hint + '\n';
 }
 
-std::variant<Options, Exit> parse_options(int argc, const char* const* argv) {
-  Options options;
-  std::string socket;
-  std::string config;
-  std::string level;
-  std::string fd_store;
-  bool wants_version = false;
+std::vector<OptionText> option_texts() {
+  Values values;
+  CLI::App app;
+  describe_options(app, values);
+  std::vector<OptionText> texts;
+  for (const CLI::Option* const option : app.get_options()) {
+    const bool has_value = option->get_expected_max() != 0;
+    texts.push_back({option->get_name(), has_value ? option->get_type_name() : std::string(),
+                     option->get_description()});
+  }
+  return texts;
+}
 
+std::variant<Options, Exit> parse_options(int argc, const char* const* argv) {
+  Values values;
   CLI::App app("The daemon of agnocast: who publishes what, and repair after those who die.",
                "agnocastd");
-  app.allow_extras();  // so that we can say what is unknown, and what was meant
-  app.add_option("--socket", socket, "where clients connect")->type_name("PATH");
-  app.add_option("--config", config,
-                 std::string("configuration; ") + default_config_file + " if it exists")
-      ->type_name("FILE");
-  app.add_flag("--foreground", options.foreground,
-               "stay in the foreground; it always does, so this changes nothing");
-  app.add_option("--log-level", level, std::string(log_level_names))->type_name("LEVEL");
-  app.add_option("--fd-store", fd_store,
-                 "who keeps memory and identities over the daemon's death: own (a supervisor, the "
-                 "default), manager (systemd; the default where it sets $FDSTORE), none")
-      ->type_name("WHO")
-      ->take_last();
-  app.add_flag("--check-config", options.check_config,
-               "look for mistakes in the configuration and end");
-  app.add_flag("--print-config", options.print_config, "print the configuration in force and end");
-  app.add_flag("--version", wants_version, "print version and layout of shared memory and end");
-  app.set_help_flag("--help", "print this and end");
-  for (CLI::Option* const option : app.get_options()) {
-    if (option->get_expected_max() == 0) option->disable_flag_override();
-  }
-
+  describe_options(app, values);
   try {
     app.parse(argc, argv);
   } catch (const CLI::CallForHelp&) {
@@ -108,10 +124,15 @@ std::variant<Options, Exit> parse_options(int argc, const char* const* argv) {
     return wrong_usage(escaped(name), "unknown option",
                        meant.empty() ? std::string(help_hint) : "agnocastd " + std::string(meant));
   }
-  if (wants_version) return Exit{0, version_text(), ""};
+  if (values.version) return Exit{0, version_text(), ""};
 
-  for (const auto& [name, value, target] : {std::tuple("--socket", &socket, &options.socket),
-                                            std::tuple("--config", &config, &options.config)}) {
+  Options options;
+  options.foreground = values.foreground;
+  options.check_config = values.check_config;
+  options.print_config = values.print_config;
+  for (const auto& [name, value, target] :
+       {std::tuple("--socket", &values.socket, &options.socket),
+        std::tuple("--config", &values.config, &options.config)}) {
     if (app.count(name) == 0) continue;
     // "--socket --foreground": the value was forgotten. A path like that is written ./--foreground.
     if (value->empty() || value->starts_with("--"))
@@ -119,24 +140,24 @@ std::variant<Options, Exit> parse_options(int argc, const char* const* argv) {
     *target = *value;
   }
   if (app.count("--log-level") != 0) {
-    options.log_level = log_level_of(level);
+    options.log_level = log_level_of(values.level);
     if (!options.log_level) {
       const std::string why =
-          in_quotes(level) + " is no level; known: " + std::string(log_level_names);
+          in_quotes(values.level) + " is no level; known: " + std::string(log_level_names);
       return wrong_usage("--log-level", why, "agnocastd --log-level info");
     }
   }
   if (app.count("--fd-store") == 0) {
     options.fd_store = environment("FDSTORE") ? FdStore::manager : FdStore::own;
-  } else if (fd_store == "own") {
+  } else if (values.fd_store == "own") {
     options.fd_store = FdStore::own;
-  } else if (fd_store == "manager") {
+  } else if (values.fd_store == "manager") {
     options.fd_store = FdStore::manager;
-  } else if (fd_store == "none") {
+  } else if (values.fd_store == "none") {
     options.fd_store = FdStore::none;
   } else {
     const std::string why =
-        in_quotes(fd_store) + " is nobody; known: " + std::string(fd_store_names);
+        in_quotes(values.fd_store) + " is nobody; known: " + std::string(fd_store_names);
     return wrong_usage("--fd-store", why, "agnocastd --fd-store=own");
   }
   return options;

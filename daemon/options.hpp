@@ -20,6 +20,7 @@
 #include <string>
 #include <string_view>
 #include <variant>
+#include <vector>
 
 namespace agnocast::daemon {
 
@@ -57,6 +58,14 @@ struct UsageError {
   /// "agnocastd: what: why\nhint: command\n"
   std::string text() const;
 };
+
+/// One option as --help and the manual page show it; `value` is empty if it takes none.
+struct OptionText {
+  std::string name;
+  std::string value;
+  std::string meaning;
+};
+std::vector<OptionText> option_texts();
 
 /// Exit status 0 for --help and --version, 2 for wrong usage.
 std::variant<Options, Exit> parse_options(int argc, const char* const* argv);

@@ -1,0 +1,12 @@
+# agnocast_manual(PAGE): a manual page in the build directory, made with everything else and installed as man and Debian have it:
+# compressed, and the same from the same page. agnocast_manual_date is for those who write one: that of the build, or SOURCE_DATE_EPOCH's.
+string(TIMESTAMP agnocast_manual_date "%B %d, %Y" UTC)
+find_program(GZIP_PROGRAM gzip REQUIRED)
+
+function(agnocast_manual page)
+  set(file ${CMAKE_CURRENT_BINARY_DIR}/${page})
+  add_custom_command(OUTPUT ${file}.gz COMMAND ${GZIP_PROGRAM} -9 -n -k -f ${file} DEPENDS ${file} VERBATIM)
+  add_custom_target(manual_${page} ALL DEPENDS ${file}.gz)
+  string(REGEX REPLACE ".*\\." "" section ${page})
+  install(FILES ${file}.gz DESTINATION ${CMAKE_INSTALL_MANDIR}/man${section})
+endfunction()

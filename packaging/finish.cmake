@@ -1,0 +1,14 @@
+# Run by cpack when the files of the packages lie together, and when it knows the version.
+string(TIMESTAMP date "%a, %d %b %Y %H:%M:%S +0000" UTC)
+foreach(package IN LISTS CPACK_COMPONENTS_ALL)
+  set(changelog ${CPACK_TEMPORARY_DIRECTORY}/${package}/usr/share/doc/${package}/changelog.Debian)
+  file(WRITE ${changelog} "${CPACK_DEBIAN_PACKAGE_SOURCE} (${CPACK_PACKAGE_VERSION}-${CPACK_DEBIAN_PACKAGE_RELEASE}) unstable; urgency=medium
+
+  * Version ${CPACK_PACKAGE_VERSION}.
+
+ -- ${CPACK_PACKAGE_CONTACT}  ${date}
+")
+  execute_process(COMMAND gzip -9 -n -f ${changelog} COMMAND_ERROR_IS_FATAL ANY)
+endforeach()
+# It says where libraries lie beside the program. Here they lie where the loader looks.
+file(RPATH_REMOVE FILE ${CPACK_TEMPORARY_DIRECTORY}/agnocast-ctl/usr/libexec/agnocast/agnocast-ctl-topic)
