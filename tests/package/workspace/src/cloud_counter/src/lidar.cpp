@@ -18,7 +18,11 @@ int main(int argc, char** argv) try {
     const auto result = clouds->publish_for(std::move(cloud), std::chrono::seconds(30));
     auto name = names->borrow_loaned_message();
     name->data = name_of(number);
-    if (!result || !names->publish_for(std::move(name), std::chrono::seconds(30))) return 1;
+    const auto named = names->publish_for(std::move(name), std::chrono::seconds(30));
+    if (!result || !named) {
+      std::fprintf(stderr, "lidar: %s\n", agnocast::sentence_of((result ? named : result).code));
+      return 1;
+    }
     adopted += result.adopted_bytes;
   }
   std::printf("%u clouds published, %llu bytes adopted\n", count, adopted);

@@ -1,0 +1,44 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+#
+# Goal: the Debian packages are clean, can be installed, upgraded under traffic, removed and purged, and are all that a user needs to build
+# and run a workspace of his own. Method: cpack makes them from this build tree twice, as one version and the next; lintian reads them;
+# dpkg installs them in a machine of its own, with a real systemd, in which debian_inside.sh does the rest.
+#
+#   debian_test.sh BUILD_DIRECTORY SOURCE_DIRECTORY HONEST_NODE
+set -euo pipefail
+build=$1 source=$2 node=$3
+. "$source/tests/support/systemd_machine.sh"
+
+skip() { echo "SKIPPED: $1"; exit 77; }
+[ "$(id -u)" -eq 0 ] || skip "needs root: it boots a systemd"
+[ -x /usr/lib/systemd/systemd ] || skip "needs systemd"
+for tool in lintian dpkg cpack unshare nsenter pivot_root setpriv; do command -v "$tool" >/dev/null || skip "needs $tool"; done
+# A sandbox may have root and no right to mount.
+unshare --mount --pid --fork true 2>/dev/null || skip "needs the right to make namespaces"
+
+dir=$(mktemp -d)
+trap 'machine_stop "$dir"; rm -rf "$dir"' EXIT
+here=$dir/files/opt/agnocast
+mkdir -p "$here/lib"
+make_packages() {
+  cpack --config "$build/CPackConfig.cmake" -B "$dir/$1" "${@:2}" >"$dir/cpack" 2>&1 || { cat "$dir/cpack"; exit 1; }
+  mkdir "$here/$1"
+  mv "$dir/$1"/*.deb "$here/$1"
+}
+make_packages first
+make_packages next -D CPACK_DEBIAN_PACKAGE_RELEASE=0upstream2
+lintian --allow-root --no-cfg --fail-on error,warning "$here"/first/*.deb
+
+# What a user has: a workspace, and message packages that are no packages of Debian yet.
+cp -r "$source/tests/package/workspace" "$here/workspace"
+IFS=: read -r -a prefixes <<<"${AMENT_PREFIX_PATH:-}"
+for prefix in "${prefixes[@]}"; do
+  [ -e "$prefix/share/agnocast/package.xml" ] || cp -rL "$prefix" "$here/lib/"
+done
+cp "$node" "$here/honest_node"
+cp "$source"/tests/package/{debian_inside,support}.sh "$here/"
+chmod -R a+rX "$here"
+
+machine_start "$dir"
+machine_run "$dir" env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin LANG=C.UTF-8 bash /opt/agnocast/debian_inside.sh "$build" "$source"
