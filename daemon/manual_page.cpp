@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Writes agnocastd(8) when the project is built, from the tables that --help and the reader of the configuration use.
+// Writes agnocastd(8) when the project is built, from the tables that --help and the reader of the
+// configuration use.
 
 #include <base/mdoc.hpp>
 #include <daemon/config_keys.hpp>

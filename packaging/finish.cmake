@@ -1,8 +1,9 @@
 # Run by cpack when the files of the packages lie together, and when it knows the version.
 string(TIMESTAMP date "%a, %d %b %Y %H:%M:%S +0000" UTC)
 foreach(package IN LISTS CPACK_COMPONENTS_ALL)
+  set(version ${CPACK_PACKAGE_VERSION}-${CPACK_DEBIAN_PACKAGE_RELEASE})
   set(changelog ${CPACK_TEMPORARY_DIRECTORY}/${package}/usr/share/doc/${package}/changelog.Debian)
-  file(WRITE ${changelog} "${CPACK_DEBIAN_PACKAGE_SOURCE} (${CPACK_PACKAGE_VERSION}-${CPACK_DEBIAN_PACKAGE_RELEASE}) unstable; urgency=medium
+  file(WRITE ${changelog} "${CPACK_DEBIAN_PACKAGE_SOURCE} (${version}) unstable; urgency=medium
 
   * Version ${CPACK_PACKAGE_VERSION}.
 

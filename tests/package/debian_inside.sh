@@ -11,6 +11,8 @@ done
 rm -f /usr/sbin/policy-rc.d /etc/dpkg/dpkg.cfg.d/* /var/lib/man-db/auto-update
 export DEBIAN_FRONTEND=noninteractive
 
+library=$(dpkg-deb -f /opt/agnocast/first/libagnocast[0-9]*.deb Package)
+
 say() { echo "== $1 (${SECONDS} s)"; }
 dpkg_quietly() { dpkg "$@" >"$work/dpkg" 2>&1 </dev/null || { cat "$work/dpkg"; fail "dpkg $1"; }; }
 units() { systemctl "$1" agnocastd.socket agnocastd.service 2>&1 | sort -u; }
@@ -152,13 +154,13 @@ say "a node that is switched off needs neither daemon nor hook"
 dpkg_quietly -r libagnocast-heaphook
 expect 1 "agnocast is switched off in this process" as one env AGNOCAST=off "$nodes/lidar" 1
 expect 1 "agnocastd does not answer" as one "$nodes/lidar" 1
-dpkg_quietly -r libagnocast0.1
+dpkg_quietly -r $library
 
 say "what is left"
 # What an administrator said about the units is remembered as well.
 left | grep -v "^/var/lib/systemd/deb-systemd-helper-enabled/agnocastd" >"$work/left"
 [ "$(cat "$work/left")" = /etc/agnocast/agnocastd.toml ] || { cat "$work/left"; fail "a removal leaves this"; }
-dpkg_quietly -P agnocastd agnocast-ctl libagnocast-dev libagnocast-heaphook libagnocast0.1
+dpkg_quietly -P agnocastd agnocast-ctl libagnocast-dev libagnocast-heaphook $library
 [ -z "$(left)" ] || fail "a purge leaves $(left)"
 [ ! -e /etc/agnocast ] && [ ! -e /run/agnocast ] || fail "a purge leaves directories"
 say "done"
