@@ -31,14 +31,27 @@
 #include <vector>
 
 namespace agnocast::bench {
-namespace {
 
-using Clock = std::chrono::steady_clock;
-
-struct Sample {
+struct Frame {
   std::uint64_t number = 0;
   std::vector<std::uint8_t> bytes;
 };
+
+}  // namespace agnocast::bench
+
+template <>
+struct agnocast::MessageTraits<agnocast::bench::Frame> {
+  static constexpr const char* name = "bench/Frame";
+  static void for_each_pointer(const agnocast::bench::Frame& frame,
+                               PointerVisitor& visit) noexcept {
+    visit("bytes", frame.bytes);
+  }
+};
+
+namespace agnocast::bench {
+namespace {
+
+using Clock = std::chrono::steady_clock;
 
 struct Size {
   unsigned topics = 500, processes = 200, seconds = 20;
@@ -50,12 +63,12 @@ std::string topic_of(unsigned index) { return "/bench/topic_" + std::to_string(i
 [[noreturn]] void be_node(unsigned index, const Size& size) {
   ::prctl(PR_SET_PDEATHSIG, SIGKILL);
   Node node("node_" + std::to_string(index));
-  std::vector<Publisher<Sample>::SharedPtr> publishers;
-  std::vector<PollingSubscriber<Sample>::SharedPtr> subscriptions;
+  std::vector<Publisher<Frame>::SharedPtr> publishers;
+  std::vector<PollingSubscriber<Frame>::SharedPtr> subscriptions;
   for (unsigned topic = index; topic < size.topics; topic += size.processes)
-    publishers.push_back(create_publisher<Sample>(node, topic_of(topic), QoS(5)));
+    publishers.push_back(create_publisher<Frame>(node, topic_of(topic), QoS(5)));
   for (unsigned topic = (index + 1) % size.processes; topic < size.topics; topic += size.processes)
-    subscriptions.push_back(create_subscription<Sample>(node, topic_of(topic), QoS(5)));
+    subscriptions.push_back(create_subscription<Frame>(node, topic_of(topic), QoS(5)));
   std::puts("ready");
   std::fflush(stdout);
   for (std::uint64_t number = 1;; ++number) {

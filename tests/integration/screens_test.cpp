@@ -31,7 +31,7 @@ std::string shape_of(std::string text) {
   for (const auto& [pattern, with] :
        {std::pair("([0-9a-f]{2}\\.){15}[0-9a-f]{2}", "GID"), std::pair("0x[0-9a-f]+", "#"),
         std::pair("[0-9]+(\\.[0-9]+)?", "#"), std::pair("# (ns|us|ms|s|min|h)\\b", "# t"),
-        std::pair(" +", " "), std::pair(" +\n", "\n")})
+        std::pair("under # t", "# t"), std::pair(" +", " "), std::pair(" +\n", "\n")})
     text = std::regex_replace(text, std::regex(pattern), with);
   return text;
 }
@@ -114,6 +114,9 @@ TEST(Screens, AreWhatIsShown) {
     for (const std::string place = daemon.directory() + "/run";
          shown.find(place) != std::string::npos;)
       shown.replace(shown.find(place), place.size(), "/run/agnocast");
+    // How the camera was started is how this program was.
+    shown =
+        std::regex_replace(shown, std::regex("(agnocast-run --scope all ).* &"), "$1./camera &");
     while (std::getline(file, next) && next != "```") written += next + '\n';
     recorded += shown + "```\n";
     if (record) continue;
