@@ -105,7 +105,8 @@ std::optional<std::string> variable(const char* name) {
 std::string confinement() {
   std::string name = contents_of("/proc/self/attr/apparmor/current");
   if (name.empty()) name = contents_of("/proc/self/attr/current");
-  name.resize(std::min(name.find_first_of(" \n\0", 0, 3), name.size()));
+  name.resize(std::min(name.find_first_of("\n\0", 0, 2), name.size()));
+  if (name.ends_with(')')) name.resize(std::min(name.rfind(" ("), name.size()));
   return name == "unconfined" ? std::string() : name;
 }
 

@@ -189,8 +189,10 @@ TEST_F(DoctorDoor, SaysThatNoDescriptorArrivesAndWhatKeepsThemAway) {
   // What the kernel says of a shell with a profile; this one need not have such a module.
   const std::string says = "/proc/self/attr/current";
   doctor.overlay()[says] = "/opt/my node (enforce)\n";
-  if (doctor.look().remedies == findings.remedies)
+  const Findings confined = doctor.look();
+  if (confined.remedies == findings.remedies)
     GTEST_SKIP() << "this kernel has no " << says << " that could be another";
+  EXPECT_THAT(confined.remedies[0], HasSubstr("grep -rlF '/opt/my node' /etc/apparmor.d"));
   doctor.overlay()[says] = "my-node (enforce)\n";
   findings = doctor.look();
   ASSERT_THAT(findings.ids(), ElementsAre("descriptors-withheld"));
