@@ -59,11 +59,13 @@ Outcome<void> dump_all(const Arguments& arguments, Console& console) {
   do {
     if (auto renewed = watch->renew(); !renewed) return renewed;
     const Object now = object_of(watch->system(), arguments);
-    Object lasting = without_time(now);
-    if (lasting == last) continue;
+    if (arguments.has(options::watch)) {
+      Object lasting = without_time(now);
+      if (lasting == last) continue;
+      last = std::move(lasting);
+    }
     console.object(now, form);
     console.flush();
-    last = std::move(lasting);
   } while (arguments.has(options::watch) && waiting.sleep_ms(interval_ms));
   return {};
 }

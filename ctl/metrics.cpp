@@ -73,7 +73,7 @@ class Metrics {
       if (is_openmetrics && !family.unit.empty())
         text += "# UNIT " + name + ' ' + std::string(family.unit) + '\n';
       for (const auto& [labels, value] : family.samples)
-        text += sample + text_of(labels) + ' ' + value.dump() + '\n';
+        text.append(sample).append(text_of(labels)).append(1, ' ').append(value.dump()) += '\n';
     }
     return is_openmetrics ? text + "# EOF\n" : text;
   }
@@ -100,8 +100,9 @@ class Metrics {
     if (labels.empty()) return "";
     std::string text;
     for (const auto& [name, label] : labels) {
-      text += (text.empty() ? '{' : ',') + std::string(name) + "=\"";
-      for (const char c : escaped(label)) text += c == '\\' ? "\\\\" : std::string(1, c);
+      text += text.empty() ? '{' : ',';
+      text.append(name).append("=\"");
+      for (const char c : escaped(label)) text.append(c == '\\' ? 2 : 1, c);
       text += '"';
     }
     return text + '}';
@@ -190,10 +191,8 @@ void add_processes(const System& system, Metrics& metrics) {
   }
   metrics.gauge("heap_used_bytes", "bytes", "How far a process has used its windows.");
   for (const auto& [index, process] : system.processes) {
-    std::uint64_t used = 0;
-    for (const WindowNumbers& window : numbers_of_windows(system, process))
-      used += window.used_bytes;
-    metrics.sample({{"pid", std::to_string(process.facts.pid)}, {"process", process.name}}, used);
+    metrics.sample({{"pid", std::to_string(process.facts.pid)}, {"process", process.name}},
+                   heap_used(process));
   }
 }
 

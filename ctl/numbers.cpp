@@ -237,7 +237,7 @@ KeptNumbers numbers_of_kept(const System& system, const Process& process) {
   for (const auto& [index, topic] : system.topics) {
     std::vector<const Endpoint*> own;
     for (const Endpoint& subscription : topic.subscriptions) {
-      if (system.process_of(subscription) != &process || !takes_messages(subscription)) continue;
+      if (!process.owns(subscription) || !takes_messages(subscription)) continue;
       const auto numbers = numbers_of_subscription(system, topic, subscription);
       if (!numbers) continue;
       kept.unread += numbers->unread;
@@ -251,6 +251,14 @@ KeptNumbers numbers_of_kept(const System& system, const Process& process) {
   return kept;
 }
 
+std::uint64_t heap_used(const Process& process) noexcept {
+  if (!process.region) return 0;
+  std::uint64_t used = 0;
+  for (std::uint32_t w = 0; w < process.facts.window_count; ++w)
+    used += dataplane::load_frontier<M>(process.region.base(), w, process.facts.window[w].bytes);
+  return used;
+}
+
 std::vector<WindowNumbers> numbers_of_windows(const System& system, const Process& process) {
   if (!process.region) return {};
   std::vector<WindowNumbers> windows(process.facts.window_count);
@@ -259,8 +267,7 @@ std::vector<WindowNumbers> numbers_of_windows(const System& system, const Proces
         dataplane::load_frontier<M>(process.region.base(), w, process.facts.window[w].bytes);
   for (const auto& [index, topic] : system.topics) {
     for (const Endpoint& publisher : topic.publishers) {
-      if (system.process_of(publisher) != &process || system.region_of(publisher) == nullptr)
-        continue;
+      if (!process.owns(publisher) || system.region_of(publisher) == nullptr) continue;
       const Words words{process.region.base(), publisher.facts.extent};
       for (std::uint64_t slot = 0; slot < publisher.facts.slot_count; ++slot) {
         if (words.slot_id(slot).load(acquire) == 0) continue;

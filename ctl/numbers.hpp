@@ -85,6 +85,8 @@ struct WindowNumbers {
   std::uint64_t used_bytes = 0;  // the frontier
   std::uint64_t messages = 0;    // message objects that begin in it
 };
+/// How far its windows are in use, together; 0 when its region cannot be read.
+std::uint64_t heap_used(const Process& process) noexcept;
 /// As many as the process has windows; empty when its region cannot be read. `messages` counts the
 /// slots of all its publishers.
 std::vector<WindowNumbers> numbers_of_windows(const System& system, const Process& process);

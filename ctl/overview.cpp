@@ -5,7 +5,6 @@
 #include <agnocast/error.hpp>
 #include <base/text.hpp>
 #include <client/dataplane/views.hpp>
-#include <client/dataplane/windows.hpp>
 #include <ctl/numbers.hpp>
 #include <ctl/objects.hpp>
 #include <ctl/select.hpp>
@@ -189,12 +188,7 @@ Totals Overview::totals_of(const System& system, const std::vector<Row>& rows) {
   Totals totals;
   totals.topics = rows.size();
   totals.processes = system.processes.size();
-  for (const auto& [index, process] : system.processes) {
-    if (!process.region) continue;
-    for (std::uint32_t w = 0; w < process.facts.window_count; ++w)
-      totals.heap_bytes += dataplane::load_frontier<SharedMemory>(process.region.base(), w,
-                                                                  process.facts.window[w].bytes);
-  }
+  for (const auto& [index, process] : system.processes) totals.heap_bytes += heap_used(process);
   for (const Row& row : rows) totals.lost += row.lost;
   const wire::DaemonCounters& counters = system.daemon.counters;
   totals.refused = counters.requests_refused + counters.connections_refused;

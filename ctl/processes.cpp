@@ -170,7 +170,10 @@ Outcome<void> list_processes(const Arguments& arguments, Console& console) {
     const wire::DumpProcess& facts = process.facts;
     if (!arguments.all_domains && facts.domain != arguments.domain) continue;
     const KeptNumbers kept = numbers_of_kept(look->system, process);
-    list.push_back(object_of(process, kept));
+    if (arguments.json != Json::no) {
+      list.push_back(object_of(process, kept));
+      continue;
+    }
     table.add(
         {std::to_string(facts.pid), std::to_string(facts.uid), escaped(process.name),
          std::to_string(facts.domain), state_of(facts), duration_for_people(facts.age_ns),

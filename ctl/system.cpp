@@ -6,8 +6,10 @@
 #include <agnocast/error.hpp>
 #include <base/text.hpp>
 
+#include <fcntl.h>
 #include <poll.h>
 #include <sys/stat.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <array>
@@ -15,6 +17,7 @@
 #include <cstdio>
 #include <cstring>
 #include <memory>
+#include <string_view>
 #include <system_error>
 
 namespace agnocast::ctl {
@@ -51,24 +54,27 @@ std::uint64_t extent_bytes(const wire::DumpEndpoint& endpoint) noexcept {
 }  // namespace
 
 bool is_stopped(const wire::DumpProcess& process) {
-  const std::string path = "/proc/" + std::to_string(process.pid) + "/stat";
-  const std::unique_ptr<std::FILE, int (*)(std::FILE*)> file(std::fopen(path.c_str(), "re"),
-                                                             &std::fclose);
+  if (process.pid == 0) return false;
+  const UniqueFd file(
+      ::open(("/proc/" + std::to_string(process.pid) + "/stat").c_str(), O_RDONLY | O_CLOEXEC));
   char line[512];
-  if (process.pid == 0 || file == nullptr || std::fgets(line, sizeof line, file.get()) == nullptr)
-    return false;
-  const std::string text = line;  // "pid (name) state …"; the name may hold anything
+  const ssize_t bytes = file ? ::read(file.get(), line, sizeof line) : 0;
+  if (bytes <= 0) return false;
+  // "pid (name) state …"; the name may hold anything
+  const std::string_view text(line, static_cast<std::size_t>(bytes));
   const std::size_t end = text.rfind(')');
   return end != std::string::npos && end + 2 < text.size() &&
          (text[end + 2] == 'T' || text[end + 2] == 't');
 }
 
+bool Process::owns(const Endpoint& endpoint) const noexcept {
+  return endpoint.facts.client == facts.client &&
+         endpoint.facts.client_generation == facts.generation;
+}
+
 const Process* System::process_of(const Endpoint& endpoint) const {
   const auto found = processes.find(endpoint.facts.client);
-  if (found == processes.end() ||
-      found->second.facts.generation != endpoint.facts.client_generation)
-    return nullptr;
-  return &found->second;
+  return found == processes.end() || !found->second.owns(endpoint) ? nullptr : &found->second;
 }
 
 std::byte* System::region_of(const Endpoint& endpoint) const {
@@ -166,14 +172,18 @@ Outcome<void> Observer::send(Opcode opcode, Body body) {
 }
 
 Outcome<Observer::Received> Observer::receive() {
-  pollfd readable{socket_.fd(), POLLIN, 0};
-  int ready = 0;
-  do {
-    ready = ::poll(&readable, 1, patience_ms);
-  } while (ready < 0 && errno == EINTR);
-  if (ready <= 0) return unreachable(path_, "agnocastd does not answer within 5 s");
   Received received;
   auto packet = socket_.receive(received.bytes);
+  // Of many packets the next one is mostly there.
+  if (packet && packet->kind == Packet::Kind::nothing) {
+    pollfd readable{socket_.fd(), POLLIN, 0};
+    int ready = 0;
+    do {
+      ready = ::poll(&readable, 1, patience_ms);
+    } while (ready < 0 && errno == EINTR);
+    if (ready <= 0) return unreachable(path_, "agnocastd does not answer within 5 s");
+    packet = socket_.receive(received.bytes);
+  }
   if (!packet) return unreachable(path_, packet.error().what);
   if (packet->kind != Packet::Kind::data)
     return unreachable(path_, "agnocastd has ended the connection");

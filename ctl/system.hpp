@@ -26,6 +26,8 @@ namespace agnocast::ctl {
 
 namespace wire = abi::wire;
 
+struct Endpoint;
+
 struct Process {
   wire::DumpProcess facts{};
   std::string name;
@@ -36,6 +38,8 @@ struct Process {
   Mapping region;
   std::string region_fault;
   std::uint64_t publisher_count = 0, subscription_count = 0;
+
+  bool owns(const Endpoint& endpoint) const noexcept;
 };
 
 struct Endpoint {
