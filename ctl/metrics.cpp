@@ -306,8 +306,9 @@ Outcome<void> write_file(const std::string& path, const std::string& text) {
     return problem(Status::failed, escaped(path), std::string(what) + ": " + std::strerror(errno),
                    "choose a directory that this user may write");
   };
-  const UniqueFd file(
-      ::open(made.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_NOFOLLOW | O_CLOEXEC, 0644));
+  // What is left of a former one, or put there by somebody who may write here too, is not written to.
+  ::unlink(made.c_str());
+  const UniqueFd file(::open(made.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0644));
   if (!file) return failed("it cannot be made");
   std::size_t done = 0;
   while (done < text.size()) {
