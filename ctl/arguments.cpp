@@ -13,6 +13,7 @@
 #include <algorithm>
 #include <charconv>
 #include <cmath>
+#include <cstdio>
 #include <cstdlib>
 #include <vector>
 
@@ -163,7 +164,9 @@ Outcome<std::uint64_t> domain_of(const std::string& what, const std::string& tex
 /// Whether a value is what its option wants; if not, why.
 std::optional<std::string> complaint_of(const Option& option, const std::string& value) {
   const auto bound = [](double number) {
-    return std::to_string(static_cast<std::uint64_t>(number));
+    char text[32];
+    std::snprintf(text, sizeof text, "%.15g", number);
+    return std::string(text);
   };
   switch (option.kind) {
     case Option::Kind::flag:
@@ -184,8 +187,8 @@ std::optional<std::string> complaint_of(const Option& option, const std::string&
       if (number && *number <= option.most &&
           (option.least == 0 ? *number > 0 : *number >= option.least))
         return std::nullopt;
-      return in_quotes(value) + " is no number above " + bound(option.least) +
-             (std::isinf(option.most) ? "" : " and up to " + bound(option.most));
+      return in_quotes(value) + " is no number " + (option.least == 0 ? "above " : "from ") +
+             bound(option.least) + (std::isinf(option.most) ? "" : " to " + bound(option.most));
     }
     case Option::Kind::word: {
       const std::vector<std::string> words = words_of(option.words);

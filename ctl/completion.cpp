@@ -105,10 +105,15 @@ std::vector<std::string> completions_of(std::span<const std::string> words,
       if (command.noun == place.noun && place.verb.empty()) all.emplace(command.verb);
     }
   }
+  // A shell takes over what is offered as it is. Names come from whoever may connect, and in a process's
+  // name anything may stand: only what means nothing to a shell is offered.
+  const auto is_harmless = [](char c) {
+    return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') ||
+           std::string_view("_/.:-").find(c) != std::string_view::npos;
+  };
   std::vector<std::string> matching;
   for (const std::string& word : all) {
-    // A word with a space would be several; nobody names a topic so.
-    if (word.starts_with(typed) && word.find_first_of(" \n\t") == std::string::npos)
+    if (word.starts_with(typed) && std::all_of(word.begin(), word.end(), is_harmless))
       matching.push_back(word);
   }
   return matching;

@@ -38,8 +38,10 @@ std::string who(const System& system, const Endpoint& endpoint) {
   return node_of(endpoint) + (process == nullptr ? "" : " of " + who(*process));
 }
 
+// One in a PID namespace that the daemon does not see has the number 0, and to kill that means everybody here.
+Fill pid_words(std::uint64_t pid) { return pid == 0 ? Fill{} : Fill{{"PID", std::to_string(pid)}}; }
 Fill restart_of(const Facts& facts, pid_t pid) {
-  Fill words{{"PID", std::to_string(pid)}};
+  Fill words = pid_words(static_cast<std::uint64_t>(pid));
   const auto member = facts.members.find(pid);
   if (member != facts.members.end() && !member->second.command.empty())
     words["COMMAND"] = member->second.command;
@@ -69,7 +71,7 @@ Ailments stopped(const Facts& facts) {
   Ailments found;
   for (const auto& [index, process] : facts.system().processes) {
     if (process.facts.state == wire::ProcessState::connected && is_stopped(process.facts))
-      found.push_back({who(process) + " is stopped", {{"PID", std::to_string(process.facts.pid)}}});
+      found.push_back({who(process) + " is stopped", pid_words(process.facts.pid)});
   }
   return found;
 }

@@ -22,6 +22,7 @@
 
 #include <cerrno>
 #include <cstdio>
+#include <cstdlib>
 #include <cstring>
 #include <limits>
 #include <map>
@@ -102,7 +103,8 @@ class Metrics {
     for (const auto& [name, label] : labels) {
       text += text.empty() ? '{' : ',';
       text.append(name).append("=\"");
-      for (const char c : escaped(label)) text.append(c == '\\' ? 2 : 1, c);
+      for (const char c : escaped(label))
+        text.append(c == '\\' || c == '"' ? "\\" : "").append(1, c);
       text += '"';
     }
     return text + '}';
@@ -191,7 +193,11 @@ void add_processes(const System& system, Metrics& metrics) {
   }
   metrics.gauge("heap_used_bytes", "bytes", "How far a process has used its windows.");
   for (const auto& [index, process] : system.processes) {
-    metrics.sample({{"pid", std::to_string(process.facts.pid)}, {"process", process.name}},
+    // A number is that of several where the daemon does not see their PID namespaces.
+    metrics.sample({{"client", std::to_string(process.facts.client) + '.' +
+                                   std::to_string(process.facts.generation)},
+                    {"pid", std::to_string(process.facts.pid)},
+                    {"process", process.name}},
                    heap_used(process));
   }
 }
@@ -299,26 +305,29 @@ Metrics metrics_of(const System* system) {
   return metrics;
 }
 
-/// The whole file at once, for whoever reads it meanwhile, and for everybody.
-Outcome<void> write_file(const std::string& path, const std::string& text) {
-  const std::string made = path + ".new";
-  const auto failed = [&](const char* what) {
-    return problem(Status::failed, escaped(path), std::string(what) + ": " + std::strerror(errno),
-                   "choose a directory that this user may write");
-  };
-  // What is left of a former one, or put there by somebody who may write here too, is not written to.
-  ::unlink(made.c_str());
-  const UniqueFd file(::open(made.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0644));
-  if (!file) return failed("it cannot be made");
-  std::size_t done = 0;
-  while (done < text.size()) {
-    const ssize_t count = ::write(file.get(), text.data() + done, text.size() - done);
+bool write_all(int fd, std::string_view text) {
+  while (!text.empty()) {
+    const ssize_t count = ::write(fd, text.data(), text.size());
     if (count < 0 && errno == EINTR) continue;
-    if (count < 0) return failed("it cannot be written");
-    done += static_cast<std::size_t>(count);
+    if (count < 0) return false;
+    text.remove_prefix(static_cast<std::size_t>(count));
   }
-  if (::rename(made.c_str(), path.c_str()) != 0) return failed("it cannot be put there");
-  return {};
+  return true;
+}
+
+/// The whole file at once, for whoever reads it meanwhile, and for everybody. It is made under a name that
+/// nobody knows: others may write to that directory as well.
+Outcome<void> write_file(const std::string& path, const std::string& text) {
+  std::string made = path + ".XXXXXX";
+  const UniqueFd file(::mkostemp(made.data(), O_CLOEXEC));
+  const bool is_there = file && write_all(file.get(), text) && ::fchmod(file.get(), 0644) == 0 &&
+                        ::rename(made.c_str(), path.c_str()) == 0;
+  if (is_there) return {};
+  const int error = errno;
+  if (file) ::unlink(made.c_str());
+  return problem(Status::failed, escaped(path),
+                 std::string("it cannot be written: ") + std::strerror(error),
+                 error == ENOSPC ? "df" : "choose a directory that this user may write");
 }
 
 }  // namespace
@@ -336,7 +345,9 @@ Outcome<void> write_metrics(const Arguments& arguments, Console& console) {
                    "agnocast-ctl metrics --every 15 --output FILE");
   for (;;) {
     const auto look = look_at(arguments.socket);
-    if (!look && path.empty()) return tl::unexpected(look.error());
+    // Only that nobody answers is a number; anything else would be told wrongly by it.
+    if (!look && (path.empty() || look.error().status != Status::not_reachable))
+      return tl::unexpected(look.error());
     const Metrics metrics = metrics_of(look ? &look->system : nullptr);
     if (!path.empty()) {
       if (auto written = write_file(path, metrics.text(is_openmetrics)); !written) return written;

@@ -112,7 +112,7 @@ inline constexpr Option batch{"-b,--batch", "print, and take no keys; for progra
 inline constexpr Option rounds{
     "-n,--number", "end after so many rounds", Kind::whole, "COUNT", {}, 1};
 inline constexpr Option delay{
-    "-d,--delay", "seconds between two rounds", Kind::real, "SECONDS", "0.5", 0, 3600};
+    "-d,--delay", "seconds between two rounds", Kind::real, "SECONDS", "0.5", 0.05, 3600};
 inline constexpr Option sort{"-s,--sort", "the order of the rows",
                              Kind::word,  "COLUMN",
                              "trouble",   0,

@@ -33,6 +33,7 @@ Status status_of(Errc code) noexcept {
     return Status::permission_denied;
   if (code == Errc::daemon_not_running) return Status::not_reachable;
   if (code == Errc::endpoint_gone) return Status::no_such_thing;
+  if (code == Errc::invalid_argument) return Status::wrong_usage;  // the path of the socket
   return Status::failed;
 }
 

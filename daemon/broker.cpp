@@ -319,7 +319,7 @@ void Broker::disconnect(Peer& peer, std::string_view why) {
     return;
   }
   const ClientIndex client = *peer.session.client();
-  log_.write(LogLevel::debug, "connection ended",
+  log_.write(LogLevel::debug, "connection closed",
              {{"client", number(client)}, {"pid", peer.session.identity().pid}, {"why", why}});
   // After exec, or when the library was shut down, nothing of the region is left in the process.
   if (decision != EndDecision::wait) {

@@ -3,6 +3,8 @@
 #include <daemon/requests.hpp>
 
 #include <agnocast/abi/limits.hpp>
+#include <base/names.hpp>
+#include <base/text.hpp>
 #include <daemon/log.hpp>
 
 #include <algorithm>
@@ -99,6 +101,11 @@ Request decode_executor(Packet packet) {
   return ExecutorRequest{is_asked_again(packet), body.header.request, body.executor};
 }
 
+/// As a node's full name is: with a slash in front.
+std::string absolute(std::string_view node) {
+  return std::string(node.starts_with('/') ? "" : "/") + std::string(node);
+}
+
 Request decode_create(Packet packet) {
   const auto body = body_of<wire::CreateEndpoint>(packet);
   CreateRequest request;
@@ -117,6 +124,12 @@ Request decode_create(Packet packet) {
   if (!text_of(body.node, node))
     return refuse(body.header, Errc::protocol_violation, "the name of the node does not end");
   if (type.empty()) return refuse(body.header, Errc::invalid_argument, "the type has no name");
+  if (!std::all_of(type.begin(), type.end(), [](char c) { return c >= ' ' && c <= '~'; }))
+    return refuse(body.header, Errc::invalid_name,
+                  "type " + in_quotes(type) + ": a character that cannot be printed");
+  if (const auto problem = check_namespace(absolute(node)))
+    return refuse(body.header, Errc::invalid_name,
+                  "node " + in_quotes(node) + ": " + problem->text());
   if ((body.qos & ~qos_bits) != 0)
     return refuse(body.header, Errc::invalid_argument, "an unknown quality of service");
   request.qos = abi::unpack_qos(body.qos);

@@ -216,13 +216,13 @@ TEST_F(CtlLook, ShowsWhatHurtsFirst) {
 TEST_F(CtlLook, DrawsAPicture) {
   Node a(daemon_.socket_path()), b(daemon_.socket_path());
   a.open_window();
-  const auto p = a.publisher("/points", {20}, "/li\"dar", "sensor_msgs/msg/PointCloud2");
-  const auto s = b.subscription("/points", {5}, "/viewer", "sensor_msgs/msg/PointCloud2");
+  const auto p = a.publisher("/points", {20}, "/lidar", "my_msgs::Cloud<\"a\">");
+  const auto s = b.subscription("/points", {5}, "/viewer", "my_msgs::Cloud<\"a\">");
   EXPECT_EQ(
       out({"graph"}),
       "digraph agnocast {\n  rankdir=LR;\n  node [fontname=\"sans-serif\"];\n"
-      "  n0 [label=\"/li\\\"dar\", shape=box];\n  n1 [label=\"/viewer\", shape=box];\n"
-      "  t0 [label=\"/points\\nsensor_msgs/msg/PointCloud2\", shape=ellipse];\n"
+      "  n0 [label=\"/lidar\", shape=box];\n  n1 [label=\"/viewer\", shape=box];\n"
+      "  t0 [label=\"/points\\nmy_msgs::Cloud<\\\"a\\\">\", shape=ellipse];\n"
       "  n0 -> t0 [label=\"0.0 Hz\"];\n"
       "  t0 -> n1 [label=\"the subscription has not linked yet\", style=dashed, color=red];\n}\n");
   b.link(s, p, 0, 0);

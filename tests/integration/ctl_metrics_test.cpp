@@ -83,6 +83,16 @@ TEST_F(CtlMetrics, AreReadByPrometheus) {
   EXPECT_FALSE(is_content("promtool check metrics 2>/dev/null", result.out + "no metric\n"));
 }
 
+// What a process is called is its own business.
+TEST_F(CtlMetrics, AreReadWhateverAProcessIsCalled) {
+  CtlNode node(daemon_.socket_path(), 0, "a\"\\\n}\xff{b=\"1");
+  const CtlResult result = metrics();
+  EXPECT_THAT(result.out, HasSubstr(R"(process="a\\\"\\\\\\n}\\xff{b=\\\"1"} 0)"));
+  if (std::system("command -v promtool >/dev/null") != 0)
+    GTEST_SKIP() << "promtool is not installed";
+  EXPECT_TRUE(is_content("promtool check metrics", result.out));
+}
+
 TEST_F(CtlMetrics, AreReadAsOpenMetrics) {
   const CtlResult result = metrics({"--format", "openmetrics"});
   ASSERT_EQ(result.status, 0) << result.err;
@@ -121,7 +131,8 @@ TEST_F(CtlMetrics, ReplaceTheFileAndSayWhenTheDaemonIsAway) {
   EXPECT_EQ(::waitpid(pid, &status, 0), pid);
   EXPECT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) == 0);
   EXPECT_EQ(metrics({"--output", path}).status, 3);
-  EXPECT_FALSE(std::filesystem::exists(path + ".new"));
+  EXPECT_EQ(std::distance(std::filesystem::directory_iterator(directory_.path()), {}), 1)
+      << "nothing stays beside it";
 }
 
 TEST_F(CtlMetrics, RefuseWhatCannotBe) {
@@ -132,7 +143,11 @@ TEST_F(CtlMetrics, RefuseWhatCannotBe) {
             "hint: agnocast-ctl metrics --every 15 --output FILE\n");
   const CtlResult no_folder = metrics({"--output", "/nowhere/at/all"});
   EXPECT_EQ(no_folder.status, 1);
-  EXPECT_THAT(no_folder.err, HasSubstr("/nowhere/at/all: it cannot be made: No such file"));
+  EXPECT_THAT(no_folder.err, HasSubstr("/nowhere/at/all: it cannot be written: No such file"));
+  const CtlResult a_folder = metrics({"--output", directory_.path()});
+  EXPECT_EQ(a_folder.status, 1);
+  EXPECT_THAT(a_folder.err, HasSubstr("it cannot be written: Is a directory"));
+  EXPECT_EQ(metrics({"--every", "0", "--output", "/x"}).status, 2);
   EXPECT_EQ(metrics({"--format", "graphite"}).status, 2);
   EXPECT_EQ(metrics({"-j", "--output", directory_.path("m")}).status, 2);
 }

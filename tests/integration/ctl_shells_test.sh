@@ -32,7 +32,7 @@ bash_offers() {
 }
 # The same of zsh: compadd is what a completion function ends in.
 zsh_offers() {
-  zsh -f -c 'compadd() { shift 2; print -l -- "$@" }; file=$1; shift; words=(agnocast-ctl "$@"); CURRENT=$(($# + 1)); . "$file"' \
+  zsh -f -c 'compadd() { shift 1; print -l -- "$@" }; file=$1; shift; words=(agnocast-ctl "$@"); CURRENT=$(($# + 1)); . "$file"' \
     zsh "$completions/_agnocast-ctl" "$@"
 }
 for shell in bash zsh; do

@@ -343,7 +343,7 @@ TEST(DaemonDeath, TakesTheEndOfAConnectionForNoDeathWhileTheRegionIsMapped) {
   ASSERT_TRUE(subscriber.wait_for([&] { return subscriber.link_count() == 1; }));
   ASSERT_EQ(publisher.command('w'), '+');
   ASSERT_EQ(publisher.command('c'), '+');
-  ASSERT_TRUE(daemon.wait_for_log("connection ended"));
+  ASSERT_TRUE(daemon.wait_for_log("connection closed"));
   // The daemon has noticed and leaves everything as it is: the pair goes on.
   ASSERT_EQ(publisher.command('p'), '+');
   EXPECT_EQ(subscriber.take(), 1u);
@@ -374,7 +374,7 @@ TEST(DaemonDeath, LetsAProcessLiveWhoseFirstThreadHasEnded) {
   });
   ASSERT_TRUE(subscriber.wait_for([&] { return subscriber.link_count() == 1; }));
   ASSERT_EQ(publisher.command('c'), '+');
-  ASSERT_TRUE(daemon.wait_for_log("connection ended"));
+  ASSERT_TRUE(daemon.wait_for_log("connection closed"));
   ASSERT_EQ(publisher.command('p'), '+');
   EXPECT_EQ(subscriber.take(), 1u);
   // Longer than the daemon takes between two looks at a process without a connection.

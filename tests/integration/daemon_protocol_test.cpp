@@ -329,6 +329,15 @@ TEST(DaemonProtocol, RefusesWhatCannotBeCreated) {
     EXPECT_EQ(node.wire.create_publisher(name).refused_code(), Errc::invalid_name) << name;
   EXPECT_EQ(node.wire.create_publisher("/x", {1001, false, true, false, false}).refused_code(),
             Errc::depth_refused);
+  for (const char* name : {"/x/", "/a//b", "$(id)", "/no\x1b]0;de", "/a b"}) {
+    auto body = WireClient::endpoint("/x", reliable);
+    body.node = wire_name(name);
+    EXPECT_EQ(node.wire.ask(Opcode::create_publisher, body).refused_code(), Errc::invalid_name)
+        << name;
+  }
+  EXPECT_EQ(node.wire.ask(Opcode::create_publisher, WireClient::endpoint("/x", reliable, "a\nb"))
+                .refused_code(),
+            Errc::invalid_name);
   auto unknown_executor = WireClient::endpoint("/x", reliable);
   unknown_executor.executor = 3;
   EXPECT_EQ(node.wire.ask(Opcode::create_subscription, unknown_executor).refused_code(),

@@ -182,7 +182,7 @@ TEST(DaemonRejoin, AProcessThatSaysHelloAgainHasOnePlace) {
                         .arguments = {"--log-level", "debug"}});
   Node first(daemon);
   first.lose_connection();
-  ASSERT_TRUE(daemon.wait_for_log("connection ended"));
+  ASSERT_TRUE(daemon.wait_for_log("connection closed"));
   EXPECT_EQ(WireClient(daemon.socket_path()).hello().refused_code(), Errc::quota_exceeded)
       << "the first one has its region still";
   first.region = Mapping();

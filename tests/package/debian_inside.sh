@@ -150,6 +150,12 @@ eventually "$(sent | cut -d ' ' -f 1) 0 0" got
 [ "$(sent | cut -d ' ' -f 2)" = 0 ] || fail "messages were refused or copied: $(ask publisher state)"
 kill -0 "$publisher_pid" "$subscriber_pid" || fail "a node has ended"
 
+say "installed again without a purge"
+dpkg_quietly -i /opt/agnocast/next/{agnocastd,agnocast-ctl}_*.deb
+[ "$(units is-active)" = active ] && [ "$(units is-enabled)" = enabled ] || fail "it does not run as it did before the removal"
+cmp /etc/agnocast/agnocastd.toml "$work/changed" || fail "a changed configuration is lost"
+dpkg_quietly -r agnocastd agnocast-ctl
+
 say "a node that is switched off needs neither daemon nor hook"
 dpkg_quietly -r libagnocast-heaphook
 expect 1 "agnocast is switched off in this process" as one env AGNOCAST=off "$nodes/lidar" 1
@@ -158,7 +164,7 @@ dpkg_quietly -r $library
 
 say "what is left"
 # What an administrator said about the units is remembered as well.
-left | grep -v "^/var/lib/systemd/deb-systemd-helper-enabled/agnocastd" >"$work/left"
+left | grep -v -e ^/var/lib/systemd/deb-systemd-helper-enabled/ -e '^/etc/systemd/system/.*[.]wants/agnocastd[.]' >"$work/left"
 [ "$(cat "$work/left")" = /etc/agnocast/agnocastd.toml ] || { cat "$work/left"; fail "a removal leaves this"; }
 dpkg_quietly -P agnocastd agnocast-ctl libagnocast-dev libagnocast-heaphook $library
 [ -z "$(left)" ] || fail "a purge leaves $(left)"

@@ -21,7 +21,9 @@ class Judge : public ::testing::Environment {
     std::istringstream stream(text);
     for (std::string line; std::getline(stream, line);) {
       // The last one may be cut off: its program was killed.
-      if (nlohmann::json::accept(line)) lines_ += line + '\n';
+      if (stream.eof()) return;
+      EXPECT_TRUE(nlohmann::json::accept(line)) << line;
+      lines_ += line + '\n';
     }
   }
 

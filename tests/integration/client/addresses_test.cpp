@@ -93,7 +93,7 @@ TEST(Addresses, AJoinerWithAnOccupiedRangeGetsMessagesFromThenOn) {
   ASSERT_EQ(other.ask("sub /points 20"), "ok");
   ASSERT_EQ(publisher.ask("pub /points 20 tl"), "ok");
   ASSERT_EQ(publisher.ask("publish 3 100000"), "ok");
-  ASSERT_EQ(other.ask("take"), "1");
+  ASSERT_EQ(take(other), "1");
   ASSERT_EQ(window_of(other), 0u);
 
   ASSERT_EQ(joiner.ask(occupy(0)), "ok");
