@@ -12,6 +12,7 @@
 #include <base/unique_fd.hpp>
 #include <ctl/commands.hpp>
 #include <ctl/numbers.hpp>
+#include <ctl/objects.hpp>
 #include <ctl/overview.hpp>
 #include <ctl/select.hpp>
 #include <ctl/waiting.hpp>
@@ -24,7 +25,6 @@
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
-#include <limits>
 #include <map>
 #include <string>
 #include <string_view>
@@ -152,28 +152,17 @@ void add_daemon(const System& system, Metrics& metrics) {
 }
 
 void add_users(const System& system, Metrics& metrics) {
-  struct Resource {
-    const char* name;
-    std::uint64_t wire::UserShare::*of;
-  };
-  constexpr Resource resources[] = {{"processes", &wire::UserShare::clients},
-                                    {"publishers", &wire::UserShare::publishers},
-                                    {"subscriptions", &wire::UserShare::subscriptions},
-                                    {"executors", &wire::UserShare::executors},
-                                    {"heap_bytes", &wire::UserShare::heap_bytes},
-                                    {"held_messages", &wire::UserShare::held_messages},
-                                    {"topics", &wire::UserShare::topics}};
   metrics.gauge("user_in_use", "", "What a user has of each resource.");
   for (const wire::DumpUser& user : system.users) {
-    for (const Resource& resource : resources)
-      metrics.sample({{"uid", std::to_string(user.uid)}, {"resource", resource.name}},
-                     user.use.*resource.of);
+    const Object shares = share_object(user.use);
+    for (const auto& [resource, used] : shares.items())
+      metrics.sample({{"uid", std::to_string(user.uid)}, {"resource", resource}},
+                     used.get<std::uint64_t>());
   }
   metrics.gauge("user_quota", "", "What each user may have; without a sample: no limit.");
-  for (const Resource& resource : resources) {
-    const std::uint64_t quota = system.daemon.quota.*resource.of;
-    if (quota != std::numeric_limits<std::uint64_t>::max())
-      metrics.sample({{"resource", resource.name}}, quota);
+  const Object quotas = share_object(system.daemon.quota);
+  for (const auto& [resource, quota] : quotas.items()) {
+    if (!quota.is_null()) metrics.sample({{"resource", resource}}, quota.get<std::uint64_t>());
   }
 }
 
@@ -224,8 +213,7 @@ void add_topics(const System& system, Metrics& metrics, std::uint64_t now_ns) {
   each("topic_oldest_hold_seconds", "seconds", "Age of the oldest message that is held.",
        [](const Row& row) { return static_cast<double>(row.oldest_held_ns) / 1e9; });
   each("topic_trouble", "",
-       "1 when endpoints are refused or do not match, a reader lags, a message is held for long or "
-       "a "
+       "1 when an endpoint is refused or not matched, a reader lags, a message is long held, or a "
        "dead publisher is not read to its end.",
        [](const Row& row) { return std::uint64_t{row.trouble < Trouble::running}; });
 }

@@ -135,6 +135,19 @@ TEST_F(CtlMetrics, ReplaceTheFileAndSayWhenTheDaemonIsAway) {
       << "nothing stays beside it";
 }
 
+TEST(CtlMetricsOfOthers, CallNothingAwayButADaemonThatIsAway) {
+  if (::geteuid() != 0) GTEST_SKIP() << "needs root to become another user";
+  DaemonProcess daemon({.config = "[daemon]\nsocket_mode = \"0600\"\n"});
+  const TemporaryDirectory directory;
+  ASSERT_EQ(::chmod(directory.path().c_str(), 0777), 0);
+  const std::string path = directory.path("agnocast.prom");
+  const CtlResult result =
+      run_ctl(daemon.socket_path(), {"metrics", "--every", "1", "--output", path}, {}, 65534);
+  EXPECT_EQ(result.status, 5) << result.err;
+  EXPECT_THAT(result.err, HasSubstr("this user may not do that"));
+  EXPECT_FALSE(std::filesystem::exists(path));
+}
+
 TEST_F(CtlMetrics, RefuseWhatCannotBe) {
   const CtlResult no_file = metrics({"--every", "15"});
   EXPECT_EQ(no_file.status, 2);
