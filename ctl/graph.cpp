@@ -47,7 +47,7 @@ Edge published_edge(const System& system, const Topic& topic, const Endpoint& pu
   Edge edge;
   edge.publishes = true;
   edge.rate_hz = rate_of(recent_stamps(system, publisher, recent_max), now_ns);
-  const auto numbers = numbers_of_publisher(system, topic, publisher);
+  const auto numbers = counters_of_publisher(system, topic, publisher);
   if (numbers && numbers->published != 0)
     edge.message_bytes = numbers->published_bytes / numbers->published;
   return edge;

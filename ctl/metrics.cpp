@@ -25,20 +25,54 @@
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <initializer_list>
 #include <map>
+#include <memory>
 #include <string>
 #include <string_view>
 #include <utility>
+#include <variant>
 #include <vector>
 
 namespace agnocast::ctl {
 namespace {
 
-using Labels = std::vector<std::pair<std::string_view, std::string>>;
+using Label = std::pair<std::string_view, std::string>;
+
+/// Labels of one thing, which has several samples: as the text formats have them, without braces.
+class Labels {
+ public:
+  Labels(std::initializer_list<Label> labels) {
+    for (const Label& label : labels) add(label);
+  }
+  Labels with(Label label) const {
+    Labels all = *this;
+    all.add(std::move(label));
+    return all;
+  }
+  const std::vector<Label>& list() const noexcept { return list_; }
+  const std::string& text() const noexcept { return text_; }
+
+ private:
+  void add(Label label) {
+    if (!text_.empty()) text_ += ',';
+    text_.append(label.first).append("=\"");
+    for (const char c : escaped(label.second)) {
+      if (c == '\\' || c == '"') text_ += '\\';
+      text_ += c;
+    }
+    text_ += '"';
+    list_.push_back(std::move(label));
+  }
+
+  std::vector<Label> list_;
+  std::string text_;
+};
+using SharedLabels = std::shared_ptr<const Labels>;
 
 struct Sample {
-  Labels labels;
-  Object value;
+  SharedLabels labels;  // none: null
+  std::variant<std::uint64_t, double> value;
 };
 struct Family {
   std::string name;  // without the _total of a counter's samples
@@ -56,11 +90,17 @@ class Metrics {
     families_.push_back({"agnocast_" + name, "counter", unit, help, {}});
   }
   /// Of the family that was begun last.
-  void sample(Labels labels, double value) {
+  template <class Number>
+  void sample(SharedLabels labels, Number value) {
     families_.back().samples.push_back({std::move(labels), value});
   }
-  void sample(Labels labels, std::uint64_t value) {
-    families_.back().samples.push_back({std::move(labels), value});
+  template <class Number>
+  void sample(Labels labels, Number value) {
+    sample(std::make_shared<const Labels>(std::move(labels)), value);
+  }
+  template <class Number>
+  void sample(Number value) {
+    sample(SharedLabels(), value);
   }
 
   /// Prometheus names a family with the ending of its samples, OpenMetrics without.
@@ -73,8 +113,11 @@ class Metrics {
               std::string(family.type) + '\n';
       if (is_openmetrics && !family.unit.empty())
         text += "# UNIT " + name + ' ' + std::string(family.unit) + '\n';
-      for (const auto& [labels, value] : family.samples)
-        text.append(sample).append(text_of(labels)).append(1, ' ').append(value.dump()) += '\n';
+      for (const auto& [labels, value] : family.samples) {
+        text += sample;
+        if (labels != nullptr) text.append("{").append(labels->text()).append("}");
+        text.append(" ").append(number_of(value)).append("\n");
+      }
     }
     return is_openmetrics ? text + "# EOF\n" : text;
   }
@@ -84,8 +127,10 @@ class Metrics {
       Object samples = Object::array();
       for (const auto& [labels, value] : family.samples) {
         Object names = Object::object();
-        for (const auto& [label, of] : labels) names[std::string(label)] = of;
-        samples.push_back({{"labels", names}, {"value", value}});
+        if (labels != nullptr)
+          for (const auto& [label, of] : labels->list()) names[std::string(label)] = of;
+        samples.push_back(
+            {{"labels", names}, {"value", std::visit([](auto v) { return Object(v); }, value)}});
       }
       families.push_back({{"name", family.name},
                           {"type", family.type},
@@ -97,17 +142,10 @@ class Metrics {
   }
 
  private:
-  static std::string text_of(const Labels& labels) {
-    if (labels.empty()) return "";
-    std::string text;
-    for (const auto& [name, label] : labels) {
-      text += text.empty() ? '{' : ',';
-      text.append(name).append("=\"");
-      for (const char c : escaped(label))
-        text.append(c == '\\' || c == '"' ? "\\" : "").append(1, c);
-      text += '"';
-    }
-    return text + '}';
+  // A double as JSON has it: the shortest that reads back as the same.
+  static std::string number_of(const std::variant<std::uint64_t, double>& value) {
+    if (const auto* const count = std::get_if<std::uint64_t>(&value)) return std::to_string(*count);
+    return Object(std::get<double>(value)).dump();
   }
 
   std::vector<Family> families_;
@@ -117,15 +155,15 @@ void add_daemon(const System& system, Metrics& metrics) {
   const wire::DumpDaemon& daemon = system.daemon;
   const wire::DaemonCounters& counters = daemon.counters;
   metrics.gauge("uptime_seconds", "seconds", "How long this life of agnocastd lasts.");
-  metrics.sample({}, static_cast<double>(daemon.uptime_ns) / 1e9);
+  metrics.sample(static_cast<double>(daemon.uptime_ns) / 1e9);
   metrics.gauge("arena_bytes", "bytes", "Addresses for shared heaps.");
-  metrics.sample({}, daemon.arena_bytes);
+  metrics.sample(daemon.arena_bytes);
   metrics.gauge("heap_windows", "", "Windows of the arena that are given out.");
-  metrics.sample({}, daemon.windows_used);
+  metrics.sample(daemon.windows_used);
   metrics.gauge("kept_descriptors", "", "Descriptors that a restart of agnocastd would take over.");
-  metrics.sample({}, daemon.kept_descriptors);
+  metrics.sample(daemon.kept_descriptors);
   metrics.gauge("kept_descriptors_limit", "", "How many may be kept.");
-  metrics.sample({}, daemon.kept_descriptors_max);
+  metrics.sample(daemon.kept_descriptors_max);
   for (const auto& [name, help, value] :
        {std::tuple("restarts", "Lives of agnocastd before this one that it goes on from.",
                    counters.restarts),
@@ -147,7 +185,7 @@ void add_daemon(const System& system, Metrics& metrics) {
         std::tuple("connections_refused", "Connections that were refused; see the log.",
                    counters.connections_refused)}) {
     metrics.counter(name, "", help);
-    metrics.sample({}, value);
+    metrics.sample(value);
   }
 }
 
@@ -194,13 +232,14 @@ void add_processes(const System& system, Metrics& metrics) {
 void add_topics(const System& system, Metrics& metrics, std::uint64_t now_ns) {
   Overview overview;
   const std::vector<Row> rows = overview.look(system, true, 0, now_ns);
+  std::vector<SharedLabels> labels;
+  for (const Row& row : rows)
+    labels.push_back(std::make_shared<const Labels>(
+        Labels{{"domain", std::to_string(row.topic->facts.domain)}, {"topic", row.topic->name}}));
   const auto each = [&](const char* name, std::string_view unit, std::string_view help,
                         const auto& value_of) {
     metrics.gauge(name, unit, help);
-    for (const Row& row : rows)
-      metrics.sample(
-          {{"domain", std::to_string(row.topic->facts.domain)}, {"topic", row.topic->name}},
-          value_of(row));
+    for (std::size_t i = 0; i < rows.size(); ++i) metrics.sample(labels[i], value_of(rows[i]));
   };
   each("topic_publishers", "", "Publishers of a topic.",
        [](const Row& row) { return row.publishers; });
@@ -223,22 +262,23 @@ std::string name_of_node(const Endpoint& endpoint) {
   return space + (space.ends_with('/') ? "" : "/") + endpoint.node_name;
 }
 
-Labels labels_of(const System& system, const Topic& topic, const Endpoint& endpoint) {
+SharedLabels labels_of(const System& system, const Topic& topic, const Endpoint& endpoint) {
   const Process* const process = system.process_of(endpoint);
-  return {{"domain", std::to_string(topic.facts.domain)},
-          {"topic", topic.name},
-          {"node", name_of_node(endpoint)},
-          {"pid", process == nullptr ? "gone" : std::to_string(process->facts.pid)},
-          {"generation", std::to_string(endpoint.facts.generation)}};
+  return std::make_shared<const Labels>(
+      Labels{{"domain", std::to_string(topic.facts.domain)},
+             {"topic", topic.name},
+             {"node", name_of_node(endpoint)},
+             {"pid", process == nullptr ? "gone" : std::to_string(process->facts.pid)},
+             {"generation", std::to_string(endpoint.facts.generation)}});
 }
 
 void add_endpoints(const System& system, Metrics& metrics) {
-  std::vector<std::pair<Labels, PublisherNumbers>> publishers;
-  std::vector<std::pair<Labels, SubscriptionNumbers>> subscriptions;
+  std::vector<std::pair<SharedLabels, PublisherCounters>> publishers;
+  std::vector<std::pair<SharedLabels, SubscriptionNumbers>> subscriptions;
   for (const auto& [index, topic] : system.topics) {
     for (const Endpoint& publisher : topic.publishers) {
-      if (const auto numbers = numbers_of_publisher(system, topic, publisher))
-        publishers.emplace_back(labels_of(system, topic, publisher), *numbers);
+      if (const auto counters = counters_of_publisher(system, topic, publisher))
+        publishers.emplace_back(labels_of(system, topic, publisher), *counters);
     }
     for (const Endpoint& subscription : topic.subscriptions) {
       if (const auto numbers = numbers_of_subscription(system, topic, subscription))
@@ -251,24 +291,21 @@ void add_endpoints(const System& system, Metrics& metrics) {
     for (const auto& [labels, numbers] : all) metrics.sample(labels, numbers.*member);
   };
   each(publishers, "published_messages", "", "Messages of a publisher.",
-       &PublisherNumbers::published);
+       &PublisherCounters::published);
   each(publishers, "published_bytes", "bytes", "What its messages lie in, containers included.",
-       &PublisherNumbers::published_bytes);
+       &PublisherCounters::published_bytes);
   each(publishers, "adopted_messages", "",
        "Messages with parts from another heap, which had to be copied: they were not zero-copy.",
-       &PublisherNumbers::adopted_messages);
+       &PublisherCounters::adopted_messages);
   each(publishers, "adopted_bytes", "bytes", "What was copied of them.",
-       &PublisherNumbers::adopted_bytes);
+       &PublisherCounters::adopted_bytes);
   metrics.counter("unpublished_messages", "", "Messages that could not be published, by reason.");
   for (const auto& [labels, numbers] : publishers) {
     for (const auto& [reason, count] :
          {std::pair("no_slot", numbers.refused_no_slot),
           std::pair("would_block", numbers.refused_would_block),
-          std::pair("heap_exhausted", numbers.refused_heap_exhausted)}) {
-      Labels with_reason = labels;
-      with_reason.emplace_back("reason", reason);
-      metrics.sample(with_reason, count);
-    }
+          std::pair("heap_exhausted", numbers.refused_heap_exhausted)})
+      metrics.sample(labels->with({"reason", reason}), count);
   }
   each(subscriptions, "lost_messages", "", "Messages overwritten before a subscription took them.",
        &SubscriptionNumbers::lost);
@@ -282,7 +319,7 @@ void add_endpoints(const System& system, Metrics& metrics) {
 Metrics metrics_of(const System* system) {
   Metrics metrics;
   metrics.gauge("up", "", "1 when agnocastd answered.");
-  metrics.sample({}, std::uint64_t{system != nullptr});
+  metrics.sample(std::uint64_t{system != nullptr});
   if (system != nullptr) {
     add_daemon(*system, metrics);
     add_users(*system, metrics);

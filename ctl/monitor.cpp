@@ -49,7 +49,7 @@ Snapshot snapshot_of(const System& system) {
   for (const auto& entry : system.topics) {
     const Topic& topic = entry.second;
     for (const Endpoint& publisher : topic.publishers) {
-      const auto numbers = numbers_of_publisher(system, topic, publisher);
+      const auto numbers = counters_of_publisher(system, topic, publisher);
       if (!numbers) continue;
       const std::string subject =
           "publisher of " + escaped(topic.name) + " by " + process_words(system, publisher);

@@ -36,28 +36,48 @@ bool takes_messages(const Endpoint& subscription) noexcept {
          subscription.state() == abi::MemberState::leaving;
 }
 
+PublisherCounters counters_in(const Words& words, const Endpoint& publisher) {
+  using Fields = abi::PublisherEndpoint;
+  PublisherCounters counters;
+  const std::uint64_t head = abi::sequence_of(words.head().load(acquire));
+  counters.published =
+      head > publisher.facts.first_sequence ? head - publisher.facts.first_sequence : 0;
+  const auto counter = [&](std::uint64_t offset) { return words.counter(offset).load(relaxed); };
+  counters.published_bytes = counter(offsetof(Fields, published_bytes));
+  counters.adopted_messages = counter(offsetof(Fields, adopted_messages));
+  counters.adopted_bytes = counter(offsetof(Fields, adopted_bytes));
+  counters.refused_no_slot = counter(offsetof(Fields, refused_no_slot));
+  counters.refused_would_block = counter(offsetof(Fields, refused_would_block));
+  counters.refused_heap_exhausted = counter(offsetof(Fields, refused_heap_exhausted));
+  return counters;
+}
+
+/// Its extent may have become somebody else's while we read.
+bool was_its_own(const System& system, const Topic& topic, const Endpoint& endpoint) {
+  std::atomic_thread_fence(acquire);
+  return system.is_still_there(topic, endpoint);
+}
+
 }  // namespace
+
+std::optional<PublisherCounters> counters_of_publisher(const System& system, const Topic& topic,
+                                                       const Endpoint& publisher) {
+  std::byte* const region = system.region_of(publisher);
+  if (region == nullptr) return std::nullopt;
+  const PublisherCounters counters = counters_in({region, publisher.facts.extent}, publisher);
+  if (!was_its_own(system, topic, publisher)) return std::nullopt;
+  return counters;
+}
 
 std::optional<PublisherNumbers> numbers_of_publisher(const System& system, const Topic& topic,
                                                      const Endpoint& publisher) {
   std::byte* const region = system.region_of(publisher);
   if (region == nullptr) return std::nullopt;
   const Words words{region, publisher.facts.extent};
-  using Fields = abi::PublisherEndpoint;
-  PublisherNumbers numbers;
-  const std::uint64_t head = abi::sequence_of(words.head().load(acquire));
-  numbers.published =
-      head > publisher.facts.first_sequence ? head - publisher.facts.first_sequence : 0;
-  numbers.published_bytes = words.counter(offsetof(Fields, published_bytes)).load(relaxed);
+  PublisherNumbers numbers{counters_in(words, publisher)};
   for (std::uint64_t slot = 0; slot < publisher.facts.slot_count; ++slot) {
     if (words.slot_id(slot).load(relaxed) != 0) ++numbers.messages;
   }
-  numbers.adopted_messages = words.counter(offsetof(Fields, adopted_messages)).load(relaxed);
-  numbers.adopted_bytes = words.counter(offsetof(Fields, adopted_bytes)).load(relaxed);
-  numbers.refused_no_slot = words.counter(offsetof(Fields, refused_no_slot)).load(relaxed);
-  numbers.refused_would_block = words.counter(offsetof(Fields, refused_would_block)).load(relaxed);
-  numbers.refused_heap_exhausted =
-      words.counter(offsetof(Fields, refused_heap_exhausted)).load(relaxed);
   for (std::uint64_t word = 0; word < hold_word_count(publisher.facts.slot_count); ++word) {
     std::uint64_t held = 0;
     for (const Endpoint& subscription : topic.subscriptions) {
@@ -69,9 +89,7 @@ std::optional<PublisherNumbers> numbers_of_publisher(const System& system, const
     }
     numbers.held += static_cast<std::uint64_t>(std::popcount(held));
   }
-  // Its extent may have become somebody else's while we read.
-  std::atomic_thread_fence(acquire);
-  if (!system.is_still_there(topic, publisher)) return std::nullopt;
+  if (!was_its_own(system, topic, publisher)) return std::nullopt;
   return numbers;
 }
 
@@ -103,8 +121,7 @@ std::optional<SubscriptionNumbers> numbers_of_subscription(const System& system,
   numbers.lost = words.counter(offsetof(Fields, lost)).load(relaxed);
   numbers.malformed = words.counter(offsetof(Fields, malformed)).load(relaxed);
   numbers.unreachable = words.counter(offsetof(Fields, unreachable)).load(relaxed);
-  std::atomic_thread_fence(acquire);
-  if (!system.is_still_there(topic, subscription)) return std::nullopt;
+  if (!was_its_own(system, topic, subscription)) return std::nullopt;
   return numbers;
 }
 
@@ -191,8 +208,7 @@ std::vector<MessageFacts> messages_of(const System& system, const Topic& topic,
   }
   std::sort(messages.begin(), messages.end(),
             [](const auto& a, const auto& b) { return a.sequence < b.sequence; });
-  std::atomic_thread_fence(acquire);
-  if (!system.is_still_there(topic, publisher)) return {};
+  if (!was_its_own(system, topic, publisher)) return {};
   return messages;
 }
 
@@ -234,7 +250,8 @@ void add_slots(const System& system, const Endpoint& publisher,
 
 KeptNumbers numbers_of_kept(const System& system, const Process& process) {
   KeptNumbers kept;
-  for (const auto& [index, topic] : system.topics) {
+  for (const std::uint32_t index : process.topics) {
+    const Topic& topic = system.topics.at(index);
     std::vector<const Endpoint*> own;
     for (const Endpoint& subscription : topic.subscriptions) {
       if (!process.owns(subscription) || !takes_messages(subscription)) continue;
@@ -265,8 +282,8 @@ std::vector<WindowNumbers> numbers_of_windows(const System& system, const Proces
   for (std::uint32_t w = 0; w < process.facts.window_count; ++w)
     windows[w].used_bytes =
         dataplane::load_frontier<M>(process.region.base(), w, process.facts.window[w].bytes);
-  for (const auto& [index, topic] : system.topics) {
-    for (const Endpoint& publisher : topic.publishers) {
+  for (const std::uint32_t index : process.topics) {
+    for (const Endpoint& publisher : system.topics.at(index).publishers) {
       if (!process.owns(publisher) || system.region_of(publisher) == nullptr) continue;
       const Words words{process.region.base(), publisher.facts.extent};
       for (std::uint64_t slot = 0; slot < publisher.facts.slot_count; ++slot) {

@@ -12,16 +12,20 @@
 
 namespace agnocast::ctl {
 
-struct PublisherNumbers {
+/// What a publisher counts itself: two cache lines.
+struct PublisherCounters {
   std::uint64_t published = 0;
   std::uint64_t published_bytes = 0;  // of them together, what a reader may touch
-  std::uint64_t messages = 0;         // slots in use: history, unread or held
-  std::uint64_t held = 0;             // of them, by at least one subscription
   std::uint64_t adopted_messages = 0;
   std::uint64_t adopted_bytes = 0;
   std::uint64_t refused_no_slot = 0;
   std::uint64_t refused_would_block = 0;
   std::uint64_t refused_heap_exhausted = 0;
+};
+/// And what of its queue is in use: each slot is looked at.
+struct PublisherNumbers : PublisherCounters {
+  std::uint64_t messages = 0;  // slots in use: history, unread or held
+  std::uint64_t held = 0;      // of them, by at least one subscription
 };
 
 struct SubscriptionNumbers {
@@ -34,6 +38,8 @@ struct SubscriptionNumbers {
 };
 
 /// Nothing when the endpoint is gone, or its region cannot be read.
+std::optional<PublisherCounters> counters_of_publisher(const System& system, const Topic& topic,
+                                                       const Endpoint& publisher);
 std::optional<PublisherNumbers> numbers_of_publisher(const System& system, const Topic& topic,
                                                      const Endpoint& publisher);
 std::optional<SubscriptionNumbers> numbers_of_subscription(const System& system, const Topic& topic,

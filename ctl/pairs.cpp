@@ -56,7 +56,7 @@ Pair pair_of(const System& system, const Topic& topic, const Endpoint& publisher
       pair.why += ": its process is stopped (SIGSTOP or a debugger)";
     return pair;
   }
-  const auto sent = numbers_of_publisher(system, topic, publisher);
+  const auto sent = counters_of_publisher(system, topic, publisher);
   const auto got = numbers_of_subscription(system, topic, subscription);
   if (!sent || !got) {
     pair.why = "its counters cannot be read";

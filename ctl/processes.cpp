@@ -85,7 +85,8 @@ Outcome<void> show_process(const Arguments& arguments, Console& console) {
     object["subscriptions"] = Object::array();
     object["refusals"] = Object::array();
     std::string publishers, subscriptions;
-    for (const auto& [index, topic] : system.topics) {
+    for (const std::uint32_t index : process->topics) {
+      const Topic& topic = system.topics.at(index);
       for (const auto* endpoints : {&topic.publishers, &topic.subscriptions}) {
         for (const Endpoint& endpoint : *endpoints) {
           if (system.process_of(endpoint) != process) continue;

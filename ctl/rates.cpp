@@ -48,7 +48,7 @@ class Stream {
   void look(const System& system, const Topic& topic) {
     std::vector<Arrival> news;
     for (const Endpoint& publisher : topic.publishers) {
-      const auto numbers = numbers_of_publisher(system, topic, publisher);
+      const auto numbers = counters_of_publisher(system, topic, publisher);
       if (!numbers) continue;
       const RecentStamps recent = recent_stamps(system, publisher, recent_max);
       auto [known, is_new] = seen_.try_emplace(publisher.facts.generation);

@@ -100,22 +100,53 @@ bool System::is_still_there(const Topic& topic, const Endpoint& endpoint) const 
   return abi::generation_of(word) == endpoint.facts.generation;
 }
 
-struct Observer::Received {
-  alignas(8) std::array<std::byte, wire::packet_bytes_max> bytes;
-  Packet packet;
-
+/// One packet, and where in it the present body begins.
+class Observer::Received {
+ public:
+  std::span<std::byte> buffer() noexcept { return bytes_; }
+  void begin(Packet packet) noexcept {
+    packet_ = std::move(packet);
+    at_ = descriptors_taken_ = 0;
+  }
+  /// On to the body behind the present one. False: there is none.
+  bool advance() noexcept {
+    at_ += packet_.bytes == 0 ? 0 : header().bytes;
+    return at_ < packet_.bytes;
+  }
+  /// Whether the present body is inside the packet; nothing below is asked before.
+  bool is_whole() const noexcept {
+    const std::size_t rest = packet_.bytes - at_;
+    return rest >= sizeof(wire::Header) && header().bytes >= sizeof(wire::Header) &&
+           header().bytes <= rest;
+  }
   wire::Header header() const noexcept {
     wire::Header header{};
-    std::memcpy(&header, bytes.data(), sizeof header);
+    std::memcpy(&header, &bytes_[at_], sizeof header);
     return header;
   }
   template <class Body>
   bool read(Body& body) const noexcept {
-    if (packet.bytes != sizeof body) return false;
-    std::memcpy(static_cast<void*>(&body), bytes.data(), sizeof body);
+    if (header().bytes != sizeof body) return false;
+    std::memcpy(static_cast<void*>(&body), &bytes_[at_], sizeof body);
     return true;
   }
+  /// Empty when the packet brought fewer.
+  UniqueFd take_descriptor() noexcept {
+    if (descriptors_taken_ == packet_.descriptor_count) return {};
+    return std::move(packet_.descriptors[descriptors_taken_++]);
+  }
+
+ private:
+  alignas(8) std::array<std::byte, wire::answer_bytes_max> bytes_;
+  Packet packet_;
+  std::size_t at_ = 0, descriptors_taken_ = 0;
 };
+
+Observer::Observer(PacketSocket socket, std::string path)
+    : socket_(std::move(socket)), path_(std::move(path)), received_(new Received) {}
+Observer::Observer(Observer&&) noexcept = default;
+Observer& Observer::operator=(Observer&&) noexcept = default;
+Observer::~Observer() = default;
 
 tl::unexpected<Problem> Observer::nonsense() const {
   return problem(Status::failed, path_, sentence_of(Errc::protocol_violation),
@@ -150,12 +181,13 @@ Outcome<Observer> Observer::connect(const std::string& path) {
   if (auto sent = observer.send(Opcode::observe, hello); !sent) return tl::unexpected(sent.error());
   auto answer = observer.receive();
   if (!answer) return tl::unexpected(answer.error());
+  Received& welcome = **answer;
   wire::Observed observed{};
-  if (answer->header().opcode != Opcode::observed || !answer->read(observed))
+  if (welcome.header().opcode != Opcode::observed || !welcome.read(observed))
     return observer.nonsense();
-  if (answer->packet.descriptor_count != 1) return observer.without_descriptors();
-  auto board =
-      Mapping::map(answer->packet.descriptors[0].get(), abi::board_bytes, Mapping::Access::read);
+  const UniqueFd board_fd = welcome.take_descriptor();
+  if (!board_fd) return observer.without_descriptors();
+  auto board = Mapping::map(board_fd.get(), abi::board_bytes, Mapping::Access::read);
   if (!board)
     return problem(Status::failed, "the board", board.error().what, remedy_of(board.error().code));
   observer.board_ = std::move(*board);
@@ -172,9 +204,26 @@ Outcome<void> Observer::send(Opcode opcode, Body body) {
   return {};
 }
 
-Outcome<Observer::Received> Observer::receive() {
-  Received received;
-  auto packet = socket_.receive(received.bytes);
+Outcome<Observer::Received*> Observer::receive() {
+  if (!received_->advance()) {
+    if (auto came = receive_packet(); !came) return tl::unexpected(came.error());
+  }
+  if (!received_->is_whole()) {
+    received_->begin({});
+    return nonsense();
+  }
+  wire::Refused refused{};
+  if (received_->header().opcode == Opcode::refused) {
+    if (!received_->read(refused)) return nonsense();
+    const auto code = static_cast<Errc>(refused.code);
+    return tl::unexpected(
+        Problem{status_of(code), path_, escaped(text_of(refused.text)), remedy_of(code), code});
+  }
+  return received_.get();
+}
+
+Outcome<void> Observer::receive_packet() {
+  auto packet = socket_.receive(received_->buffer());
   // Of many packets the next one is mostly there.
   if (packet && packet->kind == Packet::Kind::nothing) {
     pollfd readable{socket_.fd(), POLLIN, 0};
@@ -183,22 +232,15 @@ Outcome<Observer::Received> Observer::receive() {
       ready = ::poll(&readable, 1, patience_ms);
     } while (ready < 0 && errno == EINTR);
     if (ready <= 0) return unreachable(path_, "agnocastd does not answer within 5 s");
-    packet = socket_.receive(received.bytes);
+    packet = socket_.receive(received_->buffer());
   }
   if (!packet) return unreachable(path_, packet.error().what);
   if (packet->kind != Packet::Kind::data)
     return unreachable(path_, "agnocastd has ended the connection");
-  received.packet = std::move(*packet);
-  if (received.packet.bytes < sizeof(wire::Header) || received.packet.truncated) return nonsense();
-  if (received.packet.descriptors_lost) return without_descriptors();
-  wire::Refused refused{};
-  if (received.header().opcode == Opcode::refused) {
-    if (!received.read(refused)) return nonsense();
-    const auto code = static_cast<Errc>(refused.code);
-    return tl::unexpected(
-        Problem{status_of(code), path_, escaped(text_of(refused.text)), remedy_of(code), code});
-  }
-  return received;
+  if (packet->truncated) return nonsense();
+  if (packet->descriptors_lost) return without_descriptors();
+  received_->begin(std::move(*packet));
+  return {};
 }
 
 Outcome<void> Observer::revoke(const wire::DumpProcess& process) {
@@ -208,7 +250,7 @@ Outcome<void> Observer::revoke(const wire::DumpProcess& process) {
   if (auto sent = send(Opcode::revoke, request); !sent) return sent;
   const auto answer = receive();
   if (!answer) return tl::unexpected(answer.error());
-  if (answer->header().opcode != Opcode::done) return nonsense();
+  if ((*answer)->header().opcode != Opcode::done) return nonsense();
   return {};
 }
 
@@ -219,7 +261,7 @@ Outcome<std::uint64_t> Observer::log_level(std::uint64_t level) {
   auto answer = receive();
   if (!answer) return tl::unexpected(answer.error());
   wire::LogLevelIs is{};
-  if (answer->header().opcode != Opcode::log_level_is || !answer->read(is)) return nonsense();
+  if ((*answer)->header().opcode != Opcode::log_level_is || !(*answer)->read(is)) return nonsense();
   return is.level;
 }
 
@@ -233,7 +275,8 @@ Outcome<Observer::Access> Observer::access(std::uint64_t domain, const std::stri
                           std::pair(wire::Kind::subscription, &access.subscribe)}) {
     auto answer = receive();
     if (!answer) return tl::unexpected(answer.error());
-    if (answer->header().opcode != Opcode::access_is || !answer->read(*is) || is->kind != kind)
+    if ((*answer)->header().opcode != Opcode::access_is || !(*answer)->read(*is) ||
+        is->kind != kind)
       return nonsense();
     is->principals[sizeof is->principals - 1] = '\0';
   }
@@ -246,17 +289,17 @@ Outcome<System> Observer::look() {
   system.board = board_.base();
   wire::DumpEnd seen{};
   for (;;) {
-    auto packet = receive();
-    if (!packet) return tl::unexpected(packet.error());
-    if (packet->header().opcode == Opcode::dump_end) {
+    auto body = receive();
+    if (!body) return tl::unexpected(body.error());
+    if ((*body)->header().opcode == Opcode::dump_end) {
       wire::DumpEnd end{};
-      if (!packet->read(end) || end.process_count != seen.process_count ||
+      if (!(*body)->read(end) || end.process_count != seen.process_count ||
           end.topic_count != seen.topic_count || end.endpoint_count != seen.endpoint_count ||
           end.user_count != seen.user_count || end.refusal_count != seen.refusal_count)
         return nonsense();
       break;
     }
-    if (auto accepted = accept(*packet, system, seen); !accepted)
+    if (auto accepted = accept(**body, system, seen); !accepted)
       return tl::unexpected(accepted.error());
   }
   map_regions(system);
@@ -270,41 +313,43 @@ Outcome<Journal> Observer::read_journal(std::uint64_t last, std::uint64_t count)
   if (auto sent = send(Opcode::read_journal, request); !sent) return tl::unexpected(sent.error());
   Journal journal;
   for (;;) {
-    auto packet = receive();
-    if (!packet) return tl::unexpected(packet.error());
-    if (packet->header().opcode == Opcode::journal_end) {
-      if (!packet->read(journal.end) || journal.end.record_count != journal.records.size())
+    auto body = receive();
+    if (!body) return tl::unexpected(body.error());
+    if ((*body)->header().opcode == Opcode::journal_end) {
+      if (!(*body)->read(journal.end) || journal.end.record_count != journal.records.size())
         return nonsense();
       return journal;
     }
     journal.records.emplace_back();
-    if (packet->header().opcode != Opcode::journal_record || !packet->read(journal.records.back()))
+    if ((*body)->header().opcode != Opcode::journal_record ||
+        !(*body)->read(journal.records.back()))
       return nonsense();
   }
 }
 
-Outcome<void> Observer::accept(Received& packet, System& system, wire::DumpEnd& seen) const {
-  switch (packet.header().opcode) {
+Outcome<void> Observer::accept(Received& body, System& system, wire::DumpEnd& seen) const {
+  switch (body.header().opcode) {
     case Opcode::dump_daemon:
-      if (!packet.read(system.daemon)) return nonsense();
+      if (!body.read(system.daemon)) return nonsense();
       return {};
     case Opcode::dump_process: {
       Process process;
-      if (!packet.read(process.facts) || process.facts.client >= abi::client_count_max ||
-          process.facts.window_count > abi::window_count_max ||
-          process.facts.region_count != packet.packet.descriptor_count)
+      if (!body.read(process.facts) || process.facts.client >= abi::client_count_max ||
+          process.facts.window_count > abi::window_count_max || process.facts.region_count > 1)
         return nonsense();
       process.name = text_of(process.facts.name);
       process.blocked_by = text_of(process.facts.blocked_by);
-      if (process.facts.region_count == 1)
-        process.region_fd = std::move(packet.packet.descriptors[0]);
+      if (process.facts.region_count == 1) {
+        process.region_fd = body.take_descriptor();
+        if (!process.region_fd) return nonsense();
+      }
       system.processes.insert_or_assign(process.facts.client, std::move(process));
       ++seen.process_count;
       return {};
     }
     case Opcode::dump_topic: {
       Topic topic;
-      if (!packet.read(topic.facts) || topic.facts.topic >= abi::topic_count_max) return nonsense();
+      if (!body.read(topic.facts) || topic.facts.topic >= abi::topic_count_max) return nonsense();
       topic.name = text_of(topic.facts.name);
       topic.type = text_of(topic.facts.type);
       system.topics.insert_or_assign(topic.facts.topic, std::move(topic));
@@ -313,7 +358,7 @@ Outcome<void> Observer::accept(Received& packet, System& system, wire::DumpEnd& 
     }
     case Opcode::dump_endpoint: {
       Endpoint endpoint;
-      if (!packet.read(endpoint.facts)) return nonsense();
+      if (!body.read(endpoint.facts)) return nonsense();
       const auto topic = system.topics.find(endpoint.facts.topic);
       const bool publisher = endpoint.is_publisher();
       if (topic == system.topics.end() ||
@@ -324,8 +369,12 @@ Outcome<void> Observer::accept(Received& packet, System& system, wire::DumpEnd& 
         return nonsense();
       split_node(text_of(endpoint.facts.node), endpoint);
       if (const auto owner = system.processes.find(endpoint.facts.client);
-          owner != system.processes.end())
-        ++(publisher ? owner->second.publisher_count : owner->second.subscription_count);
+          owner != system.processes.end()) {
+        Process& process = owner->second;
+        ++(publisher ? process.publisher_count : process.subscription_count);
+        if (process.topics.empty() || process.topics.back() != endpoint.facts.topic)
+          process.topics.push_back(endpoint.facts.topic);  // endpoints come topic by topic
+      }
       (publisher ? topic->second.publishers : topic->second.subscriptions)
           .push_back(std::move(endpoint));
       ++seen.endpoint_count;
@@ -333,12 +382,12 @@ Outcome<void> Observer::accept(Received& packet, System& system, wire::DumpEnd& 
     }
     case Opcode::dump_user:
       system.users.emplace_back();
-      if (!packet.read(system.users.back())) return nonsense();
+      if (!body.read(system.users.back())) return nonsense();
       ++seen.user_count;
       return {};
     case Opcode::dump_refusal:
       system.refusals.emplace_back();
-      if (!packet.read(system.refusals.back())) return nonsense();
+      if (!body.read(system.refusals.back())) return nonsense();
       ++seen.refusal_count;
       return {};
     default:

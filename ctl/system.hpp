@@ -19,6 +19,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <map>
+#include <memory>
 #include <string>
 #include <vector>
 
@@ -38,6 +39,7 @@ struct Process {
   Mapping region;
   std::string region_fault;
   std::uint64_t publisher_count = 0, subscription_count = 0;
+  std::vector<std::uint32_t> topics;  // where it has endpoints, each index once
 
   bool owns(const Endpoint& endpoint) const noexcept;
 };
@@ -82,6 +84,9 @@ bool is_stopped(const wire::DumpProcess& process);
 /// A connection that looks. Problems: not_reachable, permission_denied, failed.
 class Observer {
  public:
+  Observer(Observer&&) noexcept;
+  Observer& operator=(Observer&&) noexcept;
+  ~Observer();
   static Outcome<Observer> connect(const std::string& socket);
   /// One moment.
   Outcome<System> look();
@@ -100,10 +105,11 @@ class Observer {
   std::uint64_t region_bytes() const noexcept { return region_bytes_; }
 
  private:
-  Observer(PacketSocket socket, std::string path)
-      : socket_(std::move(socket)), path_(std::move(path)) {}
-  struct Received;
-  Outcome<Received> receive();
+  Observer(PacketSocket socket, std::string path);
+  class Received;
+  /// The next body; what the last one was is gone.
+  Outcome<Received*> receive();
+  Outcome<void> receive_packet();
   template <class Body>
   Outcome<void> send(wire::Opcode opcode, Body body);
   tl::unexpected<Problem> nonsense() const;
@@ -115,6 +121,7 @@ class Observer {
   std::string path_;
   Mapping board_;
   std::uint64_t region_bytes_ = 0;
+  std::unique_ptr<Received> received_;
 };
 
 /// Connects and looks once: what most commands need. `observer` keeps the board.

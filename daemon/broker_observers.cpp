@@ -118,7 +118,15 @@ Result<void> Broker::ask_access(Peer& peer, const wire::AskAccess& request) {
 
 void Broker::answer_at_length(Peer& peer, std::vector<Outgoing> packets) {
   peer.asked_ms = monotonic_ms();
-  for (Outgoing& packet : packets) peer.session.push(std::move(packet));
+  Outgoing together;
+  for (Outgoing& packet : packets) {
+    if (together.bytes.size() + packet.bytes.size() > wire::answer_bytes_max ||
+        together.fds.size() + packet.fds.size() > wire::descriptor_count_max)
+      peer.session.push(std::exchange(together, {}));
+    together.bytes.insert(together.bytes.end(), packet.bytes.begin(), packet.bytes.end());
+    together.fds.insert(together.fds.end(), packet.fds.begin(), packet.fds.end());
+  }
+  peer.session.push(std::move(together));
   flush(peer);
 }
 

@@ -39,7 +39,7 @@ void require(bool condition) {
 
 struct Message {
   std::vector<std::byte> bytes;
-  UniqueFd fd;
+  std::vector<UniqueFd> fds;
 };
 
 UniqueFd memory(std::uint64_t bytes) {
@@ -185,7 +185,14 @@ class Script {
     std::memcpy(bytes.data(), &body, sizeof body);
     if (input_.ConsumeIntegralInRange(0, 63) == 0)  // another shape
       bytes.resize(input_.ConsumeIntegralInRange<std::size_t>(1, wire::packet_bytes_max));
-    messages_.push_back({std::move(bytes), std::move(fd)});
+    // In the packet of the one before, as the daemon does, or in one of its own.
+    if (messages_.empty() ||
+        messages_.back().bytes.size() + bytes.size() > wire::answer_bytes_max ||
+        input_.ConsumeIntegralInRange(0, 3) == 0)
+      messages_.emplace_back();
+    Message& packet = messages_.back();
+    packet.bytes.insert(packet.bytes.end(), bytes.begin(), bytes.end());
+    if (fd) packet.fds.push_back(std::move(fd));
   }
 
   FuzzedDataProvider& input_;
@@ -208,9 +215,10 @@ void serve(PacketListener& listener, const UniqueFd& board, const std::vector<Me
   const int board_fd = board.get();
   (void)socket.send(std::as_bytes(std::span(&observed, 1)), {&board_fd, 1}, Wait::yes);
   for (const Message& message : messages) {
-    const int fd = message.fd.get();
+    std::vector<int> fds;
+    for (const UniqueFd& fd : message.fds) fds.push_back(fd.get());
     for (;;) {  // until it has read enough, or is gone
-      const auto sent = socket.send(message.bytes, {&fd, fd >= 0 ? 1u : 0u});
+      const auto sent = socket.send(message.bytes, fds);
       if (!sent || *sent != Sent::would_block) break;
       std::this_thread::yield();
     }

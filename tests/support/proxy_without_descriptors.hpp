@@ -44,7 +44,7 @@ class ProxyWithoutDescriptors {
 
   /// False: one of both has ended.
   static bool pass_on(const PacketSocket& from, const PacketSocket& to) {
-    std::array<std::byte, abi::wire::packet_bytes_max> buffer;
+    std::array<std::byte, abi::wire::answer_bytes_max> buffer;
     for (;;) {
       const auto packet = from.receive(buffer);
       if (!packet || packet->kind == Packet::Kind::end) return false;

@@ -8,6 +8,7 @@
 #pragma once
 
 #include <agnocast/abi/fingerprint.hpp>
+#include <agnocast/abi/observe.hpp>
 #include <agnocast/abi/wire.hpp>
 #include <agnocast/abi/words.hpp>
 #include <agnocast/error.hpp>
@@ -83,6 +84,7 @@ class WireClient {
     EXPECT_TRUE(socket) << "cannot connect to " << path;
     if (socket) socket_ = std::move(*socket);
     seen_ = 0;
+    bodies_.clear();
     unasked_.clear();
   }
   std::uint64_t last_request() const noexcept { return last_request_; }
@@ -246,11 +248,16 @@ class WireClient {
   }
   std::optional<Incoming> receive(int timeout_ms = patience_ms) {
     if (!socket_) return std::nullopt;
+    if (!bodies_.empty()) {
+      Incoming first = std::move(bodies_.front());
+      bodies_.pop_front();
+      return first;
+    }
     if (!readable(timeout_ms)) {
       EXPECT_EQ(timeout_ms, 0) << "no packet came from the daemon";
       return std::nullopt;
     }
-    std::array<std::byte, 2048> buffer;
+    std::array<std::byte, wire::answer_bytes_max> buffer;
     auto packet = socket_.receive(buffer);
     if (!packet || packet->kind != Packet::Kind::data) {
       EXPECT_EQ(timeout_ms, 0) << "the daemon has hung up";
@@ -259,17 +266,32 @@ class WireClient {
     ++seen_;
     EXPECT_FALSE(packet->truncated);
     EXPECT_FALSE(packet->descriptors_lost);
-    Incoming incoming;
-    incoming.bytes.assign(buffer.begin(),
-                          buffer.begin() + static_cast<std::ptrdiff_t>(packet->bytes));
-    for (UniqueFd& fd : packet->fds()) incoming.fds.push_back(std::move(fd));
-    EXPECT_EQ(incoming.header().bytes, packet->bytes);
-    return incoming;
+    const std::span<const std::byte> all(buffer.data(), packet->bytes);
+    std::size_t next_fd = 0;
+    for (std::size_t at = 0; at < all.size();) {
+      Incoming body{{all.begin() + static_cast<std::ptrdiff_t>(at), all.end()}, {}};
+      const std::size_t bytes = body.header().bytes;
+      EXPECT_TRUE(bytes >= sizeof(wire::Header) && bytes <= body.bytes.size())
+          << "a packet of " << all.size() << " bytes has a body of " << bytes << " at " << at;
+      if (bytes < sizeof(wire::Header) || bytes > body.bytes.size()) return body;
+      body.bytes.resize(bytes);
+      at += bytes;
+      // Descriptors belong to the only body, or to the processes of a dump.
+      std::size_t fds = bytes == all.size() ? packet->fds().size() : 0;
+      if (body.opcode() == wire::Opcode::dump_process)
+        fds = body.as<wire::DumpProcess>().region_count;
+      for (; fds > 0 && next_fd < packet->fds().size(); --fds)
+        body.fds.push_back(std::move(packet->fds()[next_fd++]));
+      bodies_.push_back(std::move(body));
+    }
+    EXPECT_EQ(next_fd, packet->fds().size()) << "descriptors that belong to no body";
+    return receive(timeout_ms);
   }
 
   PacketSocket socket_;
   std::uint64_t seen_ = 0;
   std::uint64_t last_request_ = 0;
+  std::deque<Incoming> bodies_;  // of the last packet, still to be looked at
   std::deque<Incoming> unasked_;
 };
 

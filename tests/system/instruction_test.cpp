@@ -85,13 +85,13 @@ void read_dump(const std::filesystem::path& path, Counts& counts) {
   }
 }
 
-/// agnocast-ctl top, fifty times a second, until the end.
+/// agnocast-ctl top, twenty times a second, until the end.
 class Watcher {
  public:
   explicit Watcher(const std::string& socket)
       : child_([&] {
           if (std::freopen("/dev/null", "w", stdout) == nullptr) return 98;
-          ::execl(AGNOCAST_TEST_CTL, AGNOCAST_TEST_CTL, "top", "-b", "-d", "0.02", "--socket",
+          ::execl(AGNOCAST_TEST_CTL, AGNOCAST_TEST_CTL, "top", "-b", "-d", "0.05", "--socket",
                   socket.c_str(), nullptr);
           return 99;
         }) {}

@@ -268,8 +268,8 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::AccessIs, line), offsetof(wire::AccessIs, everybody),
           offsetof(wire::AccessIs, rule_count), offsetof(wire::AccessIs, pattern),
           offsetof(wire::AccessIs, principals));
-  sum.add(wire::version, wire::name_bytes, wire::packet_bytes_max, wire::descriptor_count_max,
-          sizeof(wire::Announcement::Window));
+  sum.add(wire::version, wire::name_bytes, wire::packet_bytes_max, wire::answer_bytes_max,
+          wire::descriptor_count_max, sizeof(wire::Announcement::Window));
   using wire::Opcode;
   sum.add(Opcode::hello, Opcode::open_window, Opcode::open_executor, Opcode::create_publisher,
           Opcode::create_subscription, Opcode::leave, Opcode::drained, Opcode::unlinked,

@@ -14,7 +14,10 @@
 //   ask_access            AskAccess  access_is of publishing, then of subscribing
 //
 // All packets of one dump carry its request id and were made in one turn of the daemon: together
-// they are one moment. An observer has no index, no region and no endpoint, and is never announced.
+// they are one moment. A dump and a journal come with several bodies to a packet, each behind its own
+// header and as long as that says, up to answer_bytes_max and descriptor_count_max; descriptors belong
+// to the bodies of the packet in their order. An observer has no index, no region and no endpoint, and
+// is never announced.
 #pragma once
 
 #include <agnocast/abi/limits.hpp>

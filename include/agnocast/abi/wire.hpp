@@ -57,6 +57,9 @@ inline constexpr std::uint32_t version = 1;
 inline constexpr std::uint32_t name_bytes = 256;
 // The largest body is two names and a dozen numbers; what is longer is not ours.
 inline constexpr std::uint32_t packet_bytes_max = 1024;
+// What an observer is answered at length: as many bodies to a packet as fit. A packet costs both sides what a dozen
+// bodies cost; the kernel finds four pages in a row without looking for them.
+inline constexpr std::uint32_t answer_bytes_max = 15 * 1024;
 // Client region, eight windows, two doorbells. The kernel allows 253 (SCM_MAX_FD).
 inline constexpr std::uint32_t descriptor_count_max = 1 + window_count_max + 2;
 
