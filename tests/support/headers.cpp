@@ -1,0 +1,5 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Whose precompiled headers all tests use; nothing runs it.
+
+int main() {}
