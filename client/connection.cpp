@@ -27,6 +27,10 @@ bool write_name(abi::wire::Name& name, std::string_view text) noexcept {
 Failure refusal_of(const Incoming& packet) noexcept {
   abi::wire::Refused refused{};
   if (!packet.read(refused)) return {Errc::protocol_violation, 0, "an answer of agnocastd"};
+  return refusal_of(refused);
+}
+
+Failure refusal_of(abi::wire::Refused refused) noexcept {
   char* const end = std::find(std::begin(refused.text.text), std::end(refused.text.text) - 1, '\0');
   *end = '\0';
   std::replace_if(

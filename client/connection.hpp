@@ -76,6 +76,7 @@ struct Incoming {
 
 /// What the daemon refused, in its words: of a packet that is shaped like `refused`.
 Failure refusal_of(const Incoming& packet) noexcept;
+Failure refusal_of(abi::wire::Refused refused) noexcept;
 
 class Connection {
  public:

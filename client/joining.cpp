@@ -14,6 +14,7 @@
 #include <base/step.hpp>
 #include <base/text.hpp>
 #include <client/forked_child.hpp>
+#include <client/socket_path.hpp>
 #include <client/user_code.hpp>
 
 #include <pthread.h>
@@ -35,17 +36,6 @@ namespace wire = abi::wire;
 using wire::Opcode;
 
 namespace {
-
-std::string socket_path() {
-  if (const char* named = std::getenv("AGNOCAST_SOCKET"); named != nullptr && *named != '\0')
-    return named;
-  constexpr const char* system_socket = "/run/agnocast/agnocastd.sock";
-  if (::access(system_socket, F_OK) == 0) return system_socket;
-  if (const char* runtime = std::getenv("XDG_RUNTIME_DIR"); runtime != nullptr && *runtime == '/') {
-    return std::string(runtime) + "/agnocast/agnocastd.sock";
-  }
-  return system_socket;
-}
 
 // A misspelt domain must not silently be domain 0: its node would meet nobody.
 Result<std::uint64_t> domain_id() {

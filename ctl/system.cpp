@@ -100,53 +100,8 @@ bool System::is_still_there(const Topic& topic, const Endpoint& endpoint) const 
   return abi::generation_of(word) == endpoint.facts.generation;
 }
 
-/// One packet, and where in it the present body begins.
-class Observer::Received {
- public:
-  std::span<std::byte> buffer() noexcept { return bytes_; }
-  void begin(Packet packet) noexcept {
-    packet_ = std::move(packet);
-    at_ = descriptors_taken_ = 0;
-  }
-  /// On to the body behind the present one. False: there is none.
-  bool advance() noexcept {
-    at_ += packet_.bytes == 0 ? 0 : header().bytes;
-    return at_ < packet_.bytes;
-  }
-  /// Whether the present body is inside the packet; nothing below is asked before.
-  bool is_whole() const noexcept {
-    const std::size_t rest = packet_.bytes - at_;
-    return rest >= sizeof(wire::Header) && header().bytes >= sizeof(wire::Header) &&
-           header().bytes <= rest;
-  }
-  wire::Header header() const noexcept {
-    wire::Header header{};
-    std::memcpy(&header, &bytes_[at_], sizeof header);
-    return header;
-  }
-  template <class Body>
-  bool read(Body& body) const noexcept {
-    if (header().bytes != sizeof body) return false;
-    std::memcpy(static_cast<void*>(&body), &bytes_[at_], sizeof body);
-    return true;
-  }
-  /// Empty when the packet brought fewer.
-  UniqueFd take_descriptor() noexcept {
-    if (descriptors_taken_ == packet_.descriptor_count) return {};
-    return std::move(packet_.descriptors[descriptors_taken_++]);
-  }
-
- private:
-  alignas(8) std::array<std::byte, wire::answer_bytes_max> bytes_;
-  Packet packet_;
-  std::size_t at_ = 0, descriptors_taken_ = 0;
-};
-
 Observer::Observer(PacketSocket socket, std::string path)
-    : socket_(std::move(socket)), path_(std::move(path)), received_(new Received) {}
-Observer::Observer(Observer&&) noexcept = default;
-Observer& Observer::operator=(Observer&&) noexcept = default;
-Observer::~Observer() = default;
+    : socket_(std::move(socket)), path_(std::move(path)), received_(new AnswerPacket) {}
 
 tl::unexpected<Problem> Observer::nonsense() const {
   return problem(Status::failed, path_, sentence_of(Errc::protocol_violation),
@@ -181,7 +136,7 @@ Outcome<Observer> Observer::connect(const std::string& path) {
   if (auto sent = observer.send(Opcode::observe, hello); !sent) return tl::unexpected(sent.error());
   auto answer = observer.receive();
   if (!answer) return tl::unexpected(answer.error());
-  Received& welcome = **answer;
+  AnswerPacket& welcome = **answer;
   wire::Observed observed{};
   if (welcome.header().opcode != Opcode::observed || !welcome.read(observed))
     return observer.nonsense();
@@ -204,7 +159,7 @@ Outcome<void> Observer::send(Opcode opcode, Body body) {
   return {};
 }
 
-Outcome<Observer::Received*> Observer::receive() {
+Outcome<AnswerPacket*> Observer::receive() {
   if (!received_->advance()) {
     if (auto came = receive_packet(); !came) return tl::unexpected(came.error());
   }
@@ -327,7 +282,7 @@ Outcome<Journal> Observer::read_journal(std::uint64_t last, std::uint64_t count)
   }
 }
 
-Outcome<void> Observer::accept(Received& body, System& system, wire::DumpEnd& seen) const {
+Outcome<void> Observer::accept(AnswerPacket& body, System& system, wire::DumpEnd& seen) const {
   switch (body.header().opcode) {
     case Opcode::dump_daemon:
       if (!body.read(system.daemon)) return nonsense();

@@ -9,6 +9,7 @@
 
 #include <agnocast/abi/board.hpp>
 #include <agnocast/abi/observe.hpp>
+#include <base/answer_packet.hpp>
 #include <base/mapping.hpp>
 #include <base/memory_policy.hpp>
 #include <base/packet_socket.hpp>
@@ -84,9 +85,6 @@ bool is_stopped(const wire::DumpProcess& process);
 /// A connection that looks. Problems: not_reachable, permission_denied, failed.
 class Observer {
  public:
-  Observer(Observer&&) noexcept;
-  Observer& operator=(Observer&&) noexcept;
-  ~Observer();
   static Outcome<Observer> connect(const std::string& socket);
   /// One moment.
   Outcome<System> look();
@@ -106,22 +104,21 @@ class Observer {
 
  private:
   Observer(PacketSocket socket, std::string path);
-  class Received;
   /// The next body; what the last one was is gone.
-  Outcome<Received*> receive();
+  Outcome<AnswerPacket*> receive();
   Outcome<void> receive_packet();
   template <class Body>
   Outcome<void> send(wire::Opcode opcode, Body body);
   tl::unexpected<Problem> nonsense() const;
   tl::unexpected<Problem> without_descriptors() const;
-  Outcome<void> accept(Received& packet, System& system, wire::DumpEnd& seen) const;
+  Outcome<void> accept(AnswerPacket& packet, System& system, wire::DumpEnd& seen) const;
   void map_regions(System& system) const;
 
   PacketSocket socket_;
   std::string path_;
   Mapping board_;
   std::uint64_t region_bytes_ = 0;
-  std::unique_ptr<Received> received_;
+  std::unique_ptr<AnswerPacket> received_;
 };
 
 /// Connects and looks once: what most commands need. `observer` keeps the board.

@@ -475,6 +475,7 @@ void Broker::drop(PeerId id) {
 }
 
 void Broker::tick() {
+  answer_who_awaits_change();
   const std::uint64_t now = monotonic_ms();
   if (now - looked_ms_ < short_interval_ms) return;  // however many events there are
   looked_ms_ = now;

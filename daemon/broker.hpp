@@ -92,6 +92,7 @@ class Broker final : private Post {
     bool revoked = false;   // its client is dead in the tables; nothing it says counts
     bool counts_as_observer = false;
     std::uint64_t asked_ms = 0;   // of an observer: when its last answer was made
+    std::optional<abi::wire::Dump> awaits_change = {};  // of an observer: to be answered then
     std::uint64_t looked_ns = 0;  // when tick() last asked whether it has let go
     // Of its process: to be told everything again is work. An honest one tries four times a second at
     // last (client/reconnection.hpp), a few times more often at first.
@@ -191,6 +192,7 @@ class Broker final : private Post {
 
   DumpFacts facts() const;
   void drop_slow_observers(std::uint64_t now);
+  void answer_who_awaits_change();
   void watch_holds();
   void watch_letting_go();
   void refuse(Peer& peer, const Request& request, std::uint64_t id, Errc code, int os_errno,
@@ -241,6 +243,7 @@ class Broker final : private Post {
   std::unordered_map<std::uint32_t, std::deque<PeerId>> waiting_;  // for their turn, by uid
   std::unordered_map<std::uint32_t, Connections> connections_;     // by uid
   std::uint64_t observer_count_ = 0;
+  std::uint64_t answered_lsn_ = 0;  // up to here who awaits a change was answered
   PeerId last_peer_ = 0;
   std::uint64_t detached_count_ = 0;  // processes without a connection
   bool flush_later_ = false;

@@ -67,8 +67,25 @@ Result<void> Broker::observe(Peer& peer, const wire::Observe& request) {
 }
 
 Result<void> Broker::dump(Peer& peer, const wire::Dump& request) {
-  answer_at_length(peer, make_dump(registry_, facts(), request.header.request));
+  peer.awaits_change.reset();
+  if (request.waits != 0 && request.seen == registry_.log().committed_lsn()) {
+    peer.awaits_change = request;
+  } else {
+    answer_at_length(peer, make_dump(registry_, facts(), request));
+  }
   return {};
+}
+
+void Broker::answer_who_awaits_change() {
+  const std::uint64_t lsn = registry_.log().committed_lsn();
+  if (observer_count_ == 0 || lsn == answered_lsn_) return;
+  answered_lsn_ = lsn;
+  for (const auto& [id, peer] : peers_) {
+    if (peer->session.closed() || !peer->awaits_change || peer->awaits_change->seen == lsn)
+      continue;
+    const wire::Dump request = *std::exchange(peer->awaits_change, std::nullopt);
+    answer_at_length(*peer, make_dump(registry_, facts(), request));
+  }
 }
 
 Result<void> Broker::read_journal(Peer& peer, const wire::ReadJournal& request) {

@@ -20,7 +20,7 @@ wire::Name copy_of(const char (&text)[wire::name_bytes]) noexcept {
 
 class Writer {
  public:
-  Writer(const Registry& registry, const DumpFacts& facts, std::uint64_t request)
+  Writer(const Registry& registry, const DumpFacts& facts, const wire::Dump& request)
       : registry_(registry), facts_(facts), request_(request) {}
 
   std::vector<Outgoing> write() {
@@ -29,6 +29,7 @@ class Writer {
     for (std::uint32_t i = 0; i < registry_.topic_high(); ++i) write_topic(TopicIndex{i});
     write_users();
     write_refusals();
+    end_.lsn = registry_.log().committed_lsn();
     put(Opcode::dump_end, end_);
     return std::move(packets_);
   }
@@ -36,7 +37,7 @@ class Writer {
  private:
   template <class Body>
   void put(Opcode opcode, Body body, std::vector<SharedFd> fds = {}) {
-    body.header = {opcode, sizeof body, request_};
+    body.header = {opcode, sizeof body, request_.header.request};
     const auto bytes = packet_of(body);
     packets_.push_back({{bytes.begin(), bytes.end()}, std::move(fds)});
   }
@@ -56,14 +57,15 @@ class Writer {
     body.age_ns = facts.age_ns;
     body.executors = record.executors;
     body.window_count = static_cast<std::uint32_t>(record.window_count);
-    body.region_count = facts.region == nullptr ? 0 : 1;
+    const bool has_region = facts.region != nullptr && request_.without_regions == 0;
+    body.region_count = has_region ? 1 : 0;
     for (std::uint64_t w = 0; w < record.window_count; ++w)
       body.window[w] = {record.window[w].base, record.window[w].bytes, record.window[w].first};
     body.blocked_bytes = facts.blocked_bytes;
     body.blocked_by = name_of(facts.blocked_by);
     body.name = copy_of(record.name);
     std::vector<SharedFd> fds;
-    if (facts.region != nullptr) fds.push_back(facts.region);
+    if (has_region) fds.push_back(facts.region);
     put(Opcode::dump_process, body, std::move(fds));
     ++end_.process_count;
     owners_[record.uid];
@@ -151,7 +153,7 @@ class Writer {
 
   const Registry& registry_;
   const DumpFacts& facts_;
-  std::uint64_t request_;
+  const wire::Dump& request_;
   std::map<std::uint32_t, DumpFacts::User> owners_;
   wire::DumpEnd end_{};
   std::vector<Outgoing> packets_;
@@ -160,7 +162,7 @@ class Writer {
 }  // namespace
 
 std::vector<Outgoing> make_dump(const Registry& registry, const DumpFacts& facts,
-                                std::uint64_t request) {
+                                const wire::Dump& request) {
   return Writer(registry, facts, request).write();
 }
 

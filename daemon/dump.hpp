@@ -41,8 +41,8 @@ struct DumpFacts {
   std::uint64_t now_ns = 0;  // CLOCK_MONOTONIC
 };
 
-/// The answer to the request with this id, in order: it ends with dump_end.
+/// The answer to the request, in order: it ends with dump_end.
 std::vector<Outgoing> make_dump(const Registry& registry, const DumpFacts& facts,
-                                std::uint64_t request);
+                                const abi::wire::Dump& request);
 
 }  // namespace agnocast::daemon

@@ -124,7 +124,7 @@ void ask(const Registry& registry) {
   for (std::uint32_t uid = 0; uid < 3; ++uid) static_cast<void>(registry.usage_of(uid));
   DumpFacts facts;
   facts.process_of = [](ClientIndex) { return DumpFacts::Process{}; };
-  static_cast<void>(make_dump(registry, facts, 1));
+  static_cast<void>(make_dump(registry, facts, abi::wire::Dump{}));
   const abi::Qos qos{1, false, true, false, false};
   for (std::uint32_t c = 0; c < registry.client_high(); ++c) {
     const ClientIndex client{c};

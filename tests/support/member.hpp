@@ -7,6 +7,7 @@
 #include <tests/integration/ctl_node.hpp>
 #include <tests/support/child.hpp>
 
+#include <fcntl.h>
 #include <sys/prctl.h>
 #include <unistd.h>
 

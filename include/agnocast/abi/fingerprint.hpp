@@ -175,7 +175,8 @@ constexpr std::uint64_t fingerprint() noexcept {
   sum.add(sizeof(wire::Observed), offsetof(wire::Observed, header),
           offsetof(wire::Observed, fingerprint), offsetof(wire::Observed, incarnation),
           offsetof(wire::Observed, client_region_bytes));
-  sum.add(sizeof(wire::Dump), offsetof(wire::Dump, header));
+  sum.add(sizeof(wire::Dump), offsetof(wire::Dump, header), offsetof(wire::Dump, seen),
+          offsetof(wire::Dump, waits), offsetof(wire::Dump, without_regions));
   sum.add(sizeof(wire::Revoke), offsetof(wire::Revoke, header), offsetof(wire::Revoke, client),
           offsetof(wire::Revoke, generation));
   sum.add(sizeof(wire::ReadJournal), offsetof(wire::ReadJournal, header),
@@ -251,7 +252,7 @@ constexpr std::uint64_t fingerprint() noexcept {
   sum.add(sizeof(wire::DumpEnd), offsetof(wire::DumpEnd, header),
           offsetof(wire::DumpEnd, process_count), offsetof(wire::DumpEnd, topic_count),
           offsetof(wire::DumpEnd, endpoint_count), offsetof(wire::DumpEnd, user_count),
-          offsetof(wire::DumpEnd, refusal_count));
+          offsetof(wire::DumpEnd, refusal_count), offsetof(wire::DumpEnd, lsn));
   sum.add(sizeof(wire::DumpRefusal), offsetof(wire::DumpRefusal, header),
           offsetof(wire::DumpRefusal, code), offsetof(wire::DumpRefusal, uid),
           offsetof(wire::DumpRefusal, pid), offsetof(wire::DumpRefusal, kind),

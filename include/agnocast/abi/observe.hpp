@@ -39,8 +39,13 @@ struct Observed {
   std::uint64_t incarnation;
   std::uint64_t client_region_bytes;
 };
+/// With `waits`, the answer comes when the daemon's log is no longer at `seen` (DumpEnd::lsn of the last
+/// one): when somebody has come, gone or changed. Another request of the observer takes its place.
 struct Dump {
   Header header;
+  std::uint64_t seen;
+  std::uint32_t waits;            // 1: until then
+  std::uint32_t without_regions;  // 1: processes come without their descriptors
 };
 /// Ends the membership of a living process as if it had died; it is told `revoked`.
 struct Revoke {
@@ -254,6 +259,7 @@ struct DumpEnd {
   std::uint64_t endpoint_count;
   std::uint64_t user_count;
   std::uint64_t refusal_count;
+  std::uint64_t lsn;  // of the newest record of the daemon's log
 };
 
 template <class Body>

@@ -224,7 +224,7 @@ void FakeBroker::serve_observer(std::span<const std::byte> packet) {
       process.region = regions_.region_reader(client);
       return process;
     };
-    Oracle::check_whole(make_dump(registry_, facts, dump->header.request), Opcode::dump_end);
+    Oracle::check_whole(make_dump(registry_, facts, *dump), Opcode::dump_end);
   } else if (const auto* const read = std::get_if<wire::ReadJournal>(&request)) {
     Oracle::check_whole(make_journal(registry_, *read, 1), Opcode::journal_end);
   } else if (const auto* const revocation = std::get_if<wire::Revoke>(&request)) {

@@ -1,0 +1,210 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: agnocast::Graph says of every endpoint what it was created with, says it anew when something has changed and
+// only then, in any daemon's life, and disturbs nobody. Method: the real daemon; endpoints of raw clients (CtlNode), so
+// that every fact is the test's own.
+
+#include <agnocast/graph.hpp>
+#include <tests/integration/ctl_node.hpp>
+#include <tests/support/daemon_process.hpp>
+#include <tests/support/member.hpp>
+#include <tests/support/wire_dump.hpp>
+
+#include <gmock/gmock.h>
+
+#include <chrono>
+#include <cstdlib>
+#include <optional>
+#include <string>
+#include <thread>
+#include <vector>
+
+namespace agnocast {
+namespace {
+
+using namespace std::chrono_literals;
+using test::CtlNode;
+using test::DaemonProcess;
+using test::Member;
+using testing::ElementsAre;
+using testing::IsEmpty;
+using testing::SizeIs;
+
+// Only a test that fails waits as long.
+constexpr auto patience = 20s;
+
+class GraphTest : public testing::Test {
+ protected:
+  void SetUp() override { ::setenv("AGNOCAST_SOCKET", daemon_.socket_path().c_str(), 1); }
+  void TearDown() override { ::unsetenv("AGNOCAST_SOCKET"); }
+
+  GraphSnapshot changed() {
+    auto snapshot = graph_.wait(patience);
+    EXPECT_TRUE(snapshot) << snapshot.error().what;
+    if (!snapshot) return {};
+    EXPECT_TRUE(*snapshot) << "nothing was said to have changed";
+    return snapshot->value_or(GraphSnapshot{});
+  }
+  /// What it says until that is true. A change may be told in two parts.
+  template <class Condition>
+  GraphSnapshot changed_until(Condition condition) {
+    const auto deadline = std::chrono::steady_clock::now() + patience;
+    for (;;) {
+      GraphSnapshot snapshot = changed();
+      if (condition(snapshot) || HasFailure()) return snapshot;
+      if (std::chrono::steady_clock::now() > deadline) {
+        ADD_FAILURE() << "it was never said";
+        return snapshot;
+      }
+    }
+  }
+  GraphSnapshot until_there_are(std::size_t count) {
+    return changed_until([&](const GraphSnapshot& now) { return now.endpoints.size() == count; });
+  }
+  void nothing_changes() {
+    const auto snapshot = graph_.wait(100ms);
+    ASSERT_TRUE(snapshot) << snapshot.error().what;
+    EXPECT_FALSE(*snapshot) << snapshot->value().endpoints.size() << " endpoints";
+  }
+
+  DaemonProcess daemon_;
+  Graph graph_;
+};
+
+TEST_F(GraphTest, SaysOfEveryEndpointWhatItWasCreatedWith) {
+  CtlNode talker(daemon_.socket_path(), 0, "talker_process"),
+      listener(daemon_.socket_path(), 7, "listener_process");
+  abi::Qos kept{9};
+  kept.transient_local = true;
+  const auto publisher = talker.publisher("/points", kept, "/ns/deep/talker", "test/msg/Cloud");
+  abi::Qos all{1000};
+  all.keep_all = true;
+  all.reliable = false;
+  const auto subscription = listener.subscription("/points", all, "/listener", "test/msg/Cloud");
+
+  const GraphSnapshot now = changed();
+  ASSERT_THAT(now.endpoints, SizeIs(2));
+  const EndpointInfo& first = now.endpoints[0];
+  EXPECT_EQ(first.kind, EndpointKind::publisher);
+  EXPECT_EQ(first.domain, 0u);
+  EXPECT_EQ(first.topic, "/points");
+  EXPECT_EQ(first.type, "test/msg/Cloud");
+  EXPECT_EQ(first.node_name, "talker");
+  EXPECT_EQ(first.node_namespace, "/ns/deep");
+  EXPECT_EQ(first.qos.depth(), 9u);
+  EXPECT_TRUE(first.qos.is_reliable());
+  EXPECT_TRUE(first.qos.is_transient_local());
+  EXPECT_FALSE(first.qos.is_keep_all());
+  EXPECT_EQ(first.generation, publisher.generation);
+  EXPECT_EQ(first.pid, static_cast<std::uint32_t>(::getpid()));
+  EXPECT_EQ(first.uid, ::geteuid());
+  EXPECT_EQ(first.process_name, "talker_process");
+  const EndpointInfo& second = now.endpoints[1];
+  EXPECT_EQ(second.kind, EndpointKind::subscription);
+  EXPECT_EQ(second.domain, 7u);
+  EXPECT_EQ(second.node_name, "listener");
+  EXPECT_EQ(second.node_namespace, "/");
+  EXPECT_TRUE(second.qos.is_keep_all());
+  EXPECT_FALSE(second.qos.is_reliable());
+  EXPECT_FALSE(second.qos.is_transient_local());
+  EXPECT_EQ(second.generation, subscription.generation);
+  EXPECT_NE(second.client, first.client);
+  EXPECT_EQ(now.incarnation, test::wire_dump(daemon_.socket_path()).incarnation);
+}
+
+TEST_F(GraphTest, SaysItAnewWhenSomebodyComesLeavesOrDies) {
+  EXPECT_THAT(changed().endpoints, IsEmpty());
+  nothing_changes();
+  CtlNode node(daemon_.socket_path());
+  const auto publisher = node.publisher("/points");
+  EXPECT_EQ(until_there_are(1).endpoints[0].generation, publisher.generation);
+  node.subscription("/points");
+  until_there_are(2);
+  nothing_changes();
+
+  Member other(daemon_.socket_path(), [](CtlNode& member) { member.publisher("/others"); });
+  const GraphSnapshot three = until_there_are(3);
+  EXPECT_EQ(three.endpoints[2].topic, "/others");
+  EXPECT_EQ(three.endpoints[2].pid, static_cast<std::uint32_t>(other.pid()));
+  EXPECT_NE(three.endpoints[2].client, three.endpoints[0].client);
+  other.kill();
+  other.wait();
+  until_there_are(2);
+  node.wire.reference(abi::wire::Opcode::leave, abi::wire::Kind::publisher, publisher.topic,
+                      publisher.index, publisher.generation);
+  EXPECT_EQ(until_there_are(1).endpoints[0].kind, EndpointKind::subscription);
+}
+
+TEST_F(GraphTest, IsWokenWhileItSleeps) {
+  EXPECT_THAT(changed().endpoints, IsEmpty());
+  std::optional<CtlNode> node;
+  std::thread comes([&] {
+    node.emplace(daemon_.socket_path());
+    node->publisher("/points");
+  });
+  until_there_are(1);
+  comes.join();
+}
+
+TEST_F(GraphTest, EndsItsWaitWhenInterruptedAndLosesNothing) {
+  EXPECT_THAT(changed().endpoints, IsEmpty());
+  std::thread interrupts([&] { graph_.interrupt(); });
+  const auto ended = graph_.wait(patience);
+  interrupts.join();
+  ASSERT_TRUE(ended) << ended.error().what;
+  EXPECT_FALSE(*ended);
+  graph_.interrupt();  // before the next one
+  EXPECT_FALSE(graph_.wait(patience).value());
+  CtlNode node(daemon_.socket_path());
+  node.publisher("/points");
+  until_there_are(1);
+}
+
+TEST_F(GraphTest, GoesOnWithAnotherLifeOfTheDaemon) {
+  CtlNode node(daemon_.socket_path());
+  const auto publisher = node.publisher("/points");
+  const std::uint64_t incarnation = changed().incarnation;
+  daemon_.kill_worker();
+  // Its supervisor starts the next life, which has the same tables.
+  const GraphSnapshot again =
+      changed_until([](const GraphSnapshot& now) { return now.endpoints.size() == 1; });
+  EXPECT_EQ(again.incarnation, incarnation);
+  EXPECT_EQ(again.endpoints[0].generation, publisher.generation);
+}
+
+TEST_F(GraphTest, IsNoEndpointAndChangesNothing) {
+  CtlNode node(daemon_.socket_path());
+  node.publisher("/points");
+  const auto before = test::wire_dump(daemon_.socket_path());
+  EXPECT_THAT(changed().endpoints, SizeIs(1));
+  nothing_changes();
+  const auto after = test::wire_dump(daemon_.socket_path());
+  EXPECT_EQ(after.processes.size(), before.processes.size());
+  EXPECT_EQ(after.endpoints.size(), before.endpoints.size());
+  EXPECT_EQ(node.wire.poll(), std::nullopt) << "the publisher was told something";
+}
+
+TEST(Graph, SaysThatThereIsNoDaemonAndIsThereOnceThereIsOne) {
+  const std::string directory = test::make_directory();
+  const std::string socket = directory + "/agnocastd.sock";
+  ::setenv("AGNOCAST_SOCKET", socket.c_str(), 1);
+  Graph graph;
+  const auto nobody = graph.wait(1s);
+  ASSERT_FALSE(nobody);
+  EXPECT_EQ(nobody.error().code, Errc::daemon_not_running);
+  {
+    DaemonProcess daemon({.socket = socket});
+    const auto somebody = graph.wait(1s);
+    ASSERT_TRUE(somebody) << somebody.error().what;
+    ASSERT_TRUE(*somebody);
+    EXPECT_THAT((*somebody)->endpoints, IsEmpty());
+  }
+  const auto gone = graph.wait(1s);
+  ASSERT_FALSE(gone);
+  EXPECT_EQ(gone.error().code, Errc::daemon_not_running);
+  ::unsetenv("AGNOCAST_SOCKET");
+  test::remove_directory(directory);
+}
+
+}  // namespace
+}  // namespace agnocast
