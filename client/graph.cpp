@@ -75,13 +75,8 @@ class Graph::State {
       auto snapshot = wait_connected(deadline);
       if (snapshot) return snapshot;
       socket_.close();
-      // It was there: it is being started again, or has ended.
-      const bool may_come_back =
-          snapshot.error().code == Errc::daemon_not_running && was_connected_;
-      if (!may_come_back || Clock::now() >= deadline) {
-        was_connected_ = false;
-        return snapshot;
-      }
+      const bool may_come = snapshot.error().code == Errc::daemon_not_running;
+      if (!may_come || Clock::now() >= deadline) return snapshot;
       if (sleep_until(std::min(deadline, Clock::now() + reconnect_interval)))
         return std::optional<GraphSnapshot>();
     }
@@ -95,7 +90,6 @@ class Graph::State {
   Result<std::optional<GraphSnapshot>> wait_connected(Clock::time_point deadline) {
     if (!socket_) {
       if (auto connected = connect(); !connected) return tl::unexpected(connected.error());
-      was_connected_ = true;
     }
     if (!is_asked_) {
       if (seen_lsn_ && sleep_until(looked_ + gather_time)) return std::optional<GraphSnapshot>();
@@ -274,7 +268,7 @@ class Graph::State {
   UniqueFd interrupted_;
   PacketSocket socket_;
   AnswerPacket packet_;
-  bool was_connected_ = false, is_asked_ = false, was_interrupted_ = false;
+  bool is_asked_ = false, was_interrupted_ = false;
   std::optional<std::uint64_t> seen_lsn_;  // of the last look; none before the first
   Clock::time_point looked_{};
 };

@@ -58,9 +58,9 @@ class AGNOCAST_PUBLIC Graph {
 
   /// The first time, and after an error: what there is now. From then on it sleeps until something has
   /// changed, and says everything again; what happens within 10 ms comes together. Nothing when nothing has
-  /// changed for `patience`, or after interrupt(). Errors: those of connecting (daemon_not_running,
-  /// permission_denied, version_mismatch, …), protocol_violation. After one it may be asked again: it connects
-  /// anew. A daemon that was started again meanwhile is no error.
+  /// changed for `patience`, or after interrupt(). Errors: daemon_not_running (nobody there for `patience`; one
+  /// that is started again meanwhile is no error), permission_denied, layout_mismatch and whatever else the
+  /// daemon refuses, at once; protocol_violation. After one it may be asked again: it connects anew.
   [[nodiscard]] Result<std::optional<GraphSnapshot>> wait(std::chrono::milliseconds patience);
   /// Ends the present wait(), or the next one. Any thread, also a signal's handler.
   void interrupt() noexcept;
