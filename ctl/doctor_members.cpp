@@ -29,10 +29,7 @@ constexpr std::uint64_t peer_address_bytes = 1024 * mebibyte;
 std::string who(const Process& process) {
   return escaped(process.name) + " (pid " + std::to_string(process.facts.pid) + ")";
 }
-std::string node_of(const Endpoint& endpoint) {
-  return escaped((endpoint.node_namespace == "/" ? "" : endpoint.node_namespace) + '/' +
-                 endpoint.node_name);
-}
+std::string node_of(const Endpoint& endpoint) { return escaped(node_name_of(endpoint)); }
 std::string who(const System& system, const Endpoint& endpoint) {
   const Process* const process = system.process_of(endpoint);
   return node_of(endpoint) + (process == nullptr ? "" : " of " + who(*process));

@@ -5,6 +5,7 @@
 #include <base/text.hpp>
 #include <ctl/commands.hpp>
 #include <ctl/journal.hpp>
+#include <ctl/select.hpp>
 #include <ctl/system.hpp>
 
 #include <chrono>
@@ -12,6 +13,7 @@
 #include <limits>
 #include <string_view>
 #include <thread>
+#include <utility>
 
 namespace agnocast::ctl {
 namespace {
@@ -136,12 +138,8 @@ namespace {
 
 class Printer {
  public:
-  Printer(const Arguments& arguments, Console& console)
-      : arguments_(arguments),
-        console_(console),
-        filter_{arguments.text(options::of_topic), arguments.text(options::of_process)} {
-    if (!filter_.topic.empty() && filter_.topic[0] != '/') filter_.topic.insert(0, "/");
-  }
+  Printer(const Arguments& arguments, Console& console, JournalFilter filter)
+      : arguments_(arguments), console_(console), filter_(std::move(filter)) {}
 
   bool filters() const { return !filter_.topic.empty() || !filter_.process.empty(); }
 
@@ -204,9 +202,11 @@ Outcome<void> follow(Observer observer, std::uint64_t seen, const Arguments& arg
 }  // namespace
 
 Outcome<void> show_journal(const Arguments& arguments, Console& console) {
+  auto filter = filter_of(arguments);
+  if (!filter) return tl::unexpected(filter.error());
   auto observer = Observer::connect(arguments.socket);
   if (!observer) return tl::unexpected(observer.error());
-  Printer printer(arguments, console);
+  Printer printer(arguments, console, std::move(*filter));
   auto journal =
       observer->read_journal(0, printer.filters() ? all : arguments.whole(options::records));
   if (!journal) return tl::unexpected(journal.error());

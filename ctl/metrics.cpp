@@ -257,17 +257,12 @@ void add_topics(const System& system, Metrics& metrics, std::uint64_t now_ns) {
        [](const Row& row) { return std::uint64_t{row.trouble < Trouble::running}; });
 }
 
-std::string name_of_node(const Endpoint& endpoint) {
-  const std::string& space = endpoint.node_namespace;
-  return space + (space.ends_with('/') ? "" : "/") + endpoint.node_name;
-}
-
 SharedLabels labels_of(const System& system, const Topic& topic, const Endpoint& endpoint) {
   const Process* const process = system.process_of(endpoint);
   return std::make_shared<const Labels>(
       Labels{{"domain", std::to_string(topic.facts.domain)},
              {"topic", topic.name},
-             {"node", name_of_node(endpoint)},
+             {"node", node_name_of(endpoint)},
              {"pid", process == nullptr ? "gone" : std::to_string(process->facts.pid)},
              {"generation", std::to_string(endpoint.facts.generation)}});
 }

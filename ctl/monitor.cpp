@@ -83,12 +83,8 @@ Snapshot snapshot_of(const System& system) {
 
 class Monitor {
  public:
-  Monitor(const Arguments& arguments, Console& console)
-      : arguments_(arguments),
-        console_(console),
-        filter_{arguments.text(options::of_topic), arguments.text(options::of_process)} {
-    if (!filter_.topic.empty()) filter_.topic = fully_qualified(filter_.topic);
-  }
+  Monitor(const Arguments& arguments, Console& console, JournalFilter filter)
+      : arguments_(arguments), console_(console), filter_(std::move(filter)) {}
 
   void tell(const Journal& journal) {
     for (const wire::JournalRecord& record : journal.records) {
@@ -170,6 +166,8 @@ class Monitor {
 }  // namespace
 
 Outcome<void> monitor_system(const Arguments& arguments, Console& console) {
+  auto filter = filter_of(arguments);
+  if (!filter) return tl::unexpected(filter.error());
   const Waiting waiting;
   auto watch = Watch::begin(arguments.socket);
   if (!watch) return tl::unexpected(watch.error());
@@ -177,7 +175,7 @@ Outcome<void> monitor_system(const Arguments& arguments, Console& console) {
   if (!log) return tl::unexpected(log.error());
   std::uint64_t told = log->end.newest;
   Snapshot before = snapshot_of(watch->system());
-  Monitor monitor(arguments, console);
+  Monitor monitor(arguments, console, std::move(*filter));
   while (waiting.sleep_ms(interval_ms)) {
     if (auto renewed = watch->renew(); !renewed) return renewed;
     if (watch->is_away()) continue;

@@ -2,6 +2,7 @@
 
 #include <ctl/select.hpp>
 
+#include <base/names.hpp>
 #include <base/text.hpp>
 #include <ctl/commands.hpp>
 
@@ -21,6 +22,16 @@ std::uint64_t active_count(const std::vector<Endpoint>& endpoints) {
 
 std::string fully_qualified(const std::string& name) {
   return name.starts_with('/') ? name : '/' + name;
+}
+
+Outcome<JournalFilter> filter_of(const Arguments& arguments) {
+  JournalFilter filter{arguments.text(options::of_topic), arguments.text(options::of_process)};
+  if (filter.topic.empty()) return filter;
+  filter.topic = fully_qualified(filter.topic);
+  if (const auto wrong = check_topic_name(filter.topic))
+    return problem(Status::wrong_usage, in_quotes(filter.topic), wrong->text(),
+                   full_name(*arguments.command) + " --help");
+  return filter;
 }
 
 bool is_hidden(const std::string& name) { return name.find("/_") != std::string::npos; }
@@ -80,7 +91,19 @@ Outcome<std::vector<const Process*>> find_processes(const System& system, const 
                  "agnocast-ctl process list --all-domains");
 }
 
-std::string Node::full_name() const { return (name_space == "/" ? "" : name_space) + '/' + name; }
+namespace {
+
+std::string joined(const std::string& name_space, const std::string& name) {
+  return (name_space == "/" ? "" : name_space) + '/' + name;
+}
+
+}  // namespace
+
+std::string node_name_of(const Endpoint& endpoint) {
+  return joined(endpoint.node_namespace, endpoint.node_name);
+}
+
+std::string Node::full_name() const { return joined(name_space, name); }
 
 std::vector<Node> nodes_of(const System& system, const Arguments& arguments) {
   std::map<std::tuple<std::string, std::string, std::uint64_t, std::uint64_t>, Node> nodes;

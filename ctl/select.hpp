@@ -5,6 +5,7 @@
 #pragma once
 
 #include <ctl/arguments.hpp>
+#include <ctl/journal.hpp>
 #include <ctl/system.hpp>
 
 #include <string>
@@ -20,6 +21,9 @@ std::string fully_qualified(const std::string& name);
 /// A part of the name begins with an underscore.
 bool is_hidden(const std::string& name);
 
+/// What --topic and --process want to see. Problems: wrong_usage, what cannot be a topic's name.
+Outcome<JournalFilter> filter_of(const Arguments& arguments);
+
 /// Of the domain or of all, by name.
 std::vector<const Topic*> topics_of(const System& system, const Arguments& arguments);
 /// The topic of this name in the domain. Problems: no_such_thing, with what may have been meant.
@@ -32,6 +36,8 @@ std::string client_of(const wire::DumpProcess& process);
 /// no_such_thing.
 Outcome<std::vector<const Process*>> find_processes(const System& system, const std::string& name);
 
+/// "/ns/talker".
+std::string node_name_of(const Endpoint& endpoint);
 /// A node: endpoints of one name in one process.
 struct Node {
   std::string name, name_space;

@@ -80,6 +80,11 @@ TEST(CtlJournal, TellsADeathAndWhatItLeft) {
   EXPECT_EQ(without_times(run_ctl(socket, {"journal", "-n", "2"}).out).substr(0, 3), "#8 ");
   const std::string of_topic = run_ctl(socket, {"journal", "--topic", "points", "-n", "1"}).out;
   EXPECT_THAT(of_topic, HasSubstr("#8 topic /points"));
+  for (const char* const verb : {"journal", "monitor"}) {
+    const CtlResult wrong = run_ctl(socket, {verb, "--topic", "/a b"});
+    EXPECT_EQ(wrong.status, 2) << verb;
+    EXPECT_THAT(wrong.err, HasSubstr("agnocast-ctl: \"/a b\": ")) << verb;
+  }
   const std::string of_process = run_ctl(socket, {"journal", "--process", pid}).out;
   EXPECT_THAT(of_process, HasSubstr("died\n"));
   EXPECT_EQ(of_process.find("topic /points:"), std::string::npos);
