@@ -260,7 +260,8 @@ KeptNumbers numbers_of_kept(const System& system, const Process& process) {
       kept.unread += numbers->unread;
       kept.held += numbers->held;
       kept.lost += numbers->lost;
-      own.push_back(&subscription);
+      // Else there is no slot that it keeps, and none is looked at.
+      if (numbers->unread + numbers->held != 0) own.push_back(&subscription);
     }
     if (own.empty()) continue;
     for (const Endpoint& publisher : topic.publishers) add_slots(system, publisher, own, kept);
