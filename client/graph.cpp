@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Graph: an observer that asks for a dump without regions, and to be answered once the daemon's log has gone
-// on (include/agnocast/abi/observe.hpp). What it says was checked once; the daemon is trusted as every client
-// trusts it, but an index outside its table ends the connection.
+// on (include/agnocast/abi/observe.hpp). The daemon is trusted as every client trusts it: its indexes are keys here and
+// no places in memory, and a body of another length or an unknown kind ends the connection.
 
 #include <agnocast/graph.hpp>
 
@@ -39,6 +39,8 @@ using std::chrono::milliseconds;
 constexpr milliseconds answer_patience{5'000};
 // Nodes come with a dozen endpoints each.
 constexpr milliseconds gather_time{10};
+// Longer than anybody waits, and short enough to be added to a time.
+constexpr milliseconds patience_max = std::chrono::hours(24 * 365);
 // A daemon that is started anew is there again within some ten milliseconds.
 constexpr milliseconds reconnect_interval{50};
 
@@ -70,7 +72,7 @@ class Graph::State {
   }
 
   Result<std::optional<GraphSnapshot>> wait(milliseconds patience) {
-    const Clock::time_point deadline = Clock::now() + patience;
+    const Clock::time_point deadline = Clock::now() + std::min(patience, patience_max);
     for (;;) {
       auto snapshot = wait_connected(deadline);
       if (snapshot) return snapshot;

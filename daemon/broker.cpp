@@ -475,9 +475,12 @@ void Broker::drop(PeerId id) {
 }
 
 void Broker::tick() {
-  answer_who_awaits_change();
   const std::uint64_t now = monotonic_ms();
-  if (now - looked_ms_ < short_interval_ms) return;  // however many events there are
+  if (now - looked_ms_ >= short_interval_ms) look_around(now);  // however many events there are
+  answer_who_awaits_change();                                   // of the events, and of the look
+}
+
+void Broker::look_around(std::uint64_t now) {
   looked_ms_ = now;
   if (flush_later_) {
     flush_later_ = false;

@@ -192,6 +192,7 @@ class Broker final : private Post {
 
   DumpFacts facts() const;
   void drop_slow_observers(std::uint64_t now);
+  void look_around(std::uint64_t now);
   void answer_who_awaits_change();
   void watch_holds();
   void watch_letting_go();

@@ -57,8 +57,8 @@ inline constexpr std::uint32_t version = 1;
 inline constexpr std::uint32_t name_bytes = 256;
 // The largest body is two names and a dozen numbers; what is longer is not ours.
 inline constexpr std::uint32_t packet_bytes_max = 1024;
-// What an observer is answered at length: as many bodies to a packet as fit. A packet costs both sides what a dozen
-// bodies cost; the kernel finds four pages in a row without looking for them.
+// What an observer is answered at length: as many bodies to a packet as fit, since each packet is a system call on both
+// sides. With the kernel's own header it is four pages.
 inline constexpr std::uint32_t answer_bytes_max = 15 * 1024;
 // Client region, eight windows, two doorbells. The kernel allows 253 (SCM_MAX_FD).
 inline constexpr std::uint32_t descriptor_count_max = 1 + window_count_max + 2;
