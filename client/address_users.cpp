@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <base/immortal.hpp>
 #include <base/mapping.hpp>
 #include <base/step.hpp>
 #include <client/address_users.hpp>
@@ -11,10 +12,7 @@
 
 namespace agnocast {
 
-AddressUsers& AddressUsers::instance() noexcept {
-  static AddressUsers* const users = new AddressUsers;  // messages in statics lie in it
-  return *users;
-}
+AddressUsers& AddressUsers::instance() noexcept { return immortal<AddressUsers>(); }
 
 AddressUsers::File AddressUsers::file_of(int fd) noexcept {
   struct stat file {};

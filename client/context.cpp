@@ -227,16 +227,18 @@ void Context::in_all_memberships(const std::shared_ptr<Endpoint>& endpoint, cons
 
 Result<std::shared_ptr<PublisherEndpoint>> Context::create_publisher(
     const EndpointRequest& request, const detail::MessageEnd& end_message) {
-  auto made = in_present(
-      [&](Context& present) { return present.make_publisher(request, end_message, {}); });
+  auto made = in_present([&](Context& present) {
+    return present.make_publisher(request, end_message, {request.lineage, nullptr});
+  });
   if (made) in_all_memberships(*made, request, end_message);
   return made;
 }
 
 Result<std::shared_ptr<SubscriptionEndpoint>> Context::create_subscription(
     const EndpointRequest& request, std::shared_ptr<Sleeper> sleeper) {
-  auto made =
-      in_present([&](Context& present) { return present.make_subscription(request, sleeper, {}); });
+  auto made = in_present([&](Context& present) {
+    return present.make_subscription(request, sleeper, {request.lineage, nullptr});
+  });
   if (made) in_all_memberships(*made, request);
   return made;
 }
@@ -281,15 +283,20 @@ std::uint64_t Context::lineage_of(const Continued& continued, const wire::Endpoi
   return sum != 0 ? sum : 1;
 }
 
+Result<void> Context::open_heap_for(bool uses_shared_allocator) {
+  if (Result<void> connected = connect(); !connected) return connected;
+  if (Result<void> heap = open_heap(); !heap || uses_shared_allocator) return heap;
+  return heap_->check_interposition();
+}
+
+Result<void> Context::prepare_to_publish(bool uses_shared_allocator) {
+  return in_present([&](Context& present) { return present.open_heap_for(uses_shared_allocator); });
+}
+
 Result<std::shared_ptr<PublisherEndpoint>> Context::make_publisher(
     const EndpointRequest& request, const detail::MessageEnd& end_message, Continued continued) {
-  if (Result<void> connected = connect(); !connected)
-    return tl::unexpected<Failure>(connected.error());
-  if (Result<void> heap = open_heap(); !heap) return tl::unexpected<Failure>(heap.error());
-  if (!request.uses_shared_allocator) {
-    if (Result<void> interposes = heap_->check_interposition(); !interposes)
-      return tl::unexpected<Failure>(interposes.error());
-  }
+  if (Result<void> heap = open_heap_for(request.uses_shared_allocator); !heap)
+    return tl::unexpected<Failure>(heap.error());
   const Result<wire::CreateEndpoint> body = describe(request, 0);
   if (!body) return tl::unexpected<Failure>(body.error());
   std::shared_ptr<PublisherEndpoint> publisher;
@@ -313,7 +320,8 @@ Result<std::shared_ptr<PublisherEndpoint>> Context::make_publisher(
                                                      0};
         publisher = std::make_shared<PublisherEndpoint>(
             PublisherEndpoint::Identity{core, made.topic, end_message, waker(), continued.events,
-                                        this, lineage_of(continued, made, Kind::publisher)});
+                                        this, lineage_of(continued, made, Kind::publisher),
+                                        request.says_lineage_later && continued.events == nullptr});
         const std::lock_guard lock(endpoints_);
         AGNOCAST_CRASH_POINT(C_registered);
         publishers_[{made.topic, made.index}] = publisher;
@@ -353,6 +361,7 @@ Result<std::shared_ptr<SubscriptionEndpoint>> Context::make_subscription(
                                            made.extent,
                                            request.qos,
                                            request.quota,
+                                           request.depth_per_publisher,
                                            request.message_bytes,
                                            request.message_alignment,
                                            waker(),
@@ -442,42 +451,46 @@ Result<void> Context::make_place(Sleeper& sleeper) {
 }
 
 // The control thread says it, now or when it is connected again.
-void Context::wait_for(const Departure& departure) noexcept {
+void Context::wait_for(const Departure& departure, Reconnection::Clock::time_point end) noexcept {
   wake_control();
   std::unique_lock lock(departing_);
-  departed_.wait_for(lock, Connection::answer_timeout,
-                     [&] { return departure.is_known() || !connection_->is_open(); });
+  departed_.wait_until(lock, std::min(end, Reconnection::Clock::now() + Connection::answer_timeout),
+                       [&] { return departure.is_known() || !connection_->is_open(); });
 }
 
-void Context::let_leave(PublisherEndpoint& publisher) noexcept {
+void Context::let_leave(PublisherEndpoint& publisher,
+                        Reconnection::Clock::time_point end) noexcept {
   publisher.departure().want();
-  wait_for(publisher.departure());
+  wait_for(publisher.departure(), end);
 }
 
-void Context::let_leave(SubscriptionEndpoint& subscription) noexcept {
+void Context::let_leave(SubscriptionEndpoint& subscription,
+                        Reconnection::Clock::time_point end) noexcept {
   AGNOCAST_CRASH_POINT(C_closed);
   subscription.departure().want();
-  wait_for(subscription.departure());
+  wait_for(subscription.departure(), end);
 }
 
 // In each membership that it is in.
-void Context::destroy(const std::shared_ptr<PublisherEndpoint>& publisher) noexcept {
+void Context::destroy(const std::shared_ptr<PublisherEndpoint>& publisher,
+                      Reconnection::Clock::time_point end) noexcept {
   if (!is_connected()) return;
   publisher->end();
   const std::shared_ptr<PublisherEndpoint> present = publisher->present(publisher);
-  if (present != publisher) publisher->context()->let_leave(*publisher);
-  present->context()->let_leave(*present);
+  if (present != publisher) publisher->context()->let_leave(*publisher, end);
+  present->context()->let_leave(*present, end);
 }
 
-void Context::destroy(const std::shared_ptr<SubscriptionEndpoint>& subscription) noexcept {
+void Context::destroy(const std::shared_ptr<SubscriptionEndpoint>& subscription,
+                      Reconnection::Clock::time_point end) noexcept {
   if (!is_connected()) return;
   subscription->close();
   // The newest first: an old one that ends meanwhile makes none be skipped.
   for (std::size_t i = subscription->successor_count(); i-- > 0;) {
     if (const auto successor = subscription->successor(i); successor != nullptr)
-      successor->context()->let_leave(*successor);
+      successor->context()->let_leave(*successor, end);
   }
-  subscription->context()->let_leave(*subscription);
+  subscription->context()->let_leave(*subscription, end);
 }
 
 void Context::release(const Received& received) noexcept {

@@ -55,10 +55,13 @@ struct EndpointRequest {
   std::uint64_t layout_hash = 0;
   abi::Qos qos;
   std::uint64_t quota = 0;  // subscriptions: messages held at once, per publisher
+  bool depth_per_publisher = false;  // subscriptions
   // Publishers: messages allocate from the shared heap by themselves, whoever answers malloc.
   bool uses_shared_allocator = false;
   std::uint64_t message_bytes = 0;  // sizeof the message object; 0 = any
   std::uint64_t message_alignment = 1;
+  std::uint64_t lineage = 0;        // 0: one of its own
+  bool says_lineage_later = false;  // publishers: see EndpointName
 };
 
 /// Whether AGNOCAST=off is in the environment: then endpoints are made that do nothing, without daemon
@@ -73,6 +76,9 @@ struct Continued {
 
 class Context {
  public:
+  static constexpr Reconnection::Clock::time_point for_ever =
+      Reconnection::Clock::time_point::max();
+
   /// The present one of this process. Any thread.
   static Context& instance() noexcept {
     Context* const present = present_.load(std::memory_order_acquire);
@@ -92,16 +98,22 @@ class Context {
   /// Errors also: type_mismatch, invalid_name, depth_refused.
   [[nodiscard]] Result<std::shared_ptr<SubscriptionEndpoint>> create_subscription(
       const EndpointRequest& request, std::shared_ptr<Sleeper> sleeper);
+  /// What a publisher needs besides its place with the daemon: for whoever will make one later, and
+  /// lends messages before. Errors also: hook_missing, hook_ineffective.
+  [[nodiscard]] Result<void> prepare_to_publish(bool uses_shared_allocator);
   /// At most executor_count_max at a time; one that nobody uses any more is given out again.
   [[nodiscard]] Result<std::shared_ptr<Sleeper>> create_sleeper();
   /// For subscriptions that are only asked: it never arms, so nobody rings it. One for the process.
   [[nodiscard]] Result<std::shared_ptr<Sleeper>> idle_sleeper();
 
   /// The endpoint publishes no more; messages that somebody still reads stay until they are
-  /// released. Returns when the daemon knows; while it is away, at once.
-  void destroy(const std::shared_ptr<PublisherEndpoint>& publisher) noexcept;
+  /// released. Returns when the daemon knows; while it is away, at once; while it does not answer,
+  /// after `answer_timeout`, and at `end` at the latest.
+  void destroy(const std::shared_ptr<PublisherEndpoint>& publisher,
+               Reconnection::Clock::time_point end = for_ever) noexcept;
   /// The subscription takes no more; messages held stay valid. Returns as above.
-  void destroy(const std::shared_ptr<SubscriptionEndpoint>& subscription) noexcept;
+  void destroy(const std::shared_ptr<SubscriptionEndpoint>& subscription,
+               Reconnection::Clock::time_point end = for_ever) noexcept;
   /// The last copy of a received message is gone. No system call unless a closing link ends with
   /// it. Any thread.
   void release(const Received& received) noexcept;
@@ -154,6 +166,7 @@ class Context {
   static auto in_present(Work work) -> decltype(work(instance()));
   template <class Endpoint, class... More>
   void in_all_memberships(const std::shared_ptr<Endpoint>& endpoint, const More&... more);
+  Result<void> open_heap_for(bool uses_shared_allocator);
   Result<std::shared_ptr<PublisherEndpoint>> make_publisher(const EndpointRequest& request,
                                                             const detail::MessageEnd& end_message,
                                                             Continued continued);
@@ -162,8 +175,10 @@ class Context {
   std::uint64_t lineage_of(const Continued& continued, const abi::wire::EndpointCreated& made,
                            abi::wire::Kind kind) const noexcept;
   Result<void> make_place(Sleeper& sleeper);
-  void let_leave(PublisherEndpoint& publisher) noexcept;
-  void let_leave(SubscriptionEndpoint& subscription) noexcept;
+  void let_leave(PublisherEndpoint& publisher,
+                 Reconnection::Clock::time_point end = for_ever) noexcept;
+  void let_leave(SubscriptionEndpoint& subscription,
+                 Reconnection::Clock::time_point end = for_ever) noexcept;
   std::function<void()> waker() const {
     return [wake = wake_] { (*wake)(); };
   }
@@ -181,7 +196,7 @@ class Context {
   Result<void> open_heap();
   Result<void> open_extents(const abi::wire::EndpointCreated& made, std::uint64_t bytes);
   std::shared_ptr<Sleeper::Place> lend(std::unique_ptr<Sleeper::Place> place);
-  void wait_for(const Departure& departure) noexcept;
+  void wait_for(const Departure& departure, Reconnection::Clock::time_point end) noexcept;
 
   // control thread
   void serve() noexcept;

@@ -5,6 +5,7 @@
 #pragma once
 
 #include <agnocast/result.hpp>
+#include <base/immortal.hpp>
 #include <base/unique_fd.hpp>
 #include <client/forked_child.hpp>
 
@@ -26,7 +27,7 @@ class ControlWake {
   /// A new one, or one that was given back. Errors: os_failure.
   [[nodiscard]] static Result<std::shared_ptr<const ControlWake>> make() {
     {
-      Unused& unused = Unused::instance();
+      Unused& unused = immortal<Unused>();
       const std::lock_guard lock(unused.mutex);
       if (!unused.all.empty()) {
         auto wake = std::move(unused.all.back());
@@ -42,7 +43,7 @@ class ControlWake {
   /// Its thread has ended. Whoever may still use it wakes the thread that has it next, for nothing; so
   /// its number is never somebody else's.
   static void give_back(std::shared_ptr<const ControlWake> wake) {
-    Unused& unused = Unused::instance();
+    Unused& unused = immortal<Unused>();
     const std::lock_guard lock(unused.mutex);
     unused.all.push_back(std::move(wake));
   }
@@ -58,10 +59,6 @@ class ControlWake {
 
  private:
   struct Unused {
-    static Unused& instance() noexcept {
-      static Unused* const unused = new Unused;
-      return *unused;
-    }
     std::mutex mutex;
     std::vector<std::shared_ptr<const ControlWake>> all;
   };

@@ -11,12 +11,14 @@ namespace agnocast {
 void EndpointEvents::gained() noexcept {
   const std::lock_guard lock(mutex_);
   ++now_.matched;
+  if (watch_ != nullptr) watch_->notify();
   changed();
 }
 
 void EndpointEvents::ceased() noexcept {
   const std::lock_guard lock(mutex_);
   ++now_.ceased;
+  if (watch_ != nullptr) watch_->notify();
   changed();
 }
 
@@ -38,6 +40,7 @@ void EndpointEvents::connection(const ConnectionInfo& info) noexcept {
   ++now_.connections;
   connection_ = info;
   changed();
+  if (watch_ != nullptr) watch_->notify();
 }
 
 void EndpointEvents::heap_collision(const char* text) noexcept {
@@ -46,6 +49,17 @@ void EndpointEvents::heap_collision(const char* text) noexcept {
   char(&last)[sizeof last_collision_.last_text] = last_collision_.last_text;
   last[std::string_view(text).copy(last, sizeof last - 1)] = '\0';
   changed();
+}
+
+void EndpointEvents::drained() noexcept {
+  const std::lock_guard lock(mutex_);
+  ++now_.drained;
+  changed();
+}
+
+void EndpointEvents::moved() noexcept {
+  const std::lock_guard lock(mutex_);
+  if (watch_ != nullptr) watch_->notify();
 }
 
 MatchedInfo EndpointEvents::matched_since(Counts& told) const noexcept {
@@ -102,11 +116,16 @@ HeapCollisionInfo EndpointEvents::heap_collision_status() noexcept {
 void EndpointEvents::wake_for(const detail::EventCallbacks& callbacks,
                               std::shared_ptr<Sleeper> sleeper) noexcept {
   const std::lock_guard lock(mutex_);
-  wanted_ = {callbacks.matched != nullptr, callbacks.incompatible_qos != nullptr,
+  wanted_ = {callbacks.matched != nullptr,           callbacks.incompatible_qos != nullptr,
              callbacks.incompatible_type != nullptr, callbacks.connection != nullptr,
-             callbacks.heap_collision != nullptr};
+             callbacks.heap_collision != nullptr,    callbacks.drained != nullptr};
   sleeper_ = std::move(sleeper);
   changed();
+}
+
+void EndpointEvents::tell(std::shared_ptr<Watch> watch) noexcept {
+  const std::lock_guard lock(mutex_);
+  watch_ = std::move(watch);
 }
 
 bool EndpointEvents::look_for_pending() const noexcept {
@@ -114,7 +133,8 @@ bool EndpointEvents::look_for_pending() const noexcept {
          (wanted_.qos && now_.qos != told_by_callback_.qos) ||
          (wanted_.types && now_.types != told_by_callback_.types) ||
          (wanted_.connections && now_.connections != told_by_callback_.connections) ||
-         (wanted_.collisions && now_.collisions != told_by_callback_.collisions);
+         (wanted_.collisions && now_.collisions != told_by_callback_.collisions) ||
+         (wanted_.drained && now_.drained != told_by_callback_.drained);
 }
 
 void EndpointEvents::changed() noexcept {
@@ -144,6 +164,10 @@ bool EndpointEvents::run_one(const detail::EventCallbacks& callbacks) {
   }
   if (wanted_.collisions && now_.collisions != told_by_callback_.collisions)
     return run(callbacks.heap_collision, collisions_since(told_by_callback_));
+  if (wanted_.drained && now_.drained != told_by_callback_.drained) {
+    told_by_callback_.drained = now_.drained;
+    return run([&](bool) { callbacks.drained(); }, true);
+  }
   return false;
 }
 

@@ -12,6 +12,7 @@
 
 #include <agnocast/events.hpp>
 #include <client/sleeper.hpp>
+#include <client/watch.hpp>
 
 #include <atomic>
 #include <cstdint>
@@ -34,6 +35,10 @@ class EndpointEvents {
   void incompatible_type() noexcept;
   void connection(const ConnectionInfo& info) noexcept;
   void heap_collision(const char* text) noexcept;
+  /// What was unread of a publisher that is gone is lost: a take has found nothing to deliver. Any thread.
+  void drained() noexcept;
+  /// What it has matched in a newer membership counts from now on; that was told before.
+  void moved() noexcept;
 
   // --- any thread
 
@@ -43,6 +48,8 @@ class EndpointEvents {
   HeapCollisionInfo heap_collision_status() noexcept;
   /// From now on a change for which there is a callback ends the sleep of whoever runs them.
   void wake_for(const detail::EventCallbacks& callbacks, std::shared_ptr<Sleeper> sleeper) noexcept;
+  /// From now on it is told when what is matched has changed.
+  void tell(std::shared_ptr<Watch> watch) noexcept;
 
   // --- whoever runs the callbacks of the node
 
@@ -58,6 +65,7 @@ class EndpointEvents {
     std::uint64_t types = 0;
     std::uint64_t connections = 0;
     std::uint64_t collisions = 0;
+    std::uint64_t drained = 0;
   };
   MatchedInfo matched_since(Counts& told) const noexcept;
   IncompatibleQosInfo qos_since(Counts& told) const noexcept;
@@ -76,9 +84,11 @@ class EndpointEvents {
   HeapCollisionInfo last_collision_;
   std::atomic<bool> pending_{false};
   struct {
-    bool matched = false, qos = false, types = false, connections = false, collisions = false;
+    bool matched = false, qos = false, types = false, connections = false, collisions = false,
+         drained = false;
   } wanted_;
   std::shared_ptr<Sleeper> sleeper_;
+  std::shared_ptr<Watch> watch_;
 };
 
 }  // namespace agnocast

@@ -9,9 +9,9 @@
 #include <agnocast/abi/fingerprint.hpp>
 #include <agnocast/abi/words.hpp>
 #include <base/answer_packet.hpp>
+#include <base/socket_path.hpp>
 #include <base/unique_fd.hpp>
 #include <client/connection.hpp>
-#include <client/socket_path.hpp>
 
 #include <poll.h>
 #include <sys/eventfd.h>

@@ -11,10 +11,10 @@
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/signals.hpp>
+#include <base/socket_path.hpp>
 #include <base/step.hpp>
 #include <base/text.hpp>
 #include <client/forked_child.hpp>
-#include <client/socket_path.hpp>
 #include <client/user_code.hpp>
 
 #include <pthread.h>

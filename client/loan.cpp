@@ -25,6 +25,9 @@ bool LoanScope::open() noexcept {
 }
 void LoanScope::close() noexcept { Context::instance().heap()->leave(); }
 
+bool SharedHeapScope::begin() noexcept { return LoanScope::open(); }
+void SharedHeapScope::end() noexcept { LoanScope::close(); }
+
 bool LoanPause::begin() noexcept {
   const Heap* const heap = Context::instance().heap();
   if (heap == nullptr) return false;

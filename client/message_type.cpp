@@ -10,6 +10,7 @@
 
 #include <agnocast/message_type.hpp>
 
+#include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <limits>
@@ -329,9 +330,13 @@ Result<MessageType> make_plain_type(const PlainType& type, std::uint64_t build) 
 namespace agnocast {
 
 std::string_view MessageType::name() const noexcept { return plan_->name; }
-std::uint64_t MessageType::layout_hash() const noexcept { return plan_->layout_hash; }
-std::uint32_t MessageType::message_bytes() const noexcept { return plan_->bytes; }
-std::uint32_t MessageType::message_alignment() const noexcept { return plan_->alignment; }
+std::uint64_t MessageType::layout_hash() const noexcept {
+  return header_bytes_ == 0 ? plan_->layout_hash : layout_hash_;
+}
+std::uint32_t MessageType::message_bytes() const noexcept { return header_bytes_ + plan_->bytes; }
+std::uint32_t MessageType::message_alignment() const noexcept {
+  return std::max(header_bytes_, plan_->alignment);
+}
 MessageType::Kind MessageType::kind() const noexcept { return plan_->kind; }
 
 }  // namespace agnocast

@@ -84,6 +84,8 @@ Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(const Endpoin
   request.layout_hash = publisher->type_.layout_hash();
   request.qos = to_abi(qos);
   request.uses_shared_allocator = code.uses_shared_allocator;
+  request.lineage = name.lineage;
+  request.says_lineage_later = name.says_lineage_later;
   auto endpoint = Context::instance().create_publisher(request, code.end);
   if (!endpoint) return tl::unexpected<Failure>(endpoint.error());
   publisher->endpoint_ = std::move(*endpoint);
@@ -98,7 +100,7 @@ Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(const Endpoin
 
 UntypedPublisher::~UntypedPublisher() {
   if (source_ != nullptr) runner_->callbacks().remove(*source_, runner_);
-  if (endpoint_ != nullptr) Context::instance().destroy(endpoint_);
+  if (endpoint_ != nullptr) Context::instance().destroy(endpoint_, end_);
 }
 
 Errc UntypedPublisher::state() const noexcept {
@@ -144,6 +146,19 @@ SharedHeap UntypedPublisher::heap() const noexcept {
 }
 std::size_t UntypedPublisher::subscription_count() const noexcept {
   return endpoint_ != nullptr ? endpoint_->subscription_count() : 0;
+}
+
+std::uint64_t UntypedPublisher::lineage() const noexcept {
+  return endpoint_ != nullptr ? endpoint_->lineage() : 0;
+}
+void UntypedPublisher::say_lineage() noexcept {
+  if (endpoint_ != nullptr) endpoint_->say_lineage();
+}
+std::vector<std::uint64_t> UntypedPublisher::reader_lineages() const {
+  return endpoint_ != nullptr ? endpoint_->reader_lineages() : std::vector<std::uint64_t>();
+}
+void UntypedPublisher::tell(std::shared_ptr<Watch> watch) noexcept {
+  if (endpoint_ != nullptr) endpoint_->events().tell(std::move(watch));
 }
 
 bool Patience::wait() noexcept {

@@ -70,7 +70,13 @@ PublisherEndpoint::PublisherEndpoint(const Identity& identity)
       events_(identity.events != nullptr ? identity.events : std::make_shared<EndpointEvents>()) {
   doomed_.reserve(abi::slot_count_max);
   // Ahead of everything: who sees a message or a link of it sees this.
-  identity_.core.words.lineage().store(identity_.lineage, std::memory_order_relaxed);
+  if (!identity_.says_lineage_later)
+    identity_.core.words.lineage().store(identity_.lineage, std::memory_order_relaxed);
+}
+
+void PublisherEndpoint::say_lineage() noexcept {
+  const std::lock_guard lock(mutex_);
+  if (!moved_) identity_.core.words.lineage().store(identity_.lineage, std::memory_order_relaxed);
 }
 
 template <class Do>
@@ -296,6 +302,16 @@ std::size_t PublisherEndpoint::subscription_count() const noexcept {
   }
   return heir != nullptr ? heir->subscription_count() : 0;
 }
+std::vector<std::uint64_t> PublisherEndpoint::reader_lineages() const {
+  if (!is_served()) return {};
+  std::shared_ptr<PublisherEndpoint> heir;
+  {
+    const std::lock_guard lock(mutex_);
+    heir = heir_;
+    if (moved_ && heir == nullptr) return {};
+  }
+  return heir != nullptr ? heir->reader_lineages() : linked_lineages(false);
+}
 std::size_t PublisherEndpoint::linked_count() const noexcept {
   return static_cast<std::size_t>(
       std::count_if(attached_.begin(), attached_.end(),
@@ -346,7 +362,10 @@ bool PublisherEndpoint::move_to(const std::shared_ptr<PublisherEndpoint>& heir) 
     AGNOCAST_CRASH_POINT(C_moved);
     core_->pass(work);
   });
-  if (moves) revoke();  // its subscriptions are the heir's now
+  if (moves) {
+    revoke();  // its subscriptions are the heir's now
+    events_->moved();
+  }
   return moves;
 }
 

@@ -40,6 +40,7 @@ class PublisherEndpoint {
     std::shared_ptr<EndpointEvents> events = {};  // of the endpoint that this one continues
     Context* context = nullptr;                   // its membership
     std::uint64_t lineage = 0;
+    bool says_lineage_later = false;
   };
   struct Subscription {
     std::uint64_t index;
@@ -69,6 +70,9 @@ class PublisherEndpoint {
   /// one per sleeper for the first two, one more for all others.
   dataplane::PublishOutcome publish(void* message, std::uint64_t object_bytes,
                                     std::uint64_t message_bytes) noexcept;
+  /// Before the first message, if the identity says that it is to be said later. Successors say it by
+  /// themselves.
+  void say_lineage() noexcept;
   /// For agnocast-ctl: a message was adopted, or the shared heap had no room to adopt it. Any thread.
   void count_adopted(std::uint64_t bytes) noexcept;
   void count_heap_exhausted() noexcept;
@@ -100,6 +104,8 @@ class PublisherEndpoint {
   std::uint64_t allocated_count() const noexcept;
   /// Subscriptions that get what is published from now on: mapped here, and linked there.
   std::size_t subscription_count() const noexcept;
+  /// Their lineages.
+  std::vector<std::uint64_t> reader_lineages() const;
   /// A subscription is mapped that has not linked yet: run_errands() shall look again soon, because
   /// nobody rings when it has.
   bool awaits_link() const noexcept;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <base/immortal.hpp>
 #include <base/step.hpp>
 #include <client/forked_child.hpp>
 #include <client/reregistration.hpp>
@@ -39,10 +40,7 @@ void forget(Entries& entries, Gone gone) {
 
 }  // namespace
 
-Reregistration& Reregistration::instance() noexcept {
-  static Reregistration* const all = new Reregistration;
-  return *all;
-}
+Reregistration& Reregistration::instance() noexcept { return immortal<Reregistration>(); }
 
 Reregistration::Request::Request(const EndpointRequest& request)
     : topic(request.topic), type(request.type), node(request.node), rest(request) {}

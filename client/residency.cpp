@@ -36,16 +36,18 @@ namespace detail {
 
 class Walk {
  public:
-  Walk(const MessagePlan& plan, const WindowSet& windows, Residency& found) noexcept
-      : plan_(plan), windows_(windows), found_(found) {}
+  Walk(const MessageType& type, const WindowSet& windows, Residency& found) noexcept
+      : type_(type), plan_(type.plan()), windows_(windows), found_(found) {}
 
   void run(const void* message) noexcept {
     const bool is_opaque = plan_.kind == MessageType::Kind::opaque;
-    found_.message_bytes += plan_.bytes;
-    if (!windows_.contains(message, plan_.bytes)) {
-      report(message, plan_.bytes, "(message)", nullptr);
+    const std::size_t bytes = type_.message_bytes();
+    const std::byte* const object = static_cast<const std::byte*>(message) - type_.header_bytes();
+    found_.message_bytes += bytes;
+    if (!windows_.contains(object, bytes)) {
+      report(object, bytes, "(message)", nullptr);
     } else if (is_opaque) {
-      found_.foreign_bytes += plan_.bytes;
+      found_.foreign_bytes += bytes;
     }
     if (is_opaque) unseen(0, "(message)", nullptr);
     if (plan_.kind == MessageType::Kind::visited) {
@@ -183,6 +185,7 @@ class Walk {
     found_.first_path[path_length_] = '\0';
   }
 
+  const MessageType& type_;
   const MessagePlan& plan_;
   const WindowSet& windows_;
   Residency& found_;
@@ -194,7 +197,7 @@ class Walk {
 Residency check_residency(const MessageType& type, const void* message,
                           const WindowSet& windows) noexcept {
   Residency found;
-  detail::Walk(type.plan(), windows, found).run(message);
+  detail::Walk(type, windows, found).run(message);
   return found;
 }
 

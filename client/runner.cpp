@@ -71,7 +71,8 @@ Result<void> Runner::host_by_thread() {
 Result<std::shared_ptr<Runner>> Runner::of_node(const std::string& node) {
   if (Result<void> refused = refuse_forked_child(); !refused)
     return tl::unexpected<Failure>(refused.error());
-  std::shared_ptr<Runner> runner;  // outside the lock: its destructor takes it
+  std::shared_ptr<Runner> runner;  // both outside the lock: the destructor takes it
+  std::unique_ptr<Runner> made;
   Places& all = places();
   const std::lock_guard lock(all.mutex);
   Place& place = all.by_node[node];
@@ -82,7 +83,8 @@ Result<std::shared_ptr<Runner>> Runner::of_node(const std::string& node) {
     all.forget_if_unused(node);
     return tl::unexpected<Failure>(sleeper.error());
   }
-  runner.reset(new Runner(std::make_shared<NodeCallbacks>(node, std::move(*sleeper))));
+  made.reset(new Runner(std::make_shared<NodeCallbacks>(node, std::move(*sleeper))));
+  runner = std::move(made);
   if (Result<void> hosted = place.executor != nullptr ? place.executor->adopt(runner->callbacks_)
                                                       : runner->host_by_thread();
       !hosted)

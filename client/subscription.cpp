@@ -119,6 +119,8 @@ Result<std::shared_ptr<UntypedSubscription>> UntypedSubscription::create(
   request.layout_hash = type.layout_hash();
   request.qos = to_abi_of_subscription(qos);
   request.quota = options.hold_quota();
+  request.depth_per_publisher = options.is_depth_per_publisher();
+  request.lineage = name.lineage;
   request.message_bytes = type.message_bytes();
   request.message_alignment = type.message_alignment();
   auto endpoint = Context::instance().create_subscription(request, std::move(sleeper));
@@ -133,10 +135,12 @@ Result<std::shared_ptr<UntypedSubscription>> UntypedSubscription::create(
   return subscription;
 }
 
-UntypedSubscription::~UntypedSubscription() {
-  if (endpoint_ == nullptr) return;
+UntypedSubscription::~UntypedSubscription() { end(); }
+
+void UntypedSubscription::end(std::chrono::steady_clock::time_point end) noexcept {
+  if (endpoint_ == nullptr || std::exchange(has_ended_, true)) return;
   if (source_ != nullptr) runner_->callbacks().remove(*source_, runner_);
-  Context::instance().destroy(endpoint_);
+  Context::instance().destroy(endpoint_, end);
 }
 
 bool UntypedSubscription::is_own() const noexcept { return is_served(); }
@@ -154,6 +158,20 @@ std::size_t UntypedSubscription::publisher_count() const noexcept {
 }
 std::uint64_t UntypedSubscription::callback_exception_count() const noexcept {
   return source_ != nullptr ? source_->exception_count.load(std::memory_order_relaxed) : 0;
+}
+std::uint64_t UntypedSubscription::lineage() const noexcept {
+  return endpoint_ != nullptr ? endpoint_->identity().lineage : 0;
+}
+std::vector<UntypedSubscription::Writer> UntypedSubscription::writers() const {
+  std::vector<Writer> all;
+  if (endpoint_ != nullptr)
+    endpoint_->for_each_writer([&](std::uint64_t lineage, bool is_gone) {
+      all.push_back({lineage, is_gone});
+    });
+  return all;
+}
+void UntypedSubscription::tell(std::shared_ptr<Watch> watch) noexcept {
+  if (endpoint_ != nullptr) endpoint_->events().tell(std::move(watch));
 }
 MatchedInfo UntypedSubscription::matched_status() noexcept {
   return endpoint_ != nullptr ? endpoint_->events().matched_status() : MatchedInfo{};

@@ -10,6 +10,13 @@
 
 namespace agnocast {
 
+namespace {
+
+// Of publishers that are gone, beyond the depth, where that counts for each of them: the last words of as many as end together.
+constexpr std::uint64_t gone_unread_max = 64;
+
+}  // namespace
+
 SubscriptionEndpoint::SubscriptionEndpoint(const Identity& identity,
                                            std::shared_ptr<Sleeper> sleeper)
     : self_(identity),
@@ -139,15 +146,21 @@ std::shared_ptr<Link> SubscriptionEndpoint::oldest() const noexcept {
   return best != nullptr ? *best : nullptr;
 }
 
-// keep-last counts over all publishers, as the history of a DDS reader does.
+// keep-last counts over all publishers, as the history of a DDS reader does. If it counts for each of them by itself, its own queue is
+// the bound, and together are those that are gone.
 void SubscriptionEndpoint::drop_beyond_depth() noexcept {
   if (links_.size() < 2 || self_.qos.keep_all) return;
+  const bool of_gone = self_.depth_per_publisher;
+  const std::uint64_t bound = of_gone ? self_.qos.depth + gone_unread_max : self_.qos.depth;
   std::uint64_t unread = 0;
-  for (const auto& link : links_) unread += link->core_.unread();
-  for (; unread > self_.qos.depth; --unread) {
+  for (const auto& link : links_) {
+    if (!of_gone || link->ceased_) unread += link->core_.unread();
+  }
+  for (; unread > bound; --unread) {
     Link* oldest_link = nullptr;
     std::uint64_t oldest_stamp = 0;
     for (const auto& link : links_) {
+      if (of_gone && !link->ceased_) continue;
       const auto stamp = link->core_.next_stamp();
       if (!stamp || (oldest_link != nullptr && *stamp >= oldest_stamp)) continue;
       oldest_link = link.get();
@@ -221,7 +234,10 @@ std::optional<Received> SubscriptionEndpoint::take_from(std::shared_ptr<Link> li
                                                            : Unannounced::awaited);
   const auto taken = link->core_.take(windows);
   note_losses(*link);
-  if (!taken) return std::nullopt;
+  if (!taken) {
+    if (link->ceased_ && !link->core_.has_news()) events_->drained();
+    return std::nullopt;
+  }
   link->held_.fetch_add(1, std::memory_order_relaxed);
   // The last message of a publisher that is gone: its release is what the control thread waits for.
   if (link->core_.drained()) link->closing_.store(true, std::memory_order_release);
@@ -297,6 +313,19 @@ std::size_t SubscriptionEndpoint::link_count() const noexcept {
   std::size_t sum = links_.size();
   for (const auto& successor : successors_) sum += successor->link_count();
   return sum;
+}
+
+void SubscriptionEndpoint::for_each_writer(
+    const std::function<void(std::uint64_t, bool)>& see) const {
+  if (!is_served()) return;
+  const std::lock_guard lock(mutex_);
+  with_successors_locked([&] {
+    for (std::size_t age = 0; age <= successors_.size(); ++age) {
+      for (const auto& link : in_age(age).links_) {
+        if (!link->ceased_ || link->core_.has_news()) see(link->lineage(), link->ceased_);
+      }
+    }
+  });
 }
 
 // --- after the daemon's store was lost
@@ -415,6 +444,7 @@ bool SubscriptionEndpoint::add_successor(const std::shared_ptr<SubscriptionEndpo
   AGNOCAST_CRASH_POINT(C_succeeded);
   be_succeeded();
   sleeper_->wake();  // what it got meanwhile rang for nobody who knew it
+  events_->moved();
   return true;
 }
 

@@ -56,6 +56,10 @@ class Link {
   std::uint64_t publisher() const noexcept { return identity_.index; }
   std::uint64_t generation() const noexcept { return identity_.generation; }
   std::uint64_t first_sequence() const noexcept { return identity_.first_sequence; }
+  /// 0: the publisher has not said it yet.
+  std::uint64_t lineage() const noexcept {
+    return identity_.publisher.lineage().load(std::memory_order_relaxed);
+  }
   Peer& peer() const noexcept { return *peer_; }
 
   /// The last copy of a taken message is gone. Any thread; one locked instruction, no system call.
@@ -83,10 +87,7 @@ class Link {
     std::uint64_t heap;  // address
     friend bool operator==(const Origin&, const Origin&) = default;
   };
-  Origin origin() const noexcept {
-    return {identity_.publisher.lineage().load(std::memory_order_relaxed),
-            peer_->heap().first_address()};
-  }
+  Origin origin() const noexcept { return {lineage(), peer_->heap().first_address()}; }
   /// Its publisher adds nothing here any more, because it does in a newer membership.
   bool has_moved() const noexcept {
     // acquire; pairs with the store behind the last commit of PublisherEndpoint::move_to.
@@ -129,6 +130,7 @@ class SubscriptionEndpoint {
     std::uint64_t extent;  // in it
     abi::Qos qos;
     std::uint64_t quota;              // messages held at once, per publisher
+    bool depth_per_publisher = false;
     std::uint64_t message_bytes = 0;  // sizeof the message object; 0 = any
     std::uint64_t message_alignment = 1;
     std::function<void()> wake_control = {};      // of the membership; any thread
@@ -189,6 +191,8 @@ class SubscriptionEndpoint {
   std::size_t publisher_count() const noexcept;
   /// Those that are gone and still have something here count as well.
   std::size_t link_count() const noexcept;
+  /// `see(lineage, is_gone)` for those that are not gone, and those that are and have something unread.
+  void for_each_writer(const std::function<void(std::uint64_t, bool)>& see) const;
   const std::shared_ptr<EndpointEvents>& shared_events() const noexcept { return events_; }
   EndpointEvents& events() noexcept { return *events_; }
   Departure& departure() noexcept { return departure_; }

@@ -5,6 +5,8 @@
 // queue. Whichever lets go last destroys the message.
 #pragma once
 
+#include <base/immortal.hpp>
+
 #include <atomic>
 #include <cstddef>
 #include <mutex>
@@ -14,10 +16,7 @@ namespace agnocast {
 
 class TwiceOwned {
  public:
-  static TwiceOwned& instance() noexcept {
-    static TwiceOwned* const all = new TwiceOwned;  // destructors of messages run after ours
-    return *all;
-  }
+  static TwiceOwned& instance() noexcept { return immortal<TwiceOwned>(); }
   /// One queue more has this message. Throws bad_alloc.
   void share(void* message) {
     const std::lock_guard lock(mutex_);

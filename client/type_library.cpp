@@ -98,7 +98,8 @@ class Loader {
   bool has(const std::string& file) const { return path_of(file) != file; }
   const std::string& error() const noexcept { return error_; }
   std::string searched() const {
-    std::string text;
+    if (directories_.empty()) return " where the loader looks";
+    std::string text = " in ";
     for (const std::string& directory : directories_) text += directory + ", ";
     return text + "nor where the loader looks";
   }
@@ -145,10 +146,9 @@ Result<void*> library_of(const TypeName& type, const std::string& file,
   Loader loader(paths);
   void* const library = loader.load(file);
   if (library == nullptr) {
-    return fail_with(
-        Errc::type_not_found,
-        type.text() + ": " +
-            (loader.has(file) ? loader.error() : "no " + file + " in " + loader.searched()));
+    return fail_with(Errc::type_not_found,
+                     type.text() + ": " +
+                         (loader.has(file) ? loader.error() : "no " + file + loader.searched()));
   }
   Loaded::instance().add(type.package, library);
   return library;

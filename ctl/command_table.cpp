@@ -72,14 +72,36 @@ constexpr Command table[] = {
      "Average, extremes and standard deviation over a window of messages, every second, as ros2 "
      "topic delay prints them. Waits for the topic.",
      "agnocast-ctl topic delay /points\nagnocast-ctl topic delay /points --window 100"},
+    {"service", "list", "the services of the domain", {},
+     these<o::show_types, o::count_services, o::hidden_services, o::domain, o::all_domains>, list_services,
+     "Names, each on a line, as ros2 service list prints them: of what somebody serves, and of what somebody asks in vain.",
+     "agnocast-ctl service list -t\nagnocast-ctl services --all-domains\nagnocast-ctl service list -c"},
+    {"service", "info", "who serves and who asks", about<s::service>, these<o::verbose, o::domain>, show_service,
+     "Type, how many clients and servers; with -v each of them.",
+     "agnocast-ctl service info -v /add_two_ints\nagnocast-ctl service info /add_two_ints --json=short"},
+    {"service", "find", "the services of a type", about<s::service_type>,
+     these<o::count_services, o::hidden_services, o::domain, o::all_domains>, find_services,
+     "Names of the services of this type.",
+     "agnocast-ctl service find example_interfaces/srv/AddTwoInts"},
+    {"service", "type", "the type of a service", about<s::service>, these<o::domain>, show_service_type,
+     "Its type, as ros2 service type prints it.",
+     "agnocast-ctl service type /add_two_ints"},
+    {"service", "call", "ask a service, and print what it answers",
+     about<s::service, s::service_type, s::values>,
+     these<o::call_rate, o::timeout, o::from_stdin, o::yaml_file, o::domain>, call_service,
+     "Waits for the service, sends what is written as YAML, and waits for the response. Fields that are not named have their "
+     "defaults; `header: auto` and `stamp: now` are the time of sending. When whoever had the request ends without a "
+     "response, that is said.",
+     "agnocast-ctl service call /add_two_ints example_interfaces/srv/AddTwoInts '{a: 2, b: 3}'\n"
+     "agnocast-ctl service call /add_two_ints example_interfaces/srv/AddTwoInts '{a: 2, b: 3}' --timeout 5 -j"},
     {"node", "list", "the nodes that publish or subscribe", {},
      these<o::hidden_nodes, o::count_nodes, o::domain, o::every_domain>, list_nodes,
      "Names, each on a line, as ros2 node list prints them. A node that has neither a publisher nor a subscription here is "
      "not known here.",
      "agnocast-ctl node list\nagnocast-ctl nodes -c"},
-    {"node", "info", "what a node publishes and subscribes", about<s::node>,
+    {"node", "info", "what a node publishes, subscribes, serves and asks", about<s::node>,
      these<o::hidden, o::domain>, show_node,
-     "Topics and types by side, as ros2 node info prints them.",
+     "Topics, services and types by side, as ros2 node info prints them.",
      "agnocast-ctl node info /lidar/top"},
     {"process", "list", "the processes that publish or subscribe", {},
      these<o::domain, o::all_domains>, list_processes,
@@ -128,6 +150,18 @@ constexpr Command table[] = {
      "The newest records of the daemon's redo log, which stay over its restarts, the newest last.",
      "agnocast-ctl journal\nagnocast-ctl journal -n 100 --topic /points\n"
      "agnocast-ctl journal --process lidar --follow\nagnocast-ctl journal --json"},
+    {"bridge", "list", "what goes to and from DDS, and what does not", {},
+     these<o::verbose, o::bridge_watch, o::bridge_delay, o::domain>, list_bridges,
+     "One row for each topic and way of every agnocast-bridge beside the daemon: how many publishers or remote writers, how "
+     "many are matched on the other side, messages and bytes a second, and what was dropped. One row for each service: out is a server "
+     "of this host for clients in DDS, in is one in DDS for clients of this host. Then what both sides have and cannot be bridged, and why; with -v also what nobody in DDS has, or a rule leaves out.",
+     "agnocast-ctl bridge list\nagnocast-ctl bridges --watch --delay 2\nagnocast-ctl bridge list -j | jq .bridges[].unbridged"},
+    {"bridge", "info", "one topic or service in DDS: its endpoints, QoS, counters, and why not", about<s::topic_or_service>,
+     these<o::domain>, show_bridged,
+     "Each publisher with its writer in DDS, each remote writer with its publisher here, and the readers in DDS that serve "
+     "subscriptions of this host. Of a service, for whom it goes over the bridge, who is on the other side, and how many "
+     "requests and responses went.",
+     "agnocast-ctl bridge info /points\nagnocast-ctl bridge info /add_two_ints\nagnocast-ctl bridge info /points --domain 7 --json"},
     {"access", "", "who may publish and subscribe there, and why", about<s::topic>,
      these<o::user, o::domain>, show_access,
      "Which rule of the daemon's configuration decides, whom it names, and who may connect at all; then what one user may, "

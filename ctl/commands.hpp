@@ -35,6 +35,11 @@ Outcome<void> show_topic(const Arguments& arguments, Console& console);
 Outcome<void> echo_topic(const Arguments& arguments, Console& console);
 Outcome<void> pub_topic(const Arguments& arguments, Console& console);
 Outcome<void> show_delay(const Arguments& arguments, Console& console);
+Outcome<void> list_services(const Arguments& arguments, Console& console);
+Outcome<void> show_service(const Arguments& arguments, Console& console);
+Outcome<void> find_services(const Arguments& arguments, Console& console);
+Outcome<void> call_service(const Arguments& arguments, Console& console);
+Outcome<void> show_service_type(const Arguments& arguments, Console& console);
 Outcome<void> list_processes(const Arguments& arguments, Console& console);
 Outcome<void> revoke_process(const Arguments& arguments, Console& console);
 Outcome<void> list_heaps(const Arguments& arguments, Console& console);
@@ -57,6 +62,8 @@ Outcome<void> dump_all(const Arguments& arguments, Console& console);
 Outcome<void> draw_graph(const Arguments& arguments, Console& console);
 Outcome<void> explain_code(const Arguments& arguments, Console& console);
 Outcome<void> show_access(const Arguments& arguments, Console& console);
+Outcome<void> list_bridges(const Arguments& arguments, Console& console);
+Outcome<void> show_bridged(const Arguments& arguments, Console& console);
 Outcome<void> show_log_level(const Arguments& arguments, Console& console);
 
 }  // namespace agnocast::ctl

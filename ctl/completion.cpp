@@ -3,6 +3,7 @@
 #include <ctl/completion.hpp>
 
 #include <agnocast/error.hpp>
+#include <agnocast/service_name.hpp>
 #include <ctl/help.hpp>
 #include <ctl/select.hpp>
 #include <ctl/system.hpp>
@@ -132,8 +133,15 @@ std::vector<std::string> names_from(const std::string& socket, Names kind) {
   Arguments everywhere;
   everywhere.all_domains = true;
   for (const auto& [index, topic] : look->system.topics) {
-    if (kind == Names::topics) names.push_back(topic.name);
+    if (kind == Names::topics ||
+        (kind == Names::topics_and_services && !is_service_topic(topic.name)))
+      names.push_back(topic.name);
     if (kind == Names::types) names.push_back(topic.type);
+  }
+  if (kind == Names::services || kind == Names::service_types ||
+      kind == Names::topics_and_services) {
+    for (const Service& service : services_of(look->system, everywhere))
+      names.push_back(kind == Names::service_types ? service.type : service.name);
   }
   if (kind == Names::nodes) {
     for (const Node& node : nodes_of(look->system, everywhere)) names.push_back(node.full_name());

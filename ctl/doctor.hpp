@@ -52,6 +52,8 @@ extern const std::span<const Check> door_checks;
 extern const std::span<const Check> host_checks;
 /// doctor_members.cpp: the processes, and what passes between them.
 extern const std::span<const Check> member_checks;
+/// doctor_bridge.cpp: the bridges to DDS.
+extern const std::span<const Check> bridge_checks;
 /// All of them, in the order in which they are looked at.
 std::vector<const Check*> all_checks();
 

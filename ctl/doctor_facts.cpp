@@ -316,7 +316,8 @@ void collect_processes(Facts& facts, bool is_named) {
 
 // --- the daemon's process
 
-std::string configuration_of(pid_t pid) {
+/// What a process was told with --config; empty: nothing.
+std::string named_configuration_of(pid_t pid) {
   const auto words = split(contents_of(of_process(pid, "cmdline")), '\0');
   for (std::size_t i = 0; i < words.size(); ++i) {
     std::string path;
@@ -325,32 +326,42 @@ std::string configuration_of(pid_t pid) {
     if (path.empty()) continue;
     return path.front() == '/' ? path : target_of(of_process(pid, "cwd")) + '/' + path;
   }
+  return {};
+}
+std::string configuration_of(pid_t pid) {
+  if (std::string named = named_configuration_of(pid); !named.empty()) return named;
   return ::access(usual_configuration, F_OK) == 0 ? usual_configuration : "";
 }
 
-/// What `agnocastd --check-config` says of it; empty: nothing, or there is no such program here.
-std::string fault_in(const std::string& configuration) {
+/// What a program says on stderr when it fails; empty: it does not, or there is none.
+std::string complaint_of(std::vector<std::string> words) {
   int ends[2];
-  if (configuration.empty() || ::access(configuration.c_str(), R_OK) != 0 ||
-      ::pipe2(ends, O_CLOEXEC) != 0)
-    return {};
+  if (::pipe2(ends, O_CLOEXEC) != 0) return {};
   UniqueFd read(ends[0]), write(ends[1]);
   posix_spawn_file_actions_t actions;
   ::posix_spawn_file_actions_init(&actions);
   ::posix_spawn_file_actions_addopen(&actions, STDOUT_FILENO, "/dev/null", O_WRONLY, 0);
   ::posix_spawn_file_actions_adddup2(&actions, write.get(), STDERR_FILENO);
-  std::string words[] = {"agnocastd", "--check-config", "--config", configuration};
-  char* argv[] = {words[0].data(), words[1].data(), words[2].data(), words[3].data(), nullptr};
+  std::vector<char*> argv;
+  for (std::string& word : words) argv.push_back(word.data());
+  argv.push_back(nullptr);
   pid_t pid = 0;
-  const int error = ::posix_spawnp(&pid, argv[0], &actions, nullptr, argv, environ);
+  const int error = ::posix_spawnp(&pid, argv[0], &actions, nullptr, argv.data(), environ);
   ::posix_spawn_file_actions_destroy(&actions);
   write.reset();
   if (error != 0) return {};
-  const std::string said = contents_of("/dev/fd/" + std::to_string(read.get()));
+  std::string said = contents_of("/dev/fd/" + std::to_string(read.get()));
   int status = 0;
   while (::waitpid(pid, &status, 0) < 0 && errno == EINTR) {
   }
   if (!WIFEXITED(status) || WEXITSTATUS(status) == 0) return {};
+  return said;
+}
+
+/// What `agnocastd --check-config` says of it; empty: nothing, or there is no such program here.
+std::string fault_in(const std::string& configuration) {
+  if (configuration.empty() || ::access(configuration.c_str(), R_OK) != 0) return {};
+  const std::string said = complaint_of({"agnocastd", "--check-config", "--config", configuration});
   return escaped(said.substr(0, said.find('\n')));
 }
 
@@ -365,6 +376,149 @@ void collect_daemon(Facts& facts) {
   facts.descriptor_limit =
       limit_in(contents_of(of_process(pid, "limits")), "Max open files").value_or(0);
   for_each_entry(of_process(pid, "fd"), [&](const std::string&) { ++facts.descriptors; });
+}
+
+// --- the bridges
+
+constexpr const char* bridge_configurations = "/etc/agnocast/";
+constexpr const char* bridge_configuration = "/etc/agnocast/bridge.toml";
+constexpr const char* bridge_defaults = "/etc/default/agnocast-bridge";
+constexpr const char* enabled_units = "/etc/systemd/system/multi-user.target.wants/";
+
+/// What a variable has in the file that the units read; the last one counts.
+std::string default_of(const char* variable) {
+  std::string value;
+  const std::string key = std::string(variable) + '=';
+  for (const std::string& line : split(contents_of(bridge_defaults), '\n'))
+    if (line.starts_with(key)) value = line.substr(key.size());
+  if (value.size() > 1 && (value.front() == '\'' || value.front() == '"') &&
+      value.back() == value.front())
+    value = value.substr(1, value.size() - 2);
+  return value;
+}
+
+/// The domain that agnocast-bridge.service serves.
+std::uint64_t domain_of_unit() {
+  const std::string text = contents_of(bridge_configuration);
+  std::string_view written =
+      line_after(std::string_view(text).substr(0, text.find("\n[")), "domain");
+  written.remove_prefix(std::min(written.find_first_not_of(" =\t"), written.size()));
+  if (const auto domain = number_in(written)) return *domain;
+  return number_in(default_of("ROS_DOMAIN_ID")).value_or(0);
+}
+
+/// The unit of a bridge, as its cgroup is named; empty: it is none's.
+std::string unit_of(pid_t pid) {
+  std::string path = contents_of(of_process(pid, "cgroup"));
+  path.resize(std::min(path.find('\n'), path.size()));
+  std::string unit = path.substr(path.rfind('/') + 1);
+  return unit.starts_with("agnocast-bridge") && unit.ends_with(".service") ? unit : std::string();
+}
+
+void collect_running_bridges(Facts& facts) {
+  for (const BridgeState& bridge : facts.bridges) {
+    const auto pid = static_cast<pid_t>(bridge.pid);
+    if (command_name(pid) != "agnocast-bridge") continue;
+    if (std::string unit = unit_of(pid); !unit.empty()) {
+      facts.bridge_units[bridge.pid] = std::move(unit);
+    } else {
+      facts.bridge_commands[bridge.pid] = look_at_process(pid).command;
+    }
+  }
+}
+
+/// The file in a /tmp that CYCLONEDDS_URI names: units have a /tmp of their own.
+std::string hidden_file_in(const std::string& uri) {
+  for (std::string word : split(uri, ',')) {
+    if (word.starts_with("file://")) word.erase(0, 7);
+    if (word.starts_with("/tmp/") || word.starts_with("/var/tmp/")) return word;
+  }
+  return {};
+}
+
+void collect_bridges(const Arguments& arguments, Facts& facts) {
+  const std::string prefix = "bridge-", suffix = ".sock";
+  for (const std::string& path : bridge_sockets(arguments.socket)) {
+    auto bridge = read_bridge(path);
+    if (bridge) {
+      facts.bridges.push_back(std::move(*bridge));
+    } else if (bridge.error().status == Status::not_reachable) {
+      const std::string name = path.substr(path.rfind('/') + 1);
+      if (!name.starts_with(prefix)) continue;
+      if (const auto domain = number_in(std::string_view(name).substr(prefix.size())))
+        facts.dead_bridges.emplace_back(path, *domain);
+    }
+  }
+  const auto answers_for = [&](std::uint64_t domain) {
+    return std::any_of(facts.bridges.begin(), facts.bridges.end(),
+                       [&](const BridgeState& bridge) { return bridge.domain == domain; });
+  };
+  facts.unit_domain = domain_of_unit();
+  const auto is_installed = [](const std::string& name) {
+    return ::access((enabled_units + name).c_str(), F_OK) == 0;
+  };
+  std::size_t instances = 0;
+  bool has_unit = false;
+  std::string rival;
+  if (facts.door.is_systems) {
+    for_each_entry(enabled_units, [&](const std::string& name) {
+      const std::string_view instance = "agnocast-bridge@";
+      has_unit |= name == "agnocast-bridge.service" && is_installed(name);
+      // What was enabled and is not installed any more leaves its link.
+      if (!name.starts_with(instance) || !is_installed(name)) return;
+      const auto domain = number_in(std::string_view(name).substr(instance.size()));
+      if (domain == facts.unit_domain) rival = name;
+      if (domain && answers_for(*domain)) {
+        ++instances;
+      } else {
+        facts.idle_bridge_units.push_back(name);
+      }
+    });
+  }
+  if (has_unit && !rival.empty()) {
+    facts.rival_bridge_unit = rival;
+    std::erase(facts.idle_bridge_units, rival);
+  } else if (has_unit && !answers_for(facts.unit_domain) && facts.bridges.size() <= instances) {
+    // A drop-in may have given it another domain: one that is no instance's.
+    facts.idle_bridge_units.emplace_back("agnocast-bridge.service");
+  }
+  collect_running_bridges(facts);
+  facts.prefix_path = variable("AMENT_PREFIX_PATH").value_or("");
+  facts.receive_buffer_max = number_in(contents_of("/proc/sys/net/core/rmem_max")).value_or(0);
+
+  std::vector<std::string> check{"env"};
+  if (facts.door.is_systems) {
+    facts.units_prefix_path = default_of("AMENT_PREFIX_PATH");
+    const std::string uri = default_of("CYCLONEDDS_URI");
+    facts.hidden_cyclonedds_file = hidden_file_in(uri);
+    if (!uri.empty()) check.push_back("CYCLONEDDS_URI=" + uri);
+  }
+  check.insert(check.end(), {"agnocast-bridge", "--check-config"});
+  // Those that run, and what one would read that is started now, of any domain.
+  std::vector<std::string> files{""};
+  for_each_entry(bridge_configurations, [&](const std::string& name) {
+    if (name.starts_with("bridge-") && name.ends_with(".toml"))
+      files.push_back(bridge_configurations + name);
+  });
+  for (const BridgeState& bridge : facts.bridges) {
+    std::string file = named_configuration_of(static_cast<pid_t>(bridge.pid));
+    if (!file.empty() && std::find(files.begin(), files.end(), file) == files.end())
+      files.push_back(std::move(file));
+  }
+  for (const std::string& file : files) {
+    std::vector<std::string> words = check;
+    if (!file.empty()) words.insert(words.end(), {"--config", file});
+    for (const std::string& line : split(complaint_of(std::move(words)), '\n')) {
+      const std::string_view own = "agnocast-bridge: ";
+      if (!line.starts_with(own)) continue;
+      const std::string what = escaped(std::string_view(line).substr(own.size()));
+      if (what.starts_with("CYCLONEDDS_URI")) {
+        facts.cyclonedds_fault = what;
+      } else if (!what.starts_with("ROS_DOMAIN_ID")) {
+        facts.bridge_faults.emplace_back(file.empty() ? bridge_configuration : file, what);
+      }
+    }
+  }
 }
 
 // --- what the daemon says
@@ -459,6 +613,7 @@ Facts collect_facts(const Arguments& arguments) {
   collect_look(arguments, facts);
   collect_daemon(facts);
   if (facts.look) collect_processes(facts, is_named);
+  collect_bridges(arguments, facts);
   facts.configuration_fault = fault_in(facts.configuration);
   if (facts.shell.socket && !facts.door.is_systems && answers(system_socket))
     facts.systems_socket = system_socket;

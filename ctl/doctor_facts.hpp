@@ -6,6 +6,7 @@
 #pragma once
 
 #include <ctl/arguments.hpp>
+#include <ctl/bridges.hpp>
 #include <ctl/doctor.hpp>
 #include <ctl/pairs.hpp>
 #include <ctl/system.hpp>
@@ -92,6 +93,20 @@ struct Facts {
   std::string huge_pages;  // of shared memory: "never"
   std::uint64_t map_count_max = 0;
   std::uint64_t descriptors_max = 0;  // that any process may be allowed
+
+  // Bridges to DDS.
+  std::vector<BridgeState> bridges;
+  std::vector<std::pair<std::string, std::uint64_t>> dead_bridges;  // sockets, and their domains
+  std::vector<std::string> idle_bridge_units;                       // enabled, and none answers
+  std::uint64_t unit_domain = 0;  // of agnocast-bridge.service
+  std::string rival_bridge_unit;  // an instance of that domain, and both are enabled
+  /// Of each bridge, by its pid: the unit that it is of, or the command line of one that is none's.
+  std::map<std::uint64_t, std::string> bridge_units, bridge_commands;
+  std::vector<std::pair<std::string, std::string>> bridge_faults;  // files, and what is wrong
+  std::string cyclonedds_fault;        // of CYCLONEDDS_URI, this shell's or that of the units
+  std::string hidden_cyclonedds_file;  // which that of the units names, and they do not see
+  std::string prefix_path, units_prefix_path;  // AMENT_PREFIX_PATH of this shell, and of the units
+  std::uint64_t receive_buffer_max = 0;
 
   std::map<pid_t, Running> members;  // by pid, as far as /proc shows them
   std::vector<Running> outsiders;    // have the library and mean this daemon, and are no members

@@ -42,5 +42,6 @@ Outcome<void> become_other(const Arguments& arguments) {
 Outcome<void> echo_topic(const Arguments& arguments, Console&) { return become_other(arguments); }
 Outcome<void> pub_topic(const Arguments& arguments, Console&) { return become_other(arguments); }
 Outcome<void> show_delay(const Arguments& arguments, Console&) { return become_other(arguments); }
+Outcome<void> call_service(const Arguments& arguments, Console&) { return become_other(arguments); }
 
 }  // namespace agnocast::ctl

@@ -8,18 +8,23 @@
 #include <poll.h>
 #include <signal.h>
 #include <sys/signalfd.h>
+#include <time.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
 #include <cstdio>
 #include <cstdlib>
+#include <memory>
 #include <utility>
 
 namespace agnocast::ctl {
 namespace {
 
 namespace o = options;
+
+// 64 MiB of YAML are some 8 MiB of message and a GiB of nodes in the parser.
+constexpr std::size_t text_bytes_max = 64 << 20;
 
 Status status_of(Errc code) {
   switch (code) {
@@ -45,6 +50,19 @@ QoS profile_of(const std::string& name) {
   if (name == "action_status_default") return QoS(1).transient_local();
   if (name == "system_default") return QoS(1);
   return QoS(10);  // default, services_default, best_available
+}
+
+Outcome<std::string> text_in(std::FILE* file, const std::string& name) {
+  std::string text;
+  char letters[1 << 16];
+  for (std::size_t count; (count = std::fread(letters, 1, sizeof letters, file)) > 0;) {
+    text.append(letters, count);
+    if (text.size() > text_bytes_max)
+      return problem(Status::failed, escaped(name), "longer than 64 MiB", "write it in parts");
+  }
+  if (std::ferror(file) != 0)
+    return problem_of({Errc::os_failure, errno, "reading", 0}, escaped(name));
+  return text;
 }
 
 }  // namespace
@@ -86,6 +104,7 @@ Outcome<std::unique_ptr<Live>> Live::enter(const Arguments& arguments,
 }
 
 bool Live::run_until(Clock::time_point deadline) {
+  is_stopped_ = false;
   for (;;) {
     const bool has_work = executor_->prepare() == Executor::Readiness::work_ready;
     auto patience = std::chrono::milliseconds(0);
@@ -143,6 +162,27 @@ ChosenQos qos_of(const Arguments& arguments, const char* default_profile,
     chosen.note += std::string(chosen.note.empty() ? "" : "; ") +
                    "some publishers are transient local and some volatile; taking volatile of all";
   return chosen;
+}
+
+Outcome<std::string> values_of(const Arguments& arguments) {
+  const std::string file = arguments.text(o::yaml_file);
+  const int sources = (arguments.subject(2).empty() ? 0 : 1) + (file.empty() ? 0 : 1) +
+                      (arguments.has(o::from_stdin) ? 1 : 0);
+  if (sources > 1)
+    return problem(Status::wrong_usage, "VALUES", "only one of VALUES, --stdin and --yaml-file",
+                   full_name(*arguments.command) + " --help");
+  if (arguments.has(o::from_stdin)) return text_in(stdin, "standard input");
+  if (file.empty()) return arguments.subject(2).empty() ? "{}" : arguments.subject(2);
+  const std::unique_ptr<std::FILE, int (*)(std::FILE*)> opened(std::fopen(file.c_str(), "re"),
+                                                               std::fclose);
+  if (opened == nullptr) return problem_of({Errc::os_failure, errno, "opening", 0}, escaped(file));
+  return text_in(opened.get(), file);
+}
+
+std::int64_t wall_time_ns() {
+  timespec now{};
+  ::clock_gettime(CLOCK_REALTIME, &now);
+  return std::int64_t{now.tv_sec} * 1'000'000'000 + now.tv_nsec;
 }
 
 Outcome<TopicNow> topic_now(const Arguments& arguments) {

@@ -13,6 +13,7 @@
 #include <ctl/system.hpp>
 
 #include <chrono>
+#include <cstdint>
 #include <memory>
 #include <optional>
 #include <string>
@@ -57,6 +58,12 @@ struct ChosenQos {
 };
 ChosenQos qos_of(const Arguments& arguments, const char* default_profile,
                  const std::vector<Endpoint>* adapted = nullptr);
+
+/// What is to be sent: VALUES (the third subject), --stdin or --yaml-file; without them a default message.
+/// Problems: wrong_usage (two of them), failed.
+Outcome<std::string> values_of(const Arguments& arguments);
+/// CLOCK_REALTIME.
+std::int64_t wall_time_ns();
 
 /// The topic now, or nothing.
 struct TopicNow {

@@ -75,6 +75,8 @@ inline constexpr Option timeout{"--timeout",
 // Publishing.
 inline constexpr Option once_pub{"-1,--once", "one message, and end"};
 inline constexpr Option rate{"-r,--rate", "messages a second", Kind::real, "RATE", "1", 0, 1e6};
+inline constexpr Option call_rate{
+    "-r,--rate", "call again and again, so many times a second", Kind::real, "RATE", {}, 0, 1e6};
 inline constexpr Option times{
     "-t,--times", "end after so many messages", Kind::whole, "COUNT", {}, 1};
 inline constexpr Option wait_matching{

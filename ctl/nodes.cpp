@@ -25,6 +25,17 @@ Object endpoints_object(const std::vector<Node::Of>& endpoints) {
   return list;
 }
 
+Object services_object(const std::vector<Node::Of>& endpoints) {
+  Object list = Object::array();
+  for (const auto& [topic, endpoint] : endpoints) {
+    if (const auto service = service_of(*topic))
+      list.push_back({{"service", service->name},
+                      {"type", service->type},
+                      {"generation", endpoint->facts.generation}});
+  }
+  return list;
+}
+
 Object object_of(const System& system, const Node& node) {
   const auto found = system.processes.find(node.client);
   const bool known =
@@ -35,7 +46,9 @@ Object object_of(const System& system, const Node& node) {
           {"pid", known ? Object(found->second.facts.pid) : Object(nullptr)},
           {"domain", known ? Object(found->second.facts.domain) : Object(nullptr)},
           {"publishers", endpoints_object(node.publishers)},
-          {"subscribers", endpoints_object(node.subscriptions)}};
+          {"subscribers", endpoints_object(node.subscriptions)},
+          {"service_servers", services_object(node.subscriptions)},
+          {"service_clients", services_object(node.publishers)}};
 }
 
 void print_side(const char* heading, const std::vector<Node::Of>& endpoints, bool hidden,
@@ -45,6 +58,18 @@ void print_side(const char* heading, const std::vector<Node::Of>& endpoints, boo
   for (const auto& [topic, endpoint] : endpoints) {
     if (topic == last || (!hidden && is_hidden(topic->name))) continue;
     console.line("    " + escaped(topic->name) + ": " + escaped(topic->type));
+    last = topic;
+  }
+}
+
+void print_services(const char* heading, const std::vector<Node::Of>& endpoints, bool hidden,
+                    Console& console) {
+  console.line(heading);
+  const Topic* last = nullptr;
+  for (const auto& [topic, endpoint] : endpoints) {
+    const auto service = service_of(*topic);
+    if (!service || topic == last || (!hidden && is_hidden(service->name))) continue;
+    console.line("    " + escaped(service->name) + ": " + escaped(service->type));
     last = topic;
   }
 }
@@ -107,6 +132,8 @@ Outcome<void> show_node(const Arguments& arguments, Console& console) {
     console.line(escaped(node->full_name()));
     print_side("  Subscribers:", node->subscriptions, hidden, console);
     print_side("  Publishers:", node->publishers, hidden, console);
+    print_services("  Service Servers:", node->subscriptions, hidden, console);
+    print_services("  Service Clients:", node->publishers, hidden, console);
   }
   return {};
 }

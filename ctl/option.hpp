@@ -17,7 +17,18 @@
 namespace agnocast::ctl {
 
 /// What completion offers for a word.
-enum class Names : std::uint8_t { none, topics, types, nodes, processes, codes, levels };
+enum class Names : std::uint8_t {
+  none,
+  topics,
+  topics_and_services,
+  types,
+  services,
+  service_types,
+  nodes,
+  processes,
+  codes,
+  levels
+};
 
 struct Option {
   enum class Kind : std::uint8_t {
@@ -88,6 +99,8 @@ inline constexpr Option every_domain{"--all-domains", "of every ROS domain"};
 inline constexpr Option hidden_nodes{"-a,--all", "also those whose name begins with an underscore"};
 inline constexpr Option hidden{"--include-hidden-topics",
                                "also those with a part that begins with an underscore"};
+inline constexpr Option hidden_services{"--include-hidden-services",
+                                        "also those with a part that begins with an underscore"};
 inline constexpr Option of_topic{"--topic", "of this topic", Kind::text, "NAME", {}, 0, 0,
                                  {},        Names::topics};
 inline constexpr Option of_process{
@@ -97,6 +110,7 @@ inline constexpr Option of_process{
 // How much of each.
 inline constexpr Option show_types{"-t,--show-types", "with the type of each"};
 inline constexpr Option count_topics{"-c,--count-topics", "only how many there are"};
+inline constexpr Option count_services{"-c,--count-services", "only how many there are"};
 inline constexpr Option count_nodes{"-c,--count-nodes", "only how many there are"};
 inline constexpr Option verbose{"-v,--verbose", "more of each"};
 inline constexpr Option records{
@@ -130,6 +144,10 @@ inline constexpr Option every{
 inline constexpr Option user{"--user", "what this one may, by name or number; else who runs it",
                              Kind::text, "USER"};
 inline constexpr Option watch{"-w,--watch", "go on: once more whenever something has changed"};
+inline constexpr Option bridge_delay{
+    "-d,--delay", "seconds over which rates are measured", Kind::real, "SECONDS", "0.5", 0.05,
+    3600};
+inline constexpr Option bridge_watch{"-w,--watch", "go on: once more after each delay"};
 inline constexpr Option include_warnings{"-w,--include-warnings",
                                          "count warnings as failed checks"};
 inline constexpr Option list_checks{"-l,--list", "what is checked, and how each is mended"};
@@ -145,6 +163,13 @@ inline constexpr Subject topics{"NAME", "topics; without a slash they are meant 
 inline constexpr Subject maybe_topic{"NAME", "only of this topic", Names::topics,
                                      Subject::Count::optional};
 inline constexpr Subject type{"TYPE", "a message type: std_msgs/msg/String", Names::types};
+inline constexpr Subject service{"NAME", "a service; without a slash it is meant to have one",
+                                 Names::services};
+inline constexpr Subject topic_or_service{
+    "NAME", "a topic or service; without a slash it is meant to have one",
+    Names::topics_and_services};
+inline constexpr Subject service_type{"TYPE", "a service type: std_srvs/srv/Trigger",
+                                      Names::service_types};
 inline constexpr Subject node{"NODE", "a node, with its namespace", Names::nodes};
 inline constexpr Subject process{
     "PROCESS", "a pid, or INDEX.GENERATION as process list has it (CLIENT)", Names::processes};

@@ -11,11 +11,6 @@
 #include <ctl/message_text.hpp>
 #include <ctl/select.hpp>
 
-#include <time.h>
-
-#include <cerrno>
-#include <cstdio>
-#include <memory>
 #include <optional>
 #include <utility>
 
@@ -27,47 +22,10 @@ namespace o = options;
 // What is typed is shown as it is; a message of somebody's file only in part.
 constexpr TextOptions shown_part{128, false, false};
 
-// 64 MiB of YAML are some 8 MiB of message and a GiB of nodes in the parser.
-constexpr std::size_t text_bytes_max = 64 << 20;
-
 using Clock = Live::Clock;
 
 Clock::duration seconds(double count) {
   return std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(count));
-}
-
-Outcome<std::string> text_in(std::FILE* file, const std::string& name) {
-  std::string text;
-  char letters[1 << 16];
-  for (std::size_t count; (count = std::fread(letters, 1, sizeof letters, file)) > 0;) {
-    text.append(letters, count);
-    if (text.size() > text_bytes_max)
-      return problem(Status::failed, escaped(name), "longer than 64 MiB", "write it in parts");
-  }
-  if (std::ferror(file) != 0)
-    return problem_of({Errc::os_failure, errno, "reading", 0}, escaped(name));
-  return text;
-}
-
-Outcome<std::string> values_of(const Arguments& arguments) {
-  const std::string file = arguments.text(o::yaml_file);
-  const int sources = (arguments.subject(2).empty() ? 0 : 1) + (file.empty() ? 0 : 1) +
-                      (arguments.has(o::from_stdin) ? 1 : 0);
-  if (sources > 1)
-    return problem(Status::wrong_usage, "VALUES", "only one of VALUES, --stdin and --yaml-file",
-                   "agnocast-ctl topic pub --help");
-  if (arguments.has(o::from_stdin)) return text_in(stdin, "standard input");
-  if (file.empty()) return arguments.subject(2).empty() ? "{}" : arguments.subject(2);
-  const std::unique_ptr<std::FILE, int (*)(std::FILE*)> opened(std::fopen(file.c_str(), "re"),
-                                                               std::fclose);
-  if (opened == nullptr) return problem_of({Errc::os_failure, errno, "opening", 0}, escaped(file));
-  return text_in(opened.get(), file);
-}
-
-std::int64_t now_ns() {
-  timespec now{};
-  ::clock_gettime(CLOCK_REALTIME, &now);
-  return std::int64_t{now.tv_sec} * 1'000'000'000 + now.tv_nsec;
 }
 
 struct Course {
@@ -141,7 +99,7 @@ class Sender {
 
  private:
   Outcome<bool> send(const ReadMessage& message) {
-    message.set_times(now_ns());
+    message.set_times(wall_time_ns());
     for (;;) {
       GenericLoan loan = publisher_.borrow_loaned_message();
       type_.assign(message.message.get(), loan.get());

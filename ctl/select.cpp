@@ -2,6 +2,7 @@
 
 #include <ctl/select.hpp>
 
+#include <agnocast/service_name.hpp>
 #include <base/names.hpp>
 #include <base/text.hpp>
 #include <ctl/commands.hpp>
@@ -68,6 +69,25 @@ Outcome<const Topic*> find_topic(const System& system, const Arguments& argument
       hint = command + escaped(name) + " --domain " + std::to_string(other.facts.domain);
   }
   return problem(Status::no_such_thing, escaped(name), why, hint);
+}
+
+std::optional<Service> service_of(const Topic& topic) {
+  constexpr std::string_view half = "_Request";  // of "pkg/srv/Name"
+  TopicRole role = role_of_topic(topic.name);
+  if (role.kind != TopicRole::Kind::request) return std::nullopt;
+  std::string type = topic.type;
+  if (type.ends_with(half)) type.resize(type.size() - half.size());
+  return Service{std::move(role.service), std::move(type), &topic};
+}
+
+std::vector<Service> services_of(const System& system, const Arguments& arguments) {
+  std::vector<Service> services;
+  for (const Topic* const topic : topics_of(system, arguments)) {
+    auto service = service_of(*topic);
+    if (service && active_count(topic->publishers) + active_count(topic->subscriptions) != 0)
+      services.push_back(std::move(*service));
+  }
+  return services;
 }
 
 std::string client_of(const wire::DumpProcess& process) {

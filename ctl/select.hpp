@@ -8,6 +8,7 @@
 #include <ctl/journal.hpp>
 #include <ctl/system.hpp>
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -29,6 +30,16 @@ std::vector<const Topic*> topics_of(const System& system, const Arguments& argum
 /// The topic of this name in the domain. Problems: no_such_thing, with what may have been meant.
 Outcome<const Topic*> find_topic(const System& system, const Arguments& arguments,
                                  const std::string& name);
+
+/// A service: a topic of requests that somebody subscribes to, who serves, or publishes on, who asks.
+struct Service {
+  std::string name, type;
+  const Topic* requests;
+};
+/// Whose requests that topic has; nothing if it is no such topic.
+std::optional<Service> service_of(const Topic& topic);
+/// Of the domain or of all, by name.
+std::vector<Service> services_of(const System& system, const Arguments& arguments);
 
 /// "INDEX.GENERATION": never used twice.
 std::string client_of(const wire::DumpProcess& process);

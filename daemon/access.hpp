@@ -6,13 +6,10 @@
 // The first rule whose topic pattern and domain match *and* that speaks of the action decides; when
 // none does, everybody may. So a restriction of everything is a last rule with topic = "**".
 //
-//   *    any characters but a slash        ?   one character but a slash
-//   **   any characters
+// Patterns are those of agnocast/topic_pattern.hpp.
 //
 // Nobody is exempt, root included: a rule says what it says.
 #pragma once
-
-#include <base/names.hpp>
 
 #include <sys/types.h>
 
@@ -69,10 +66,5 @@ const AccessRule* deciding_rule(std::span<const AccessRule> rules, std::uint64_t
 /// `topic` is a fully qualified name. Linear in the rules.
 Decision decide(std::span<const AccessRule> rules, const Subject& subject, std::uint64_t domain,
                 std::string_view topic, Action action) noexcept;
-
-/// Whether a fully qualified name matches a pattern; time is at most the product of both lengths.
-bool topic_matches(std::string_view pattern, std::string_view topic) noexcept;
-/// Nothing when `pattern` can match a fully qualified name.
-std::optional<NameProblem> check_topic_pattern(std::string_view pattern) noexcept;
 
 }  // namespace agnocast::daemon

@@ -16,6 +16,7 @@
 // protocol's; between events everything is consistent, so the daemon may be killed at any time.
 #pragma once
 
+#include <base/log.hpp>
 #include <daemon/access.hpp>
 #include <daemon/address_plan.hpp>
 #include <daemon/allowance.hpp>
@@ -27,7 +28,6 @@
 #include <daemon/hold_watch.hpp>
 #include <daemon/let_go_watch.hpp>
 #include <daemon/listener.hpp>
-#include <daemon/log.hpp>
 #include <daemon/membership.hpp>
 #include <daemon/obstacles.hpp>
 #include <daemon/reaper.hpp>

@@ -8,6 +8,7 @@
 #include <agnocast/abi/fingerprint.hpp>
 #include <agnocast/version.hpp>
 #include <base/clock.hpp>
+#include <base/names.hpp>
 #include <daemon/flight_recorder.hpp>
 
 #include <base/check.hpp>

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <agnocast/topic_pattern.hpp>
 #include <base/text.hpp>
 #include <base/unique_fd.hpp>
 #include <daemon/config_keys.hpp>
@@ -305,8 +306,8 @@ class Reader {
     if (text == nullptr)
       return wrong_type(node, "access.topic", "a pattern of topic names: \"/lidar/**\"");
     rule.topic = text->get();
-    if (const auto problem = check_topic_pattern(rule.topic)) {
-      report(node.source().begin, "access.topic", in_quotes(rule.topic) + ": " + problem->text(),
+    if (const auto problem = topic_pattern_problem(rule.topic)) {
+      report(node.source().begin, "access.topic", in_quotes(rule.topic) + ": " + *problem,
              "write a pattern of topic names: \"/lidar/**\"");
     }
   }

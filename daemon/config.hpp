@@ -10,8 +10,8 @@
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
+#include <base/log.hpp>
 #include <daemon/access.hpp>
-#include <daemon/log.hpp>
 
 #include <tl/expected.hpp>
 

@@ -4,6 +4,8 @@
 // every one of a kind, `journalctl -x` prints what systemd/agnocast.catalog says of it.
 #pragma once
 
+#include <base/log.hpp>
+
 #include <string_view>
 
 namespace agnocast::daemon {
@@ -54,5 +56,8 @@ constexpr std::string_view message_id_of(std::string_view words) noexcept {
   }
   return {};
 }
+
+/// The daemon as its log names it.
+inline constexpr Log::Program log_program{"agnocastd", message_id_of};
 
 }  // namespace agnocast::daemon

@@ -6,10 +6,11 @@
 // here · 2 wrong usage. A complaint is two lines on stderr; everything else goes through the log.
 
 #include <agnocast/error.hpp>
+#include <base/log.hpp>
 #include <base/standard_error.hpp>
 #include <daemon/config.hpp>
 #include <daemon/descriptor_store.hpp>
-#include <daemon/log.hpp>
+#include <daemon/log_events.hpp>
 #include <daemon/options.hpp>
 #include <daemon/service.hpp>
 #include <daemon/supervisor.hpp>
@@ -77,7 +78,7 @@ int run(int argc, const char* const* argv) {
   }
   std::signal(SIGPIPE, SIG_IGN);
   raise_descriptor_limit();
-  Log log = Log::to_stderr(config.daemon.log_level);
+  Log log = Log::to_stderr(log_program, config.daemon.log_level);
   if (options.fd_store == FdStore::own) return supervise(argc, argv, log);
   const bool has_manager = options.fd_store == FdStore::manager;
   if (has_manager && !die_with_supervisor()) return 1;

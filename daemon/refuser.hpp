@@ -8,9 +8,9 @@
 // build that made the tables can be started again and goes on, with everybody.
 #pragma once
 
+#include <base/log.hpp>
 #include <base/packet_socket.hpp>
 #include <daemon/dispatcher.hpp>
-#include <daemon/log.hpp>
 
 #include <cstdint>
 #include <map>

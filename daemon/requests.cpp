@@ -3,9 +3,9 @@
 #include <daemon/requests.hpp>
 
 #include <agnocast/abi/limits.hpp>
+#include <base/log.hpp>
 #include <base/names.hpp>
 #include <base/text.hpp>
-#include <daemon/log.hpp>
 
 #include <algorithm>
 #include <cinttypes>

@@ -12,9 +12,9 @@
 // follows.
 #pragma once
 
+#include <base/log.hpp>
 #include <daemon/config.hpp>
 #include <daemon/descriptor_store.hpp>
-#include <daemon/log.hpp>
 
 #include <optional>
 #include <string>

@@ -28,8 +28,8 @@
 // wants. No thread, no state but the descriptors; nothing in here can be wrong for long.
 #pragma once
 
+#include <base/log.hpp>
 #include <base/unique_fd.hpp>
-#include <daemon/log.hpp>
 
 #include <cstddef>
 #include <optional>

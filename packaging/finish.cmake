@@ -11,5 +11,9 @@ foreach(package IN LISTS CPACK_COMPONENTS_ALL)
 ")
   execute_process(COMMAND gzip -9 -n -f ${changelog} COMMAND_ERROR_IS_FATAL ANY)
 endforeach()
-# It says where libraries lie beside the program. Here they lie where the loader looks.
-file(RPATH_REMOVE FILE ${CPACK_TEMPORARY_DIRECTORY}/agnocast-ctl/usr/libexec/agnocast/agnocast-ctl-topic)
+# They say where libraries lie beside the program. Here they lie where the loader looks.
+foreach(program agnocast-ctl/usr/libexec/agnocast/agnocast-ctl-topic agnocast-bridge/usr/bin/agnocast-bridge)
+  if(EXISTS ${CPACK_TEMPORARY_DIRECTORY}/${program})
+    file(RPATH_REMOVE FILE ${CPACK_TEMPORARY_DIRECTORY}/${program})
+  endif()
+endforeach()

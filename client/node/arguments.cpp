@@ -74,7 +74,6 @@ Result<void> add_rule(const std::string& argument, std::vector<RemapRule>& rules
     if (const auto problem = check_node_name(rule.node))
       return wrong(Errc::invalid_name, argument, "node: " + problem->text());
   }
-  if (cut_prefix(rule.from, "rosservice://")) return {};  // there are no services
   std::optional<NameProblem> problem;
   if (rule.from == "__node" || rule.from == "__name") {
     rule.kind = RemapRule::Kind::node_name;
@@ -84,7 +83,8 @@ Result<void> add_rule(const std::string& argument, std::vector<RemapRule>& rules
     if (rule.to.front() != '/') rule.to.insert(0, 1, '/');
     problem = check_namespace(rule.to);
   } else {
-    cut_prefix(rule.from, "rostopic://");
+    if (cut_prefix(rule.from, "rostopic://")) rule.kind = RemapRule::Kind::topic;
+    if (cut_prefix(rule.from, "rosservice://")) rule.kind = RemapRule::Kind::service;
     if (const auto left = check_unexpanded(rule.from))
       return wrong(Errc::invalid_name, argument, "left side: " + left->text());
     problem = check_unexpanded(rule.to);
@@ -153,18 +153,20 @@ const RemapRule* find_rule(const std::vector<RemapRule>& rules, RemapRule::Kind 
   return found != rules.end() ? &*found : nullptr;
 }
 
-Result<std::string> remap_topic(const std::vector<RemapRule>& rules, const std::string& topic,
-                                const std::string& node_name, const std::string& node_namespace) {
+Result<std::string> remap(const std::vector<RemapRule>& rules, RemapRule::Kind kind,
+                          const std::string& name, const std::string& node_name,
+                          const std::string& node_namespace) {
   for (const RemapRule& rule : rules) {
-    if (rule.kind != RemapRule::Kind::topic || (!rule.node.empty() && rule.node != node_name))
+    if ((rule.kind != RemapRule::Kind::name && rule.kind != kind) ||
+        (!rule.node.empty() && rule.node != node_name))
       continue;
     const auto from = expand_topic_name(rule.from, node_name, node_namespace);
-    if (!from || *from != topic) continue;
+    if (!from || *from != name) continue;
     auto to = expand_topic_name(rule.to, node_name, node_namespace);
     if (!to) return wrong(Errc::invalid_name, rule.to, to.error().text());
     return std::move(*to);
   }
-  return topic;
+  return name;
 }
 
 }  // namespace agnocast

@@ -5,8 +5,9 @@
 //   prog own args --ros-args -r from:=to -r node:from:=to -r __node:=name -r __ns:=/space -- own args
 //
 // Rules by kind: first the node's name, then its namespace (each by the first rule that applies),
-// then topics: the first rule whose left side, expanded like any topic of the node, is the expanded
-// name; its right side is expanded as well. Rules do not chain. A rule with a node's name in front
+// then topics and services: the first rule whose left side, expanded like any topic of the node, is
+// the expanded name; its right side is expanded as well. Rules do not chain. With rostopic:// or
+// rosservice:// in front of the left side it is for one of both. A rule with a node's name in front
 // applies to nodes of that name alone (as it is after renaming, except for the rule that renames).
 #pragma once
 
@@ -18,10 +19,10 @@
 namespace agnocast {
 
 struct RemapRule {
-  enum class Kind { topic, node_name, node_namespace };
-  Kind kind = Kind::topic;
+  enum class Kind { name, topic, service, node_name, node_namespace };  // name: topics and services
+  Kind kind = Kind::name;
   std::string node;  // empty: of every node
-  std::string from;  // topics only
+  std::string from;  // topics and services only
   std::string to;
 };
 
@@ -43,10 +44,10 @@ std::vector<RemapRule> global_rules();
 const RemapRule* find_rule(const std::vector<RemapRule>& rules, RemapRule::Kind kind,
                            const std::string& node) noexcept;
 
-/// `topic`, fully qualified, as the rules of its node name it. Errors: invalid_name.
-[[nodiscard]] Result<std::string> remap_topic(const std::vector<RemapRule>& rules,
-                                              const std::string& topic,
-                                              const std::string& node_name,
-                                              const std::string& node_namespace);
+/// `name`, fully qualified, of a topic or a service as the rules of its node name it. Errors:
+/// invalid_name.
+[[nodiscard]] Result<std::string> remap(const std::vector<RemapRule>& rules, RemapRule::Kind kind,
+                                        const std::string& name, const std::string& node_name,
+                                        const std::string& node_namespace);
 
 }  // namespace agnocast

@@ -72,11 +72,26 @@ const char* Node::get_fully_qualified_name() const noexcept { return names_->ful
 Result<std::string> Node::try_resolve_topic_name(const std::string& topic) const {
   Result<std::string> expanded = detail::expand_topic(topic, names_->name, names_->node_namespace);
   if (!expanded) return expanded;
-  return remap_topic(names_->rules, *expanded, names_->name, names_->node_namespace);
+  return remap(names_->rules, RemapRule::Kind::topic, *expanded, names_->name,
+               names_->node_namespace);
 }
 
 std::string Node::resolve_topic_name(const std::string& topic) const {
   Result<std::string> resolved = try_resolve_topic_name(topic);
+  if (!resolved) throw Error(resolved.error());
+  return std::move(*resolved);
+}
+
+Result<std::string> Node::try_resolve_service_name(const std::string& service) const {
+  Result<std::string> expanded =
+      detail::expand_service(service, names_->name, names_->node_namespace);
+  if (!expanded) return expanded;
+  return remap(names_->rules, RemapRule::Kind::service, *expanded, names_->name,
+               names_->node_namespace);
+}
+
+std::string Node::resolve_service_name(const std::string& service) const {
+  Result<std::string> resolved = try_resolve_service_name(service);
   if (!resolved) throw Error(resolved.error());
   return std::move(*resolved);
 }

@@ -3,6 +3,7 @@
 // Everything a node needs.
 #pragma once
 
+#include <agnocast/client.hpp>
 #include <agnocast/connection_state.hpp>
 #include <agnocast/error.hpp>
 #include <agnocast/events.hpp>
@@ -14,6 +15,8 @@
 #include <agnocast/publisher.hpp>
 #include <agnocast/qos.hpp>
 #include <agnocast/result.hpp>
+#include <agnocast/service.hpp>
+#include <agnocast/service_name.hpp>
 #include <agnocast/shared_allocator.hpp>
 #include <agnocast/subscription.hpp>
 #include <agnocast/version.hpp>

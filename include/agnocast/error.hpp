@@ -126,7 +126,13 @@ namespace agnocast {
     "see who may and why with agnocast-ctl access TOPIC, and ask the administrator for a rule")                                               \
   X(descriptors_withheld, "agnocastd has answered, but the descriptors of its answer did not arrive",                                         \
     "a security profile (AppArmor, SELinux) keeps them from this process, or something that passes no descriptors stands in between",         \
-    "allow it in the profile: share/agnocast/apparmor and share/agnocast/selinux have what it needs, see docs/containers.md")
+    "allow it in the profile: share/agnocast/apparmor and share/agnocast/selinux have what it needs, see docs/containers.md")     \
+  X(no_server, "nobody is there who could answer",                                                                                                         \
+    "no process serves this service, or the one that had the request has ended without having answered it",                                                \
+    "start the server, wait for it with wait_for_service, and send the request again if it may be done twice")                                           \
+  X(already_answered, "this request has been answered",                                                                                                    \
+    "two responses were sent to one request, or to two copies of it",                                                                                      \
+    "send one response to each request")
 // clang-format on
 
 /// Codes of everything that a user of the library can be told. Zero is success (std::error_code
@@ -183,8 +189,8 @@ AGNOCAST_PUBLIC Failure failure_with(Errc code, const char* detail, int os_errno
 /// Two names of 255 bytes, a path, and the words around them.
 constexpr std::size_t detail_bytes_max = 1024;
 
-/// Thrown by creation functions of the public interface (rclcpp users expect exceptions there),
-/// never by the data path.
+/// Thrown by creation functions of the public interface and by async_send_request() (rclcpp users
+/// expect exceptions there), never by publish and take.
 class AGNOCAST_PUBLIC Error : public std::system_error {
  public:
   /// To be made where the failure was got: later its detail is gone.

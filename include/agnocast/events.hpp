@@ -67,9 +67,11 @@ struct EventCallbacks {
   std::function<void(IncompatibleTypeInfo&)> incompatible_type;
   std::function<void(ConnectionInfo&)> connection;
   std::function<void(HeapCollisionInfo&)> heap_collision;
+  /// For services: what was unread of a publisher that is gone is lost, and nothing more comes of it.
+  std::function<void()> drained;
   explicit operator bool() const noexcept {
     return matched != nullptr || incompatible_qos != nullptr || incompatible_type != nullptr ||
-           connection != nullptr || heap_collision != nullptr;
+           connection != nullptr || heap_collision != nullptr || drained != nullptr;
   }
 };
 
@@ -95,7 +97,7 @@ class EventOptions {
   }
   const EventCallbacks& events() const noexcept { return events_; }
 
- private:
+ protected:
   EventCallbacks events_;
 };
 

@@ -142,6 +142,7 @@ struct CodeByTable {
     return made;
   }
   Owner own(std::byte* message) const noexcept { return Owner(message, EndByTable{members}); }
+  void* start_of(std::byte* message) const noexcept { return message; }
   std::size_t bytes() const noexcept { return members->size_of_; }
 };
 

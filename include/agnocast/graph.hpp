@@ -24,7 +24,7 @@ enum class EndpointKind : std::uint8_t { publisher, subscription };
 struct EndpointInfo {
   EndpointKind kind = EndpointKind::publisher;
   std::uint64_t domain = 0;
-  std::string topic;  ///< "/ns/name"
+  std::string topic;  ///< "/ns/name"; whether it is one of a service, says role_of_topic()
   std::string type;   ///< "std_msgs/msg/String", or whatever its message type calls itself
   std::uint64_t layout_hash = 0;
   std::string node_name, node_namespace;  ///< "talker", "/ns"

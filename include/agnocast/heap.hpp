@@ -52,12 +52,36 @@ class LoanScope {
   bool is_open() const noexcept { return is_open_; }
 
  private:
+  friend class SharedHeapScope;
   template <class T>
   static bool is_loan(const ipc_shared_ptr<T>& loan) noexcept {
     return loan && loan.block()->origin != nullptr;
   }
   AGNOCAST_PUBLIC static bool open() noexcept;
   AGNOCAST_PUBLIC static void close() noexcept;
+
+  bool is_open_;
+};
+
+/// While this object lives, the calling thread allocates from the shared heap, without a loan: for messages
+/// that are made before it is known which publisher they are for (a bridge's). Such a message is published
+/// without a copy by any publisher of this process. Nests. Must end in the thread that made it. A few
+/// instructions, no system call.
+class SharedHeapScope {
+ public:
+  SharedHeapScope() noexcept : is_open_(begin()) {}
+  SharedHeapScope(const SharedHeapScope&) = delete;
+  SharedHeapScope& operator=(const SharedHeapScope&) = delete;
+  ~SharedHeapScope() {
+    if (is_open_) end();
+  }
+  /// False if the process has no shared heap yet, because it has no publisher, or agnocast is switched off:
+  /// then it does nothing.
+  bool is_open() const noexcept { return is_open_; }
+
+ private:
+  AGNOCAST_PUBLIC static bool begin() noexcept;
+  AGNOCAST_PUBLIC static void end() noexcept;
 
   bool is_open_;
 };

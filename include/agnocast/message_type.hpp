@@ -90,8 +90,8 @@ struct PlainType {
 
 }  // namespace detail
 
-/// A message type as the library knows it. Movable, immutable; any thread may use it at the same
-/// time.
+/// A message type as the library knows it. Immutable, cheap to copy; any thread may use it at the
+/// same time.
 class MessageType {
  public:
   /// How residency is decided; see message_traits.hpp.
@@ -103,20 +103,31 @@ class MessageType {
   /// Equal in two processes if and only if a message of one can be read by the other (see
   /// LayoutHash for the odds).
   AGNOCAST_PUBLIC std::uint64_t layout_hash() const noexcept;
-  /// sizeof and alignof the message object, in bytes.
+  /// sizeof and alignof the message object with its header, in bytes.
   AGNOCAST_PUBLIC std::uint32_t message_bytes() const noexcept;
   AGNOCAST_PUBLIC std::uint32_t message_alignment() const noexcept;
   AGNOCAST_PUBLIC Kind kind() const noexcept;
   /// The pair that is compared at match; its name is valid as long as this object.
   TypeIdentity identity() const noexcept { return {name(), layout_hash()}; }
 
-  explicit MessageType(
-      std::unique_ptr<const detail::MessagePlan, detail::DestroyPlan> plan) noexcept
+  /// Throws std::bad_alloc.
+  explicit MessageType(std::unique_ptr<const detail::MessagePlan, detail::DestroyPlan> plan)
       : plan_(std::move(plan)) {}
   const detail::MessagePlan& plan() const noexcept { return *plan_; }
+  /// The same message behind a header of that many bytes, which its alignment divides; matched by a
+  /// hash of its own. Messages of it are still named by their own address, the header lies before.
+  MessageType behind_header(std::uint32_t bytes, std::uint64_t layout_hash) const noexcept {
+    MessageType type = *this;
+    type.header_bytes_ = bytes;
+    type.layout_hash_ = layout_hash;
+    return type;
+  }
+  std::uint32_t header_bytes() const noexcept { return header_bytes_; }
 
  private:
-  std::unique_ptr<const detail::MessagePlan, detail::DestroyPlan> plan_;
+  std::shared_ptr<const detail::MessagePlan> plan_;
+  std::uint32_t header_bytes_ = 0;
+  std::uint64_t layout_hash_ = 0;  // with a header
 };
 
 namespace detail {

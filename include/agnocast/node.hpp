@@ -1,14 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Node: a name in the ROS graph, and the remap rules of its command line. Publishers and
-// subscriptions belong to a node by its name; any other class that node_like.hpp describes (an
+// Node: a name in the ROS graph, and the remap rules of its command line. Publishers, subscriptions,
+// services and clients belong to a node by its name; any other class that node_like.hpp describes (an
 // rclcpp::Node) does as well.
 #pragma once
 
+#include <agnocast/client.hpp>
 #include <agnocast/export.hpp>
 #include <agnocast/publisher.hpp>
 #include <agnocast/qos.hpp>
 #include <agnocast/result.hpp>
+#include <agnocast/service.hpp>
 #include <agnocast/subscription.hpp>
 
 #include <memory>
@@ -69,9 +71,12 @@ class AGNOCAST_PUBLIC Node {
   [[nodiscard]] Result<std::string> try_resolve_topic_name(const std::string& topic) const;
   /// The same; throws Error.
   std::string resolve_topic_name(const std::string& topic) const;
+  /// The same for services.
+  [[nodiscard]] Result<std::string> try_resolve_service_name(const std::string& service) const;
+  std::string resolve_service_name(const std::string& service) const;
 
-  /// The members below are the free functions of publisher.hpp and subscription.hpp. They throw
-  /// Error.
+  /// The members below are the free functions of publisher.hpp, subscription.hpp, service.hpp and
+  /// client.hpp. They throw Error.
   template <class T>
   typename Publisher<T>::SharedPtr create_publisher(const std::string& topic, const QoS& qos,
                                                     const PublisherOptions& options = {}) {
@@ -89,6 +94,18 @@ class AGNOCAST_PUBLIC Node {
   typename PollingSubscriber<T>::SharedPtr create_subscription(
       const std::string& topic, const QoS& qos, const SubscriptionOptions& options = {}) {
     return agnocast::create_subscription<T>(*this, topic, qos, options);
+  }
+  template <class ServiceT, class Callback>
+  typename Service<ServiceT>::SharedPtr create_service(const std::string& service,
+                                                       Callback&& callback,
+                                                       const QoS& qos = ServicesQoS()) {
+    return agnocast::create_service<ServiceT>(*this, service, std::forward<Callback>(callback),
+                                              qos);
+  }
+  template <class ServiceT>
+  typename Client<ServiceT>::SharedPtr create_client(const std::string& service,
+                                                     const QoS& qos = ServicesQoS()) {
+    return agnocast::create_client<ServiceT>(*this, service, qos);
   }
 
  private:

@@ -20,6 +20,11 @@ namespace agnocast::detail {
 struct EndpointName {
   std::string topic;
   std::string node;
+  /// By which peers know it as long as it lives, whatever becomes of the daemon: a number that
+  /// several endpoints of one owner may share. 0: one that no other endpoint has.
+  std::uint64_t lineage = 0;
+  /// Of a publisher: peers know its lineage when say_lineage() was called, and not before.
+  bool says_lineage_later = false;
 };
 
 /// ROS rules: relative names get the namespace, "~" the node's name. Errors: invalid_name.
@@ -28,25 +33,11 @@ struct EndpointName {
                                                                const std::string& node_namespace);
 /// Errors: invalid_name.
 [[nodiscard]] AGNOCAST_PUBLIC Result<void> require_topic(const std::string& topic);
-
-template <class Node, class = void>
-inline constexpr bool has_topics_interface = false;
-template <class Node>
-inline constexpr bool has_topics_interface<
-    Node,
-    std::void_t<decltype(std::declval<Node&>().get_node_topics_interface()->resolve_topic_name(
-        std::string()))>> = true;
-template <class Node, class = void>
-inline constexpr bool has_try_resolve = false;
-template <class Node>
-inline constexpr bool has_try_resolve<
-    Node, std::void_t<decltype(std::declval<Node&>().try_resolve_topic_name(std::string()))>> =
-    true;
-template <class Node, class = void>
-inline constexpr bool has_resolve = false;
-template <class Node>
-inline constexpr bool has_resolve<
-    Node, std::void_t<decltype(std::declval<Node&>().resolve_topic_name(std::string()))>> = true;
+/// The same for the name of a service.
+[[nodiscard]] AGNOCAST_PUBLIC Result<std::string> expand_service(const std::string& service,
+                                                                 const std::string& node_name,
+                                                                 const std::string& node_namespace);
+[[nodiscard]] AGNOCAST_PUBLIC Result<void> require_service(const std::string& service);
 
 template <class Node, class = void>
 inline constexpr bool is_pointer_like = false;
@@ -62,14 +53,73 @@ auto& dereference(Node& node) noexcept {
   }
 }
 
-/// Resolves `topic` as `node` would: its remappings if it has any, else by the rules alone.
-template <class Node>
-[[nodiscard]] Result<EndpointName> resolve(Node& node, const std::string& topic) {
-  EndpointName name;
-  name.node = node.get_fully_qualified_name();
+/// How a node is asked for the full name of a topic, or of a service: by the interface of an
+/// rclcpp::Node, by a member that returns a Result, by one that throws; else by the rules alone.
+struct TopicNames {
+  template <class Node>
+  static auto interface_of(Node& node) -> decltype(node.get_node_topics_interface()) {
+    return node.get_node_topics_interface();
+  }
+  template <class Names>
+  static auto resolve(Names& names, const std::string& name)
+      -> decltype(names.resolve_topic_name(name)) {
+    return names.resolve_topic_name(name);
+  }
+  template <class Node>
+  static auto try_resolve(Node& node, const std::string& name)
+      -> decltype(node.try_resolve_topic_name(name)) {
+    return node.try_resolve_topic_name(name);
+  }
+  static constexpr auto expand = &expand_topic;
+  static constexpr auto require = &require_topic;
+};
+struct ServiceNames {
+  template <class Node>
+  static auto interface_of(Node& node) -> decltype(node.get_node_services_interface()) {
+    return node.get_node_services_interface();
+  }
+  template <class Names>
+  static auto resolve(Names& names, const std::string& name)
+      -> decltype(names.resolve_service_name(name)) {
+    return names.resolve_service_name(name);
+  }
+  template <class Node>
+  static auto try_resolve(Node& node, const std::string& name)
+      -> decltype(node.try_resolve_service_name(name)) {
+    return node.try_resolve_service_name(name);
+  }
+  static constexpr auto expand = &expand_service;
+  static constexpr auto require = &require_service;
+};
+
+template <class Names, class Node, class = void>
+inline constexpr bool has_interface = false;
+template <class Names, class Node>
+inline constexpr bool
+    has_interface<Names, Node,
+                  std::void_t<decltype(Names::resolve(*Names::interface_of(std::declval<Node&>()),
+                                                      std::string()))>> = true;
+template <class Names, class Node, class = void>
+inline constexpr bool has_try_resolve = false;
+template <class Names, class Node>
+inline constexpr bool has_try_resolve<
+    Names, Node, std::void_t<decltype(Names::try_resolve(std::declval<Node&>(), std::string()))>> =
+    true;
+template <class Names, class Node, class = void>
+inline constexpr bool has_resolve = false;
+template <class Names, class Node>
+inline constexpr bool has_resolve<
+    Names, Node, std::void_t<decltype(Names::resolve(std::declval<Node&>(), std::string()))>> =
+    true;
+
+/// Resolves `name` as `node` would: its remappings if it has any, else by the rules alone.
+template <class Names, class Node>
+[[nodiscard]] Result<EndpointName> resolve_as(Node& node, const std::string& name) {
+  EndpointName resolved;
+  resolved.node = node.get_fully_qualified_name();
   const auto ask = [&](auto& names) -> Result<void> {
     try {
-      name.topic = names.resolve_topic_name(topic);
+      resolved.topic = Names::resolve(names, name);
       return {};
     } catch (const std::bad_alloc&) {
       throw;
@@ -77,23 +127,31 @@ template <class Node>
       return fail_with(Errc::invalid_name, refused.what());
     }
   };
-  if constexpr (has_try_resolve<Node>) {
-    Result<std::string> resolved = node.try_resolve_topic_name(topic);
-    if (!resolved) return tl::unexpected<Failure>(resolved.error());
-    name.topic = std::move(*resolved);
-  } else if constexpr (has_topics_interface<Node>) {
-    const auto names = node.get_node_topics_interface();
+  if constexpr (has_try_resolve<Names, Node>) {
+    Result<std::string> full = Names::try_resolve(node, name);
+    if (!full) return tl::unexpected<Failure>(full.error());
+    resolved.topic = std::move(*full);
+  } else if constexpr (has_interface<Names, Node>) {
+    const auto names = Names::interface_of(node);
     if (Result<void> done = ask(*names); !done) return tl::unexpected<Failure>(done.error());
-  } else if constexpr (has_resolve<Node>) {
+  } else if constexpr (has_resolve<Names, Node>) {
     if (Result<void> done = ask(node); !done) return tl::unexpected<Failure>(done.error());
   } else {
-    Result<std::string> expanded = expand_topic(topic, node.get_name(), node.get_namespace());
-    if (!expanded) return tl::unexpected<Failure>(expanded.error());
-    name.topic = std::move(*expanded);
+    Result<std::string> full = Names::expand(name, node.get_name(), node.get_namespace());
+    if (!full) return tl::unexpected<Failure>(full.error());
+    resolved.topic = std::move(*full);
   }
-  if (Result<void> valid = require_topic(name.topic); !valid)
+  if (Result<void> valid = Names::require(resolved.topic); !valid)
     return tl::unexpected<Failure>(valid.error());
-  return name;
+  return resolved;
+}
+template <class Node>
+[[nodiscard]] Result<EndpointName> resolve(Node& node, const std::string& topic) {
+  return resolve_as<TopicNames>(node, topic);
+}
+template <class Node>
+[[nodiscard]] Result<EndpointName> resolve_service(Node& node, const std::string& service) {
+  return resolve_as<ServiceNames>(node, service);
 }
 
 }  // namespace agnocast::detail

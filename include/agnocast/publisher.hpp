@@ -21,12 +21,14 @@
 #include <string>
 #include <type_traits>
 #include <utility>
+#include <vector>
 
 namespace agnocast {
 
 class PublisherEndpoint;
 class Runner;
 class CallbackSource;
+class Watch;
 
 /// Options of a publisher: its event callbacks (events.hpp).
 class PublisherOptions : public detail::EventOptions<PublisherOptions> {};
@@ -97,6 +99,12 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   UntypedPublisher(const UntypedPublisher&) = delete;
   UntypedPublisher& operator=(const UntypedPublisher&) = delete;
 
+  /// Its destructor waits no longer for the daemon than until then. Not while another thread may
+  /// destroy it.
+  void end_by(std::chrono::steady_clock::time_point end) noexcept { end_ = end; }
+  /// See EndpointName::says_lineage_later.
+  void say_lineage() noexcept;
+
   /// ok; shut_down in a forked child, switched_off, revoked: nothing can be published.
   Errc state() const noexcept;
   /// `object_bytes` of `message_bytes` are the message object itself.
@@ -113,12 +121,19 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   IncompatibleTypeInfo incompatible_type_status() noexcept;
   HeapCollisionInfo heap_collision_status() noexcept;
   bool is_active() const noexcept;
+  /// See EndpointName::lineage; 0: switched off.
+  std::uint64_t lineage() const noexcept;
+  /// Of the subscriptions that get what is published from now on.
+  std::vector<std::uint64_t> reader_lineages() const;
+  /// `watch` is told when what is matched has changed.
+  void tell(std::shared_ptr<Watch> watch) noexcept;
 
  private:
   UntypedPublisher(MessageType type, std::string topic) noexcept
       : type_(std::move(type)), topic_(std::move(topic)) {}
   MessageType type_;
   std::string topic_;
+  std::chrono::steady_clock::time_point end_ = std::chrono::steady_clock::time_point::max();
   std::shared_ptr<PublisherEndpoint> endpoint_;
   std::shared_ptr<Runner> runner_;  // this and the next only with event callbacks
   std::shared_ptr<CallbackSource> source_;
@@ -164,17 +179,36 @@ class PublisherBase {
 
 namespace detail {
 
-/// Loans and their commit, of typed and of generic publishers. `Code` makes, copies, owns and
-/// measures messages, which are T to it: TypedCode, or CodeByTable of generic.hpp.
+/// Commits a message that was made anywhere. What of it lies outside the shared heap is adopted. On
+/// failure `message` is as before. `Code` as for Lender.
+template <class Code>
+PublishResult commit(UntypedPublisher& publisher, const Code& code,
+                     typename Code::Owner&& message) noexcept {
+  using Object = typename Code::Owner::element_type;
+  if (const Errc state = publisher.state(); state != Errc::ok) return {state, 0};
+  if (message == nullptr) return {Errc::loan_invalid, 0};
+  const Result<Adoption> adopted =
+      make_resident_by([&code](const Object& original) { return code.copy(original); }, message,
+                       publisher.type(), publisher.heap());
+  if (!adopted || adopted->adopted_bytes != 0) publisher.count_adoption(adopted);
+  if (!adopted) return {adopted.error().code, 0};
+  const Errc outcome =
+      publisher.publish(code.start_of(message.get()), code.bytes(), adopted->message_bytes);
+  if (outcome == Errc::ok) (void)message.release();
+  return {outcome, adopted->adopted_bytes};
+}
+
+/// Lends messages and takes them back. `Code` makes, copies, owns and measures messages, which are T
+/// to it: TypedCode, CodeByTable of generic.hpp, or those of service_message.hpp.
 template <class T, class Code>
-class LendingPublisher : public PublisherBase {
+class Lender {
  public:
   using Owner = typename Code::Owner;  // a unique_ptr
 
   /// Sets a loan aside that will be filled later: from now on the thread that borrowed it allocates
   /// as if it had not; LoanScope(loan) goes on. The thing to do before another thread gets it to
-  /// publish: that thread cannot end this one's scope, which then lasts to its next borrow. False if it is no loan of this publisher. Any thread,
-  /// but not while another publishes the same loan.
+  /// publish: that thread cannot end this one's scope, which then lasts to its next borrow. False if
+  /// it was not lent here. Any thread, but not while another publishes the same loan.
   bool pause(const ipc_shared_ptr<T>& message) noexcept {
     Loan* const loan = loan_of(message);
     if (loan == nullptr || loan->message == nullptr) return false;
@@ -182,17 +216,28 @@ class LendingPublisher : public PublisherBase {
     return true;
   }
 
-  /// Commits a loan of this publisher; every copy of the handle becomes empty, in other threads too.
-  /// Who published through one copy has published for all: publishing another copy, also at the same
-  /// time, is loan_invalid. A thread that still writes to the message then writes to what
-  /// subscriptions read. On failure `message` is as before, though an adopted message has moved.
-  PublishResult publish(ipc_shared_ptr<T>&& message) noexcept {
+ protected:
+  /// `origin` tells this lender's loans from others'.
+  Lender(const void* origin, Code code) noexcept : origin_(origin), code_(code) {}
+  ~Lender() = default;
+
+  ipc_shared_ptr<T> lend() const {
+    auto loan = std::make_unique<Loan>(code_);
+    loan->origin = origin_;
+    loan->end = [](Block* block) noexcept { delete static_cast<Loan*>(block); };
+    loan->scope.open();
+    loan->message = code_.make().release();
+    return ipc_shared_ptr<T>(loan.release());
+  }
+  /// Gives what was lent to `commit_owned(Owner&&)`, which leaves it where it is unless it succeeds.
+  template <class Commit>
+  PublishResult take_back(ipc_shared_ptr<T>&& message, Commit&& commit_owned) const noexcept {
     Loan* const loan = loan_of(message);
     if (loan == nullptr) return {Errc::loan_invalid, 0};
     Owner object =
         code_.own(static_cast<T*>(loan->message.exchange(nullptr, std::memory_order_acq_rel)));
     if (object == nullptr) return {Errc::loan_invalid, 0};
-    const PublishResult result = publish(std::move(object));
+    const PublishResult result = commit_owned(std::move(object));
     if (result) {
       loan->scope.close();
       message.reset();
@@ -201,20 +246,43 @@ class LendingPublisher : public PublisherBase {
     }
     return result;
   }
+  const Code& code() const noexcept { return code_; }
+
+ private:
+  struct Loan : Block {
+    explicit Loan(const Code& of) noexcept : code(of) {}
+    ~Loan() { (void)code.own(static_cast<T*>(message.load(std::memory_order_relaxed))); }
+    Code code;
+    BorrowScope scope;  // closed after the message is gone: member order
+  };
+  Loan* loan_of(const ipc_shared_ptr<T>& message) const noexcept {
+    Block* const block = message.block();
+    return block != nullptr && block->origin == origin_ ? static_cast<Loan*>(block) : nullptr;
+  }
+
+  const void* origin_;
+  Code code_;
+};
+
+/// Loans and their commit, of typed and of generic publishers.
+template <class T, class Code>
+class LendingPublisher : public PublisherBase, public Lender<T, Code> {
+ public:
+  using typename Lender<T, Code>::Owner;
+
+  /// Commits a loan of this publisher; every copy of the handle becomes empty, in other threads too.
+  /// Who published through one copy has published for all: publishing another copy, also at the same
+  /// time, is loan_invalid. A thread that still writes to the message then writes to what
+  /// subscriptions read. On failure `message` is as before, though an adopted message has moved.
+  PublishResult publish(ipc_shared_ptr<T>&& message) noexcept {
+    return this->take_back(std::move(message),
+                           [this](Owner&& object) { return publish(std::move(object)); });
+  }
 
   /// Commits a message that was made anywhere. What of it lies outside the shared heap is adopted.
   /// On failure `message` is as before.
   PublishResult publish(Owner&& message) noexcept {
-    if (const Errc state = untyped().state(); state != Errc::ok) return {state, 0};
-    if (message == nullptr) return {Errc::loan_invalid, 0};
-    const Result<Adoption> adopted =
-        make_resident_by([this](const T& original) { return code_.copy(original); }, message,
-                         untyped().type(), untyped().heap());
-    if (!adopted || adopted->adopted_bytes != 0) untyped().count_adoption(adopted);
-    if (!adopted) return {adopted.error().code, 0};
-    const Errc code = untyped().publish(message.get(), code_.bytes(), adopted->message_bytes);
-    if (code == Errc::ok) (void)message.release();
-    return {code, adopted->adopted_bytes};
+    return commit(untyped(), this->code(), std::move(message));
   }
 
   /// publish for keep-all: while a subscription has not read enough (would_block), waits for it, at
@@ -244,31 +312,8 @@ class LendingPublisher : public PublisherBase {
 
  protected:
   explicit LendingPublisher(std::shared_ptr<UntypedPublisher> untyped, Code code = {}) noexcept
-      : PublisherBase(std::move(untyped)), code_(code) {}
+      : PublisherBase(std::move(untyped)), Lender<T, Code>(&this->untyped(), code) {}
   ~LendingPublisher() = default;
-
-  ipc_shared_ptr<T> lend() {
-    auto loan = std::make_unique<Loan>(code_);
-    loan->origin = &untyped();
-    loan->end = [](Block* block) noexcept { delete static_cast<Loan*>(block); };
-    loan->scope.open();
-    loan->message = code_.make().release();
-    return ipc_shared_ptr<T>(loan.release());
-  }
-
- private:
-  struct Loan : Block {
-    explicit Loan(const Code& of) noexcept : code(of) {}
-    ~Loan() { (void)code.own(static_cast<T*>(message.load(std::memory_order_relaxed))); }
-    Code code;
-    BorrowScope scope;  // closed after the message is gone: member order
-  };
-  Loan* loan_of(const ipc_shared_ptr<T>& message) const noexcept {
-    Block* const block = message.block();
-    return block != nullptr && block->origin == &untyped() ? static_cast<Loan*>(block) : nullptr;
-  }
-
-  Code code_;
 };
 
 template <class T>
@@ -277,6 +322,7 @@ struct TypedCode {
   Owner make() const { return Owner(new T()); }
   Owner copy(const T& original) const { return Owner(new T(original)); }
   Owner own(T* message) const noexcept { return Owner(message); }
+  void* start_of(T* message) const noexcept { return message; }
   constexpr std::size_t bytes() const noexcept { return sizeof(T); }
 };
 

@@ -12,6 +12,7 @@
 #include <agnocast/qos.hpp>
 #include <agnocast/result.hpp>
 
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <functional>
@@ -20,12 +21,14 @@
 #include <string>
 #include <type_traits>
 #include <utility>
+#include <vector>
 
 namespace agnocast {
 
 class Runner;
 class SubscriptionEndpoint;
 class CallbackSource;
+class Watch;
 
 /// Options of a subscription, with setters; those of the event callbacks are in events.hpp.
 class SubscriptionOptions : public detail::EventOptions<SubscriptionOptions> {
@@ -36,9 +39,19 @@ class SubscriptionOptions : public detail::EventOptions<SubscriptionOptions> {
     return hold_quota_ = messages, *this;
   }
   std::size_t hold_quota() const noexcept { return hold_quota_; }
+  /// Keep-last counts for each publisher by itself, and no longer over all of them together as in a
+  /// DDS reader (DDS 1.4, 2.2.3.18): a publisher that publishes much pushes out nothing of another
+  /// one, and a late subscription gets the whole history of each. Of publishers that are gone, all
+  /// together, 64 messages beyond the depth stay unread at most. For whoever passes on or records
+  /// what others publish; each publisher keeps as much for it as with one alone.
+  SubscriptionOptions& depth_per_publisher(bool wanted = true) noexcept {
+    return depth_per_publisher_ = wanted, *this;
+  }
+  bool is_depth_per_publisher() const noexcept { return depth_per_publisher_; }
 
  private:
   std::size_t hold_quota_ = 64;
+  bool depth_per_publisher_ = false;
 };
 
 namespace detail {
@@ -55,6 +68,10 @@ class AGNOCAST_PUBLIC UntypedSubscription {
   UntypedSubscription(const UntypedSubscription&) = delete;
   UntypedSubscription& operator=(const UntypedSubscription&) = delete;
 
+  /// No callback runs afterwards, unless this is called from inside one, and nothing is taken any
+  /// more. Once. Waits no longer for the daemon than until `end`.
+  void end(std::chrono::steady_clock::time_point end =
+               std::chrono::steady_clock::time_point::max()) noexcept;
   /// False in a forked child: then no lock may be taken, it may be held for ever.
   bool is_own() const noexcept;
   /// The oldest unread message, or null.
@@ -68,6 +85,16 @@ class AGNOCAST_PUBLIC UntypedSubscription {
   HeapCollisionInfo heap_collision_status() noexcept;
   const std::string& topic() const noexcept { return topic_; }
   bool is_active() const noexcept;
+  /// See EndpointName::lineage; 0: switched off.
+  std::uint64_t lineage() const noexcept;
+  struct Writer {
+    std::uint64_t lineage;  // 0: not said yet; nothing tells when it is
+    bool is_gone;           // but something of it is unread
+  };
+  /// Publishers that are there, and those that something can still come of.
+  std::vector<Writer> writers() const;
+  /// `watch` is told when what is matched has changed.
+  void tell(std::shared_ptr<Watch> watch) noexcept;
 
  private:
   UntypedSubscription() noexcept = default;
@@ -75,6 +102,7 @@ class AGNOCAST_PUBLIC UntypedSubscription {
   std::shared_ptr<SubscriptionEndpoint> endpoint_;
   std::shared_ptr<Runner> runner_;  // this and the next only with callbacks
   std::shared_ptr<CallbackSource> source_;
+  bool has_ended_ = false;
 };
 
 template <class Callback, class T>

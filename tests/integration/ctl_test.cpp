@@ -76,6 +76,50 @@ TEST(Ctl, ListsTopicsInTheShapesOfRos2) {
       << "--socket goes before AGNOCAST_SOCKET, and options may stand first";
 }
 
+TEST(Ctl, ListsServicesInTheShapesOfRos2) {
+  DaemonProcess daemon;
+  Node server(daemon.socket_path()), client(daemon.socket_path()),
+      elsewhere(daemon.socket_path(), 7);
+  const std::string requests = "/_service/request/ns/add", type = "pkg/srv/Add_Request";
+  server.subscription(requests, {5}, "/ns/server", type);
+  client.publisher(requests, {5}, "/asker", type);
+  client.subscription("/_service/reply/c0123456789abcdef/ns/add", {5}, "/asker",
+                      "pkg/srv/Add_Response");
+  client.publisher("/_service/request/mine/_hidden", {5}, "/asker", "tests/Other");
+  elsewhere.subscription("/_service/request/far", {5}, "/far", type);
+  client.publisher("/add", {5}, "/asker", "pkg/msg/Add");
+  const auto ctl = [&](std::vector<std::string> words) {
+    const CtlResult result = run_ctl(daemon.socket_path(), std::move(words));
+    EXPECT_EQ(result.status, 0) << result.err;
+    return result.out;
+  };
+  EXPECT_EQ(ctl({"service", "list"}), "/ns/add\n");
+  EXPECT_EQ(ctl({"services", "-t"}), "/ns/add [pkg/srv/Add]\n");
+  EXPECT_EQ(ctl({"service", "list", "--include-hidden-services"}), "/mine/_hidden\n/ns/add\n");
+  EXPECT_EQ(ctl({"service", "list", "-c"}), "1\n");
+  EXPECT_EQ(ctl({"service", "list", "-a"}), "/far (domain 7)\n/ns/add (domain 0)\n");
+  EXPECT_EQ(ctl({"service", "type", "ns/add"}), "pkg/srv/Add\n");
+  EXPECT_EQ(ctl({"service", "type", "/mine/_hidden"}), "tests/Other\n");
+  EXPECT_EQ(ctl({"service", "find", "pkg/srv/Add"}), "/ns/add\n");
+  EXPECT_EQ(ctl({"service", "find", "pkg/srv/Add", "-c"}), "1\n");
+  EXPECT_EQ(ctl({"service", "find", "pkg/srv/None"}), "");
+  EXPECT_EQ(ctl({"service", "info", "/ns/add"}),
+            "Type: pkg/srv/Add\nClients count: 1\nServices count: 1\n");
+  const std::string process = ", wire_client (pid " + std::to_string(::getpid()) + ", uid " +
+                              std::to_string(::geteuid()) + ")\n";
+  EXPECT_EQ(ctl({"service", "info", "-v", "/ns/add"}),
+            "Type: pkg/srv/Add\nClients count: 1\n  /asker" + process +
+                "Services count: 1\n  /ns/server" + process);
+  const auto info = run_ctl(daemon.socket_path(), {"service", "info", "/ns/add", "-j"}).json();
+  EXPECT_EQ(info["servers"][0]["node_name"], "server");
+  EXPECT_EQ(info["clients"][0]["pid"], ::getpid());
+  EXPECT_EQ(ctl({"topic", "list"}), "/add\n") << "topics of services are hidden";
+  const CtlResult none = run_ctl(daemon.socket_path(), {"service", "type", "/ns/ad"});
+  EXPECT_NE(none.status, 0);
+  EXPECT_THAT(none.err, HasSubstr("did you mean /ns/add?"));
+  EXPECT_THAT(none.err, HasSubstr("hint: agnocast-ctl service type /ns/add\n"));
+}
+
 TEST(Ctl, TellsOfATopicWhatRos2TellsAndWhatItCost) {
   DaemonProcess daemon;
   Node a(daemon.socket_path()), b(daemon.socket_path());

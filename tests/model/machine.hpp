@@ -30,7 +30,7 @@
 namespace agnocast::model {
 
 inline constexpr std::uint32_t log_capacity = 112;
-inline constexpr std::uint32_t buffer_capacity = 28;
+inline constexpr std::uint32_t buffer_capacity = 40;
 
 struct BufferedStore {
   std::uint64_t word;

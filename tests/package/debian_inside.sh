@@ -66,6 +66,14 @@ flows_on() {
   fail "messages do not flow: $(sent), $(got)"
 }
 
+# Its DDS stays on this machine.
+has_bridge=$(ls /opt/agnocast/first/agnocast-bridge_*.deb 2>/dev/null || true)
+bridge=${has_bridge:+agnocast-bridge}
+cat >/etc/default/agnocast-bridge <<'END'
+CYCLONEDDS_URI="<CycloneDDS><Domain id='any'><General><Interfaces><NetworkInterface name='lo'/></Interfaces><AllowMulticast>false</AllowMulticast></General></Domain></CycloneDDS>"
+END
+bridge_is() { [ -z "$bridge" ] || [ "$(systemctl is-active agnocast-bridge)" = "$1" ] || { systemctl status agnocast-bridge; fail "the bridge is not $1: $2"; }; }
+
 say "installation"
 files >"$work/before"
 dpkg_quietly -i /opt/agnocast/first/*.deb
@@ -79,6 +87,15 @@ for unit in service socket; do
   document=$(systemctl show --value -p Documentation agnocastd.$unit)
   [ -f "${document#file://}" ] || fail "agnocastd.$unit points to $document"
 done
+bridge_is active "after the installation"
+if [ -n "$bridge" ]; then
+  [ "$(systemctl is-enabled agnocast-bridge)" = enabled ] || fail "the bridge would not run after the next start of the machine"
+  [ -f /usr/share/man/man8/agnocast-bridge.8.gz ] && [ -f /usr/share/man/man5/bridge.toml.5.gz ] || fail "manual pages of the bridge"
+  document=$(systemctl show --value -p Documentation agnocast-bridge)
+  [ -f "${document#file://}" ] || fail "agnocast-bridge.service points to $document"
+  agnocast-bridge --check-config || fail "the configuration of the bridge as it is installed"
+  [ -S /run/agnocast-bridge/bridge-0.sock ] || fail "the bridge has no socket for its status"
+fi
 useradd --groups agnocast one
 useradd --groups agnocast two
 useradd stranger
@@ -128,6 +145,7 @@ dpkg_quietly -i /opt/agnocast/next/*.deb
 [ "$(main_pid)" != "$before" ] || fail "the upgrade has not restarted the daemon"
 eventually "serving; goes on with what was there before" systemctl show --value -p StatusText agnocastd
 flows_on
+bridge_is active "after the upgrade"
 [ "$(ask publisher create /later)" = ok ] && [ "$(ask subscriber create /later)" = ok ] || fail "nodes do not come back to the daemon"
 cmp /etc/agnocast/agnocastd.toml "$work/changed" || fail "a changed configuration is lost"
 agnocastd --print-config | grep -qx 'log_level = "debug"' || fail "the changed configuration is not in force"
@@ -141,8 +159,9 @@ systemctl enable --quiet --now agnocastd.service
 flows_on
 
 say "removal under traffic"
-dpkg_quietly -r agnocastd agnocast-ctl libagnocast-dev
+dpkg_quietly -r $bridge agnocastd agnocast-ctl libagnocast-dev
 [ -z "$(pgrep -x agnocastd)" ] || fail "the daemon runs on"
+[ -z "$(pgrep -x agnocast-bridge)" ] || fail "the bridge runs on"
 [ ! -e /run/agnocast/agnocastd.sock ] || fail "the socket is still there"
 flows_on
 ask publisher stop >/dev/null
@@ -164,9 +183,9 @@ dpkg_quietly -r $library
 
 say "what is left"
 # What an administrator said about the units is remembered as well.
-left | grep -v -e ^/var/lib/systemd/deb-systemd-helper-enabled/ -e '^/etc/systemd/system/.*[.]wants/agnocastd[.]' >"$work/left"
-[ "$(cat "$work/left")" = /etc/agnocast/agnocastd.toml ] || { cat "$work/left"; fail "a removal leaves this"; }
-dpkg_quietly -P agnocastd agnocast-ctl libagnocast-dev libagnocast-heaphook $library
+left | grep -vE -e ^/var/lib/systemd/deb-systemd-helper-enabled/ -e '^/etc/systemd/system/.*[.]wants/agnocast(d|-bridge)[.]' >"$work/left"
+[ "$(cat "$work/left")" = "$(printf '%s\n' /etc/agnocast/agnocastd.toml ${bridge:+/etc/agnocast/bridge.toml})" ] || { cat "$work/left"; fail "a removal leaves this"; }
+dpkg_quietly -P $bridge agnocastd agnocast-ctl libagnocast-dev libagnocast-heaphook $library
 [ -z "$(left)" ] || fail "a purge leaves $(left)"
-[ ! -e /etc/agnocast ] && [ ! -e /run/agnocast ] || fail "a purge leaves directories"
+[ ! -e /etc/agnocast ] && [ ! -e /run/agnocast ] && [ ! -e /run/agnocast-bridge ] || fail "a purge leaves directories"
 say "done"

@@ -11,6 +11,7 @@
 #
 # The program is process 1 of it, and the only child of the process that this becomes; it dies with that one.
 set -e
+PATH=$PATH:/usr/sbin:/sbin  # not everybody's has them
 as_user=(setpriv "--reuid=$CONTAINER_UID" "--regid=$CONTAINER_UID")
 if [ -n "$CONTAINER_GROUPS" ]; then
   as_user+=("--groups=$CONTAINER_GROUPS")

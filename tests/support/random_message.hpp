@@ -69,7 +69,9 @@ class RandomMessages {
  private:
   std::uint64_t below(std::uint64_t bound) { return random_() % bound; }
   std::size_t length(const MessageMember& member, int depth) {
-    const std::size_t most = depth == 0 ? 200 : 3;
+    // Messages in messages in messages are many.
+    const bool is_long = depth == 0 && member.type_id_ != ros::ROS_TYPE_MESSAGE;
+    const std::size_t most = is_long ? 200 : 3;
     const std::size_t bound = member.is_upper_bound_ ? std::min(member.array_size_, most) : most;
     switch (below(4)) {
       case 0:

@@ -71,6 +71,12 @@ class SteeredProcess {
       said_.append(letters, static_cast<std::size_t>(count));
     }
   }
+  /// Whether answer() has a line, or the process's end, within `wait`.
+  bool has_answer(std::chrono::milliseconds wait) const {
+    if (said_.find('\n') != std::string::npos) return true;
+    pollfd readable{socket_.get(), POLLIN, 0};
+    return ::poll(&readable, 1, static_cast<int>(wait.count())) > 0;
+  }
   std::string ask(const std::string& line, int patience_s = 20) {
     tell(line);
     return answer(patience_s);

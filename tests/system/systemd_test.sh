@@ -9,6 +9,7 @@
 #
 #   systemd_test.sh BUILD_DIRECTORY INSIDE_PROGRAM SUPPORT_DIRECTORY NODE AGNOCASTD_OF_ANOTHER_LAYOUT [GTEST_OPTION…]
 set -euo pipefail
+PATH=$PATH:/usr/sbin:/sbin  # not everybody's has them
 build=$1 inside=$2 node=$4 other=$5
 . "$3/systemd_machine.sh"
 shift 5

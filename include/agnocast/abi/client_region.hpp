@@ -41,7 +41,7 @@ static_assert(sizeof(QueueSlot) == 32 && offsetof(QueueSlot, address) == 8 &&
 //
 //    0  head      u64  sequence<<16 | slot of the newest message
 //                      [sync:publish] COMMIT: release at P5, acquire at T1
-//    8  lineage   u64  not 0; the same for the endpoints by which one publisher is in several
+//    8  lineage   u64  0: not said yet; the same for the endpoints by which one publisher is in several
 //                      memberships of its process, one after the other
 //   16  inherited u64  sequence up to which messages were published in an earlier membership: history,
 //                      for those that ask for it; 0 = none

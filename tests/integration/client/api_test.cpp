@@ -15,6 +15,7 @@
 #include <condition_variable>
 #include <cstdlib>
 #include <ctime>
+#include <map>
 #include <memory>
 #include <mutex>
 #include <stdexcept>
@@ -219,6 +220,44 @@ TEST_F(Api, AtTheHoldQuotaACallbackThreadSleepsAndGoesOnAfterARelease) {
   lock.lock();
   EXPECT_TRUE(changed.wait_for(lock, std::chrono::seconds(10), [&] { return held.size() == 2; }));
   EXPECT_EQ(held.back()->width, 3u);
+}
+
+TEST_F(Api, DepthCountsOverAllPublishersOrForEachByItself) {
+  const QoS qos = QoS(2).transient_local();
+  std::vector<Publisher<Cloud>::SharedPtr> publishers;
+  const auto publish = [&](std::size_t index, std::uint32_t width) {
+    auto loan = publishers[index]->borrow_loaned_message();
+    loan->height = static_cast<std::uint32_t>(index);
+    loan->width = width;
+    ASSERT_TRUE(publishers[index]->publish(std::move(loan)));
+  };
+  // Each publisher's widths, in the order in which they are taken.
+  const auto drain = [](Subscription<Cloud>& subscription) {
+    std::map<std::uint32_t, std::vector<std::uint32_t>> widths;
+    while (const auto cloud = subscription.take()) widths[cloud->height].push_back(cloud->width);
+    return widths;
+  };
+  for (std::size_t i = 0; i < 5; ++i) {
+    publishers.push_back(create_publisher<Cloud>(node, "depths", qos));
+    for (const std::uint32_t width : {1u, 2u, 3u}) publish(i, width);
+  }
+  auto together = create_subscription<Cloud>(node, "depths", qos);
+  auto each =
+      create_subscription<Cloud>(node, "depths", qos, SubscriptionOptions().depth_per_publisher());
+  for (const auto& publisher : publishers)
+    ASSERT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 2; }));
+  using testing::ElementsAre;
+  using testing::Pair;
+  EXPECT_THAT(drain(*together), ElementsAre(Pair(4, ElementsAre(2, 3))));
+  const auto both = ElementsAre(2, 3);
+  EXPECT_THAT(drain(*each), ElementsAre(Pair(0, both), Pair(1, both), Pair(2, both), Pair(3, both),
+                                        Pair(4, both)));
+  // What one of them publishes afterwards pushes out only what is its own.
+  publish(0, 4);
+  for (const std::uint32_t width : {5u, 6u, 7u}) publish(1, width);
+  EXPECT_THAT(drain(*together), ElementsAre(Pair(1, ElementsAre(6, 7))));
+  EXPECT_THAT(drain(*each), ElementsAre(Pair(0, ElementsAre(4)), Pair(1, ElementsAre(6, 7))));
+  EXPECT_EQ(each->get_lost_count(), 1u);
 }
 
 TEST_F(Api, AHeldMessageOutlivesItsSubscriptionAndItsPublisher) {

@@ -110,6 +110,29 @@ TEST(Examples, ARealLidarScanArrivesIntact) {
   EXPECT_EQ(received.status, 0) << received.text;
 }
 
+#if AGNOCAST_HAS_ADD_TWO_INTS
+TEST(Examples, TwoIntsAreAdded) {
+  test::DaemonProcess daemon;
+  const Outcome both = run("sh -c '" + example("add_two_ints_server", daemon, true) +
+                           " & server=$!; " + example("add_two_ints_client", daemon, true) +
+                           " -7 49 || exit 8; kill -TERM $server; wait $server || exit 9'");
+  EXPECT_EQ(both.status, 0) << both.text;
+  EXPECT_THAT(both.text, HasSubstr("Ready to add two ints.\n"));
+  EXPECT_THAT(both.text, HasSubstr("Incoming request: a: -7 b: 49, sending back: 42\n"));
+  EXPECT_THAT(both.text, HasSubstr("Sum: 42\n"));
+}
+
+TEST(Examples, AddTwoIntsSaysHowItIsUsed) {
+  for (const char* name : {"add_two_ints_server", "add_two_ints_client"}) {
+    const Outcome help = run(std::string(AGNOCAST_EXAMPLES "/") + name + " --help");
+    EXPECT_EQ(help.status, 0) << help.text;
+    EXPECT_THAT(help.text, HasSubstr(std::string("usage: ") + name));
+  }
+  EXPECT_EQ(run(AGNOCAST_EXAMPLES "/add_two_ints_client 2 many").status, 2);
+  EXPECT_EQ(run(AGNOCAST_EXAMPLES "/add_two_ints_server now").status, 2);
+}
+#endif
+
 TEST(Examples, HelpNamesEveryOption) {
   for (const char* name : {"talker", "listener", "cloud_publisher", "cloud_subscriber"}) {
     const Outcome help = run(std::string(AGNOCAST_EXAMPLES "/") + name + " --help");

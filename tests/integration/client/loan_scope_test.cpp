@@ -183,5 +183,25 @@ TEST_F(LoanScopes, OneOfManyThreadsPublishesALoanTheOthersAreTold) {
   }
 }
 
+TEST_F(LoanScopes, AMessageMadeInASharedScopeIsPublishedWithoutACopyByAnyPublisher) {
+  std::unique_ptr<Cloud> made;
+  std::thread maker([&] {
+    const SharedHeapScope scope;
+    EXPECT_TRUE(scope.is_open());
+    made = std::make_unique<Cloud>();
+    made->data.assign(100'000, 7);
+    const SharedHeapScope nested;
+  });
+  maker.join();
+  ASSERT_FALSE(allocates_shared());
+  auto other = create_publisher<Cloud>(test::PlainNode(), "points", 5);
+  const PublishResult result = other->publish(std::move(made));
+  EXPECT_TRUE(result);
+  EXPECT_EQ(result.adopted_bytes, 0u);
+  const auto taken = take_soon(subscription);
+  ASSERT_TRUE(taken);
+  EXPECT_EQ(taken->data.size(), 100'000u);
+}
+
 }  // namespace
 }  // namespace agnocast

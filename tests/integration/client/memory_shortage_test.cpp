@@ -7,6 +7,7 @@
 // or the user's) after such an event has begun, for each n.
 
 #include <agnocast/agnocast.hpp>
+#include <tests/integration/services/services.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/own_process.hpp>
 #include <tests/support/wire_dump.hpp>
@@ -22,9 +23,11 @@
 #include <cstdlib>
 #include <cstring>
 #include <memory>
+#include <mutex>
 #include <new>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 namespace {
@@ -67,6 +70,7 @@ namespace {
 using test::eventually;
 
 using test::Number;
+using test::Repeat;
 
 struct Case {
   const char* name;
@@ -169,6 +173,47 @@ TEST_F(MemoryShortageOnce, TheControlThreadDoesNotTurnInCircles) {
   EXPECT_LT(allocations, 2000);
   ASSERT_TRUE(eventually([] { return connection_state() == ConnectionState::connected; }));
   ASSERT_NO_FATAL_FAILURE(come_and_go());
+}
+
+TEST_F(MemoryShortageOnce, EachResponseReachesItsCallback) {
+  Node asker("asker");
+  SingleThreadedExecutor executor;
+  executor.add_node(asker);
+  std::mutex mutex;
+  std::vector<ServiceRequest<Repeat>> asked;
+  const auto service = node->create_service<Repeat>("/f", [&](ServiceRequest<Repeat> request) {
+    const std::lock_guard lock(mutex);
+    asked.push_back(std::move(request));
+  });
+  const auto client = asker.create_client<Repeat>("/f");
+  ASSERT_TRUE(client->wait_for_service(std::chrono::seconds(20)));
+  int calls = 0;
+  const auto ask = [&] {
+    return client->async_send_request(client->borrow_loaned_request(),
+                                      [&](const Client<Repeat>::SharedFuture&) { ++calls; });
+  };
+  const auto waits = ask();  // so that each response is followed by a look for who answers it
+  int at = 0;
+  do {
+    auto sent = ask();
+    ASSERT_TRUE(eventually([&] {
+      const std::lock_guard lock(mutex);
+      return asked.size() == static_cast<std::size_t>(at) + 2;
+    }));
+    ASSERT_TRUE(service->send_response(asked.back(), service->borrow_loaned_response()));
+    allocations = 0;
+    fails_at = ++at;
+    failing_thread = "user";
+    try {
+      executor.spin_once(std::chrono::seconds(20));
+    } catch (const std::bad_alloc&) {
+    }
+    failing_thread = nullptr;
+    ASSERT_EQ(executor.spin_until_future_complete(sent, std::chrono::seconds(20)),
+              FutureReturnCode::SUCCESS);
+    ASSERT_EQ(calls, at) << "failed at " << at;
+  } while (allocations >= at);
+  EXPECT_GT(at, 1) << "or nothing failed";
 }
 
 TEST_P(MemoryShortage, LosesNothing) {

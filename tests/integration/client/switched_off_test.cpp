@@ -23,11 +23,28 @@ struct Numbers {
   std::vector<int> numbers;
 };
 
+struct Sum {
+  struct Request {
+    int a = 0, b = 0;
+  };
+  struct Response {
+    int sum = 0;
+  };
+};
+
 }  // namespace
 
 template <>
 struct MessageTraits<Numbers> {
   static constexpr const char* name = "tests/Numbers";
+};
+template <>
+struct MessageTraits<Sum::Request> {
+  static constexpr const char* name = "tests/srv/Sum_Request";
+};
+template <>
+struct MessageTraits<Sum::Response> {
+  static constexpr const char* name = "tests/srv/Sum_Response";
 };
 
 namespace {
@@ -45,6 +62,22 @@ class SwitchedOff : public testing::Test {
 std::ptrdiff_t thread_count() {
   const std::filesystem::directory_iterator tasks("/proc/self/task");
   return std::distance(begin(tasks), end(tasks));
+}
+
+TEST_F(SwitchedOff, ServicesAndClientsAreMadeAndDoNothing) {
+  const std::ptrdiff_t threads_before = thread_count();
+  auto service = create_service<Sum>(PlainNode(), "sum", [](ServiceRequest<Sum>) { FAIL(); });
+  auto client = create_client<Sum>(PlainNode(), "sum");
+  EXPECT_FALSE(service->is_active());
+  EXPECT_FALSE(client->is_active());
+  EXPECT_FALSE(client->service_is_ready());
+  EXPECT_FALSE(client->wait_for_service()) << "it would wait for ever";
+  auto request = client->borrow_loaned_request();
+  const auto sent = client->try_async_send_request(std::move(request));
+  ASSERT_FALSE(sent);
+  EXPECT_EQ(sent.error().code, Errc::switched_off);
+  EXPECT_TRUE(request);
+  EXPECT_EQ(thread_count(), threads_before);
 }
 
 TEST_F(SwitchedOff, EndpointsAreMadeAndDoNothing) {

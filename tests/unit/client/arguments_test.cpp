@@ -33,9 +33,10 @@ std::string error_of(const Line& line) {
   return parsed ? "(no error)" : text_of(parsed.error());
 }
 
-/// What the node /space/node makes of `topic`.
-std::string remapped(const Line& rules, const std::string& topic) {
-  const auto result = remap_topic(rules_of(rules), topic, "node", "/space");
+/// What the node /space/node makes of `name`.
+std::string remapped(const Line& rules, const std::string& name,
+                     RemapRule::Kind kind = RemapRule::Kind::topic) {
+  const auto result = remap(rules_of(rules), kind, name, "node", "/space");
   return result ? *result : std::string("error: ") + text_of(result.error());
 }
 
@@ -92,6 +93,14 @@ TEST(Arguments, RemapTopicsByTheirFullNamesAndTheFirstRuleWins) {
   EXPECT_EQ(remapped({"a:=b", "b:=c"}, "/space/a"), "/space/b") << "rules do not chain";
   EXPECT_EQ(remapped({"rostopic://a:=b"}, "/space/a"), "/space/b");
   EXPECT_EQ(remapped({"rosservice://a:=b"}, "/space/a"), "/space/a");
+}
+
+TEST(Arguments, RemapServicesByTheRulesThatAreNotForTopicsAlone) {
+  constexpr auto service = RemapRule::Kind::service;
+  EXPECT_EQ(remapped({"a:=b"}, "/space/a", service), "/space/b");
+  EXPECT_EQ(remapped({"rosservice://a:=b"}, "/space/a", service), "/space/b");
+  EXPECT_EQ(remapped({"rostopic://a:=b"}, "/space/a", service), "/space/a");
+  EXPECT_EQ(remapped({"rostopic://a:=b", "a:=c"}, "/space/a", service), "/space/c");
 }
 
 TEST(Arguments, WithANodesNameApplyToThatNode) {

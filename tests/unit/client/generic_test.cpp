@@ -48,7 +48,7 @@ TEST(Generic, EveryTypeIsTheOneThatTheCompilerKnows) {
     EXPECT_EQ(generic->message_alignment(), alignof(T)) << name;
     ++count;
   });
-  EXPECT_GE(count, 80);
+  EXPECT_GE(count, 250);
 }
 
 TEST(Generic, ACopyByTheTableIsTheCopyOfTheCompiler) {

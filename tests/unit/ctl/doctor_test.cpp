@@ -8,9 +8,15 @@
 
 #include <gtest/gtest.h>
 
+#include <unistd.h>
+
 #include <cerrno>
 #include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <stdexcept>
 #include <string>
+#include <string_view>
 
 namespace agnocast::ctl {
 namespace {
@@ -106,7 +112,7 @@ TEST(DoctorDoor, NamesOneReasonWhateverThereIs) {
 
 TEST(DoctorDoor, SaysStoppedAndNothingElseOfAStoppedDaemon) {
   Facts facts;
-  facts.away = Problem{Status::not_reachable, {}, {}, {}, Errc::daemon_not_running};
+  facts.away.emplace(Problem{Status::not_reachable, {}, {}, {}, Errc::daemon_not_running});
   facts.door.kind = Door::Kind::socket;
   facts.door.listener = 4711;
   facts.door.listener_stopped = true;
@@ -137,6 +143,82 @@ TEST(DoctorFacts, CommandsOfTheSystemsDaemonAreSystemds) {
   EXPECT_EQ(facts.common()["RELOAD"], "kill -HUP 12");
   EXPECT_EQ(facts.common()["ANEW"],
             "kill 12 && flock '/tmp/my dir/a.sock.lock' true && " + facts.common()["START"]);
+}
+
+const Check& bridge_check(std::string_view id) {
+  for (const Check& check : bridge_checks)
+    if (check.id == id) return check;
+  throw std::out_of_range(std::string(id));
+}
+
+TEST(DoctorBridge, StartsTheUnitThatHasTheDomainAndNoSecondOneOfIt) {
+  Facts facts;
+  facts.door.is_systems = true;
+  facts.unit_domain = 3;
+  facts.dead_bridges = {{"/run/agnocast-bridge/bridge-3.sock", 3},
+                        {"/run/agnocast-bridge/bridge-7.sock", 7}};
+  const Check& check = bridge_check("bridge-not-running");
+  auto found = check.find(facts);
+  ASSERT_EQ(found.size(), 2u);
+  EXPECT_EQ(found[0].words["BRIDGE"], "sudo systemctl enable --now agnocast-bridge");
+  EXPECT_EQ(found[1].words["BRIDGE"], "sudo systemctl enable --now agnocast-bridge@7");
+  facts.idle_bridge_units = {"agnocast-bridge.service", "agnocast-bridge@7.service"};
+  found = check.find(facts);
+  ASSERT_EQ(found.size(), 2u) << "of each unit once, not of its socket as well";
+  EXPECT_EQ(found[0].words["BRIDGE"],
+            "sudo systemctl restart agnocast-bridge.service || journalctl -u "
+            "agnocast-bridge.service -n 20 --no-pager");
+  facts.idle_bridge_units.clear();
+  facts.dead_bridges.clear();
+  facts.rival_bridge_unit = "agnocast-bridge@3.service";
+  found = check.find(facts);
+  ASSERT_EQ(found.size(), 1u);
+  EXPECT_EQ(found[0].words["BRIDGE"],
+            "sudo systemctl disable --now agnocast-bridge@3.service && sudo systemctl restart "
+            "agnocast-bridge");
+}
+
+TEST(DoctorBridge, KeepsWhatTheUnitsHaveWhenTheyGetTheLibrariesOfThisShell) {
+  const std::string prefix =
+      std::string(::testing::TempDir()) + "doctor_test-" + std::to_string(::getpid());
+  std::filesystem::create_directories(prefix + "/closed/lib");
+  std::filesystem::permissions(prefix + "/closed", std::filesystem::perms(0750));
+  std::ofstream(prefix + "/closed/lib/libmine_msgs__rosidl_typesupport_introspection_cpp.so") << "";
+  Facts facts;
+  facts.door.is_systems = true;
+  BridgeState bridge;
+  bridge.pid = 12;
+  bridge.unbridged.push_back({"/mine", "mine_msgs/msg/Own", "unknown_type", "", true, false});
+  facts.bridges = {bridge};
+  facts.bridge_units[12] = "agnocast-bridge@7.service";
+  facts.units_prefix_path = "/opt/old:/opt/both";
+  const Check& check = bridge_check("bridge-type");
+  auto found = check.find(facts);
+  ASSERT_EQ(found.size(), 1u);
+  EXPECT_EQ(filled(check.remedy, found[0].words, {}),
+            ". WORKSPACE/setup.sh && agnocast-ctl doctor  # WORKSPACE has mine_msgs");
+  facts.prefix_path = "/opt/both:" + prefix + "/closed";
+  found = check.find(facts);
+  ASSERT_EQ(found.size(), 1u);
+  const std::string remedy = filled(check.remedy, found[0].words, {});
+  EXPECT_NE(remedy.find("sudo chmod o+x " + shell_word(prefix + "/closed") + " && echo " +
+                        shell_word("AMENT_PREFIX_PATH=/opt/both:" + prefix + "/closed:/opt/old") +
+                        " | sudo tee -a /etc/default/agnocast-bridge && sudo systemctl restart "
+                        "agnocast-bridge@7.service"),
+            std::string::npos)
+      << remedy;
+  std::filesystem::remove_all(prefix);
+}
+
+TEST(DoctorBridge, PutsTheFileThatUnitsDoNotSeeWhereTheyDo) {
+  Facts facts;
+  facts.hidden_cyclonedds_file = "/tmp/c.xml";
+  const auto found = bridge_check("cyclonedds-uri").find(facts);
+  ASSERT_EQ(found.size(), 1u);
+  EXPECT_EQ(found[0].words.at("URI"),
+            "sudo install -D -m 644 /tmp/c.xml /etc/agnocast/cyclonedds.xml && sudo sed -i "
+            "'/^CYCLONEDDS_URI=/s|/tmp/c.xml|/etc/agnocast/cyclonedds.xml|' "
+            "/etc/default/agnocast-bridge && sudo systemctl restart 'agnocast-bridge*'");
 }
 
 }  // namespace

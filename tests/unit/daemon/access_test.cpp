@@ -3,6 +3,8 @@
 // Goal: exactly the users that the rules name may use a topic, and the rule that decided is known.
 // Method: tables of patterns and decisions; a plain recursive matcher as a second opinion.
 
+#include <agnocast/topic_pattern.hpp>
+#include <base/names.hpp>
 #include <daemon/access.hpp>
 
 #include <gtest/gtest.h>
@@ -89,7 +91,7 @@ TEST(TopicPattern, AgreesWithASecondMatcher) {
   const auto topics = all("a/", 5);
   std::size_t match_count = 0;
   for (const std::string& pattern : all("a/*?", 5)) {
-    if (check_topic_pattern(pattern)) continue;
+    if (topic_pattern_problem(pattern)) continue;
     for (const std::string& topic : topics) {
       const bool matches = topic_matches(pattern, topic);
       match_count += matches ? 1 : 0;
@@ -128,10 +130,10 @@ TEST(TopicPattern, BadOnesAreToldWhatIsWrong) {
       {"/[ab]", "only letters, digits, underscores, slashes, * and ? are allowed, at character 2"},
   };
   for (const auto& row : rows) {
-    const auto problem = check_topic_pattern(row.pattern);
-    EXPECT_EQ(problem ? problem->text() : "good", row.text) << row.pattern;
+    const auto problem = topic_pattern_problem(row.pattern);
+    EXPECT_EQ(problem.value_or("good"), row.text) << row.pattern;
   }
-  EXPECT_EQ(check_topic_pattern("/" + std::string(255, 'a'))->text(),
+  EXPECT_EQ(*topic_pattern_problem("/" + std::string(255, 'a')),
             "the pattern is longer than 255 characters, at character 256");
 }
 

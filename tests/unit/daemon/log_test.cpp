@@ -3,8 +3,8 @@
 // Goal: one event is one line that says the truth whatever clients write into it, and floods are
 // counted instead of written. Method: a sink that keeps lines and a clock that the test moves.
 
+#include <base/log.hpp>
 #include <base/unique_fd.hpp>
-#include <daemon/log.hpp>
 #include <daemon/log_events.hpp>
 #include <tests/support/child.hpp>
 #include <tests/support/temporary_directory.hpp>
@@ -46,7 +46,7 @@ struct Lines : testing::Test {
 
   Log make(Log::Format format = Log::Format::journald_pipe, LogLevel level = LogLevel::info) {
     return Log(
-        level, format,
+        log_program, level, format,
         [this](std::string_view line) {
           if (has_room) lines.emplace_back(line);
           return has_room;
@@ -235,7 +235,7 @@ TEST(Log, StderrTakesTheFormOfWhereItGoes) {
       const std::string stream =
           is_journal ? std::to_string(file.st_dev) + ':' + std::to_string(file.st_ino) : "1:1";
       ::setenv("JOURNAL_STREAM", stream.c_str(), 1);
-      Log::to_stderr(LogLevel::info, "/nobody/listens/here")
+      Log::to_stderr(log_program, LogLevel::info, "/nobody/listens/here")
           .write(LogLevel::notice, "up", {{"pid", 1}});
       return 0;
     });
@@ -303,7 +303,7 @@ TEST(Log, WaitsForNoJournalAndFindsTheNextOne) {
   ASSERT_EQ(::fstat(STDERR_FILENO, &file), 0);
   ::setenv("JOURNAL_STREAM",
            (std::to_string(file.st_dev) + ':' + std::to_string(file.st_ino)).c_str(), 1);
-  Log log = Log::to_stderr(LogLevel::info, path);
+  Log log = Log::to_stderr(log_program, LogLevel::info, path);
   ASSERT_GE(::dup2(stderr_before.get(), STDERR_FILENO), 0);
   ::unsetenv("JOURNAL_STREAM");
   // Nobody reads: a socket takes only so many.
@@ -353,7 +353,7 @@ TEST(LogEvents, HaveANumberOfTheirOwnAndAPageInTheCatalogue) {
 
 // The sources say level and words next to one another, or the words behind a choice of levels.
 TEST(LogEvents, AreThoseOfTheSourcesAndOfTheDocument) {
-  std::string sources;
+  std::string sources = text_of(AGNOCAST_SOURCE_DIR "/base/log.cpp");
   for (const auto& entry : std::filesystem::directory_iterator(AGNOCAST_SOURCE_DIR "/daemon")) {
     if (entry.path().extension() == ".cpp") sources += text_of(entry.path());
   }

@@ -1,0 +1,133 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Log: what a program of ours tells people, one line per event.
+//
+//   to people     2026-01-31T12:00:00.123Z warning client refused uid=1000 why="no rule"
+//   to journald   an entry: the same line as MESSAGE=, and AGNOCAST_EVENT=client refused, AGNOCAST_UID=1000,
+//                 AGNOCAST_WHY=no rule to search by, and MESSAGE_ID= of events that have one
+//   to its pipe   <4>client refused uid=1000 why="no rule"     (stderr, when the entry cannot be sent)
+//
+// Events are our own words and never change with their data, so that one can search for them; the
+// data are fields. Texts of others (names, paths) are escaped and cut, so no client can forge a
+// line, speak to a terminal or fill the disk with one event. Events that a client can cause at will
+// go through write_limited(): a few lines per cause and interval, the rest is counted, and the
+// count is said.
+//
+// One thread. Nothing here fails or waits: a line that nobody has room for is lost, and the next one
+// that is not says how many were.
+#pragma once
+
+#include <agnocast/error.hpp>
+
+#include <concepts>
+#include <cstdint>
+#include <functional>
+#include <initializer_list>
+#include <map>
+#include <optional>
+#include <span>
+#include <string>
+#include <string_view>
+#include <variant>
+
+namespace agnocast {
+
+/// The numbers are those of syslog, which journald's prefixes use.
+enum class LogLevel : std::uint8_t { error = 3, warning = 4, notice = 5, info = 6, debug = 7 };
+
+inline constexpr std::string_view log_level_names = "error, warning, notice, info, debug";
+std::string_view name_of(LogLevel level) noexcept;
+std::optional<LogLevel> log_level_of(std::string_view name) noexcept;
+
+struct LogField {
+  std::string_view key;
+  std::variant<std::uint64_t, std::int64_t, std::string_view, std::monostate> value;
+
+  LogField(std::string_view name, std::string_view text) : key(name), value(text) {}
+  LogField(std::string_view name, const char* text) : key(name), value(std::string_view(text)) {}
+  LogField(std::string_view name, const std::string& text)
+      : key(name), value(std::string_view(text)) {}
+  template <std::unsigned_integral T>
+  LogField(std::string_view name, T number) : key(name), value(std::uint64_t{number}) {}
+  template <std::signed_integral T>
+  LogField(std::string_view name, T number) : key(name), value(std::int64_t{number}) {}
+  /// Of some lines of its event only; left out where there is nothing.
+  template <class T>
+  LogField(std::string_view name, const std::optional<T>& known)
+      : key(name), value(std::monostate()) {
+    if (known) value = LogField(name, *known).value;
+  }
+};
+
+class Log {
+ public:
+  enum class Format : std::uint8_t { people, journald_pipe, journald };
+  using Fields = std::initializer_list<LogField>;
+  using FieldSpan = std::span<const LogField>;
+  /// Who speaks, as entries of the journal have it, and which of his events have a number there (empty: it has none).
+  struct Program {
+    std::string_view identifier;
+    std::string_view (*message_id)(std::string_view event) = nullptr;
+  };
+
+  /// Where lines go, each with its newline; with Format::journald: entries. False: it was lost.
+  using Sink = std::function<bool(std::string_view line)>;
+  /// Nanoseconds since 1970.
+  using Clock = std::function<std::uint64_t()>;
+
+  // A line with its newline; journald would split longer ones at 48 KiB, people much earlier.
+  static constexpr std::size_t line_bytes_max = 1024;
+  static constexpr std::uint64_t interval_ns = 10'000'000'000;
+  static constexpr std::uint64_t lines_per_interval = 5;
+  // Causes that are counted apart; the others share one count.
+  static constexpr std::size_t cause_count_max = 256;
+
+  Log(Program program, LogLevel level, Format format, Sink sink, Clock clock);
+  /// Lines to stderr; entries to journald if that is where stderr goes (JOURNAL_STREAM).
+  static Log to_stderr(Program program, LogLevel level,
+                       const std::string& journal = "/run/systemd/journal/socket");
+
+  void write(LogLevel level, std::string_view event, FieldSpan fields);
+  void write(LogLevel level, std::string_view event, Fields fields = {}) {
+    write(level, event, FieldSpan(fields.begin(), fields.size()));
+  }
+  /// The same, at most lines_per_interval times per `cause` and interval. A cause names what a
+  /// flood would have in common, for example event and uid.
+  void write_limited(std::string_view cause, LogLevel level, std::string_view event,
+                     FieldSpan fields);
+  void write_limited(std::string_view cause, LogLevel level, std::string_view event,
+                     Fields fields = {}) {
+    write_limited(cause, level, event, FieldSpan(fields.begin(), fields.size()));
+  }
+  /// Says what was left out in intervals that are over. To be called now and then, and at the end
+  /// with `all`.
+  void flush(bool all = false);
+
+  LogLevel level() const noexcept { return level_; }
+  void set_level(LogLevel level) noexcept { level_ = level; }
+  bool is_written(LogLevel level) const noexcept { return level <= level_; }
+
+ private:
+  struct Cause {
+    std::uint64_t began_ns = 0;
+    std::uint64_t written = 0;
+    std::uint64_t left_out = 0;
+    LogLevel level = LogLevel::info;
+  };
+
+  std::string text_of(LogLevel level, std::string_view event, FieldSpan fields) const;
+  void say_left_out(const std::string& name, const Cause& cause);
+
+  Program program_;
+  LogLevel level_;
+  Format format_;
+  Sink sink_;
+  Clock clock_;
+  std::map<std::string, Cause, std::less<>> causes_;
+  std::uint64_t lost_ = 0;  // lines since the last one that was not
+};
+
+/// Whether `fd` is what JOURNAL_STREAM (its value, or null) names: "device:inode".
+bool is_journal_stream(const char* journal_stream, int fd) noexcept;
+
+}  // namespace agnocast

@@ -1,0 +1,21 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Between two attempts at what a subscription of this host has no room for, since nobody tells when there is some: twice
+// as long each time that nothing has moved.
+#pragma once
+
+#include <algorithm>
+#include <chrono>
+
+namespace agnocast::bridge {
+
+inline constexpr std::chrono::nanoseconds room_interval_min = std::chrono::milliseconds(1),
+                                          room_interval_max = std::chrono::milliseconds(100);
+
+inline std::chrono::nanoseconds room_interval_after(std::chrono::nanoseconds interval,
+                                                    bool has_moved) {
+  return has_moved ? room_interval_min
+                   : std::clamp(2 * interval, room_interval_min, room_interval_max);
+}
+
+}  // namespace agnocast::bridge

@@ -1,0 +1,175 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <bridge/status_socket.hpp>
+
+#include <base/clock.hpp>
+#include <base/socket_path.hpp>
+#include <base/unix_address.hpp>
+
+#include <fcntl.h>
+#include <poll.h>
+#include <sys/eventfd.h>
+#include <sys/file.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstdlib>
+#include <cstring>
+#include <exception>
+#include <utility>
+#include <vector>
+
+namespace agnocast::bridge {
+namespace {
+
+constexpr std::size_t reader_count_max = 16;
+constexpr std::uint64_t patience_ms = 5'000;
+// Who asks more often gets the same again.
+constexpr std::uint64_t answer_interval_ms = 50;
+// Who has taken nothing for so long gives up its place to one that waits for it.
+constexpr std::uint64_t turn_ms = 100;
+// accept fails at once where there are no descriptors, as long as somebody waits; so does a turn where there is no
+// memory: between two attempts.
+constexpr std::uint64_t retry_interval_ms = 100;
+
+struct ReaderOf {
+  UniqueFd fd;
+  std::shared_ptr<const std::string> text;
+  std::size_t sent = 0;
+  std::uint64_t end_ms = 0;
+  std::uint64_t moved_ms = 0;  // when it last took something
+
+  /// Whether there is more to send.
+  bool send() {
+    while (sent < text->size()) {
+      const ssize_t count =
+          ::send(fd.get(), text->data() + sent, text->size() - sent, MSG_DONTWAIT | MSG_NOSIGNAL);
+      if (count < 0 && errno == EINTR) continue;
+      if (count < 0) return errno == EAGAIN;
+      sent += static_cast<std::size_t>(count);
+      moved_ms = monotonic_ms();
+    }
+    return false;
+  }
+};
+
+StatusSocket::Failure failure(const std::string& what) {
+  return {false, what + ": " + std::strerror(errno)};
+}
+
+}  // namespace
+
+tl::expected<std::unique_ptr<StatusSocket>, StatusSocket::Failure> StatusSocket::take(
+    const std::string& path) {
+  std::unique_ptr<StatusSocket> made(new StatusSocket);
+  made->lock_.reset(::open((path + ".lock").c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600));
+  if (!made->lock_) return tl::unexpected(failure(path + ".lock"));
+  if (::flock(made->lock_.get(), LOCK_EX | LOCK_NB) != 0)
+    return tl::unexpected(errno == EWOULDBLOCK ? Failure{true, path + ".lock is locked"}
+                                               : failure("flock"));
+  made->path_ = path;
+  return made;
+}
+
+tl::expected<void, StatusSocket::Failure> StatusSocket::listen(
+    std::function<std::string()> answer) {
+  const auto address = unix_address(path_);
+  if (!address) return tl::unexpected(Failure{false, address.error().what});
+  ::unlink(path_.c_str());
+  socket_.reset(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
+  stop_.reset(::eventfd(0, EFD_CLOEXEC));
+  if (!socket_ || !stop_ || ::bind(socket_.get(), address->get(), UnixAddress::size()) != 0 ||
+      ::chmod(path_.c_str(), 0660) != 0 || ::listen(socket_.get(), SOMAXCONN) != 0)
+    return tl::unexpected(failure(path_));
+  answer_ = std::move(answer);
+  thread_ = std::thread([this] { serve(); });
+  return {};
+}
+
+StatusSocket::~StatusSocket() {
+  if (thread_.joinable()) {
+    (void)::eventfd_write(stop_.get(), 1);
+    thread_.join();
+  }
+  if (socket_) ::unlink(path_.c_str());
+}
+
+void StatusSocket::serve() {
+  std::vector<ReaderOf> readers;
+  std::shared_ptr<const std::string> latest;
+  std::uint64_t made_ms = 0;
+  std::uint64_t accept_ms = 0;  // not before; until then who comes waits in the queue of the socket
+  const auto goes_on = [&] {
+    std::uint64_t now = monotonic_ms();
+    int wait_ms = -1;
+    const auto wake_at = [&](std::uint64_t then) {
+      const int left = static_cast<int>(then > now ? then - now : 0);
+      wait_ms = wait_ms < 0 ? left : std::min(wait_ms, left);
+    };
+    std::vector<pollfd> polled{{stop_.get(), POLLIN, 0}};
+    for (const ReaderOf& reader : readers) {
+      polled.push_back({reader.fd.get(), POLLOUT, 0});
+      wake_at(reader.end_ms);
+    }
+    if (accept_ms <= now) {
+      polled.push_back({socket_.get(), POLLIN, 0});
+    } else {
+      wake_at(accept_ms);
+    }
+    if (::poll(polled.data(), polled.size(), wait_ms) < 0 && errno != EINTR) return false;
+    if (polled[0].revents != 0) return false;
+    now = monotonic_ms();
+    for (std::size_t i = 0; i < readers.size(); ++i) {
+      const bool is_ready = polled[i + 1].revents != 0;
+      if ((is_ready && !readers[i].send()) || readers[i].end_ms <= now) readers[i].fd.reset();
+    }
+    std::erase_if(readers, [](const ReaderOf& reader) { return !reader.fd; });
+    if (polled.back().fd != socket_.get() || polled.back().revents == 0) return true;
+    if (readers.size() >= reader_count_max) {
+      const auto slowest = std::min_element(
+          readers.begin(), readers.end(),
+          [](const ReaderOf& a, const ReaderOf& b) { return a.moved_ms < b.moved_ms; });
+      accept_ms = slowest->moved_ms + turn_ms;
+      if (accept_ms > now) return true;
+      readers.erase(slowest);
+    }
+    UniqueFd fd(::accept4(socket_.get(), nullptr, nullptr, SOCK_CLOEXEC | SOCK_NONBLOCK));
+    if (!fd) {
+      if (errno != EAGAIN && errno != EINTR && errno != ECONNABORTED)
+        accept_ms = now + retry_interval_ms;
+      return true;
+    }
+    if (latest == nullptr || now - made_ms >= answer_interval_ms) {
+      latest = std::make_shared<const std::string>(answer_());
+      made_ms = monotonic_ms();
+    }
+    now = monotonic_ms();
+    ReaderOf reader{std::move(fd), latest, 0, now + patience_ms, now};
+    if (reader.send()) readers.push_back(std::move(reader));
+    return true;
+  };
+  for (;;) {
+    try {
+      if (!goes_on()) return;
+    } catch (const std::exception&) {
+      // No memory. Whoever has just asked hears nothing, and may ask again.
+      pollfd stop{stop_.get(), POLLIN, 0};
+      if (::poll(&stop, 1, static_cast<int>(retry_interval_ms)) > 0) return;
+    }
+  }
+}
+
+std::string choose_status_path(const std::string& named, std::uint32_t domain) {
+  if (!named.empty()) return named;
+  const std::string name = "/bridge-" + std::to_string(domain) + ".sock";
+  // systemd lists several, separated by colons.
+  if (const char* const made = std::getenv("RUNTIME_DIRECTORY"); made != nullptr && *made == '/')
+    return std::string(made).substr(0, std::string(made).find(':')) + name;
+  const std::string daemon = socket_path();
+  return daemon.substr(0, std::min(daemon.rfind('/'), daemon.size())) + name;
+}
+
+}  // namespace agnocast::bridge

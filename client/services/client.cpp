@@ -1,0 +1,311 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// The untyped half of Client: a publisher of requests, a subscription to the responses that are for
+// this client alone, and what is expected of whom.
+//
+// A server is known by one number, the lineage of its subscription to requests and of its publisher
+// of responses to us. It can serve us when both are linked with ours. A request remembers the servers
+// that it went to, and ends with an error when none of them is there any more and nothing of them is
+// unread.
+
+#include <agnocast/client.hpp>
+#include <agnocast/service_name.hpp>
+#include <client/connection.hpp>
+#include <client/forked_child.hpp>
+#include <client/watch.hpp>
+
+#include <algorithm>
+#include <atomic>
+#include <exception>
+#include <map>
+#include <mutex>
+#include <utility>
+
+namespace agnocast::detail {
+namespace {
+
+// Before the next look at a server that has not said its number yet: it does at once, unless it is
+// stopped in that moment.
+constexpr std::chrono::milliseconds unnamed_look_first{1}, unnamed_look_last{100};
+
+/// Both are called where the node's callbacks run.
+class ReplyOptions : public SubscriptionOptions {
+ public:
+  ReplyOptions(std::function<void()> changed) {
+    events_.matched = [changed](MatchedInfo&) { changed(); };
+    events_.drained = std::move(changed);
+  }
+};
+
+}  // namespace
+
+class ClientCore {
+ public:
+  explicit ClientCore(const EndpointName& service) noexcept : service_(service) {}
+
+  const EndpointName& service() const noexcept { return service_; }
+  UntypedPublisher& requests() const noexcept { return *requests_; }
+  const std::shared_ptr<Watch>& watch() const noexcept { return watch_; }
+  std::uint64_t id() const noexcept { return requests_->lineage(); }
+  void have(std::shared_ptr<UntypedPublisher> requests) noexcept {
+    requests_ = std::move(requests);
+    requests_->tell(watch_);
+  }
+  void have(const std::shared_ptr<UntypedSubscription>& replies) noexcept {
+    const std::lock_guard lock(mutex_);
+    replies_ = replies;
+    replies->tell(watch_);
+  }
+
+  struct Servers {
+    std::vector<std::uint64_t> ready;
+    bool has_unnamed = false;
+  };
+  Servers servers() const {
+    const auto replies = this->replies();
+    return replies != nullptr ? servers_of(*replies) : Servers();
+  }
+
+  Result<RequestId> begin(UntypedClient::Completion completion) {
+    if (const Errc state = requests_->state(); state != Errc::ok)
+      return fail(state, "sending a request");
+    const auto replies = this->replies();
+    const LoanPause pause;
+    // What gives requests up has the lock as well: it comes before this look, or finds the request.
+    const std::lock_guard lock(mutex_);
+    Servers now = replies != nullptr ? servers_of(*replies) : Servers();
+    if (now.ready.empty()) return fail_with(Errc::no_server, service_.topic);
+    const RequestId request{id(), ++last_};
+    pending_.emplace(request.sequence,
+                     Pending{std::move(completion), std::move(now.ready), SystemClock::now()});
+    return request;
+  }
+
+  void on_response(Block* block) {
+    auto* const start = static_cast<std::byte*>(block->message.load(std::memory_order_relaxed));
+    const RequestId answered = *reinterpret_cast<const RequestId*>(start);
+    block->message.store(start + sizeof(RequestId), std::memory_order_relaxed);
+    const ipc_shared_ptr<const std::byte> response(block);
+    UntypedClient::Completion completion;
+    {
+      const std::lock_guard lock(mutex_);
+      const auto found =
+          answered.client == id() ? pending_.find(answered.sequence) : pending_.end();
+      if (found == pending_.end()) {
+        ++dropped_;
+      } else {
+        completion = std::move(found->second.completion);
+        pending_.erase(found);
+      }
+    }
+    std::exception_ptr thrown;
+    if (completion) {
+      block->users.fetch_add(1, std::memory_order_relaxed);
+      run(completion, block, Errc::ok, thrown);
+    }
+    // The last one of a server that is gone is an event as well.
+    give_up(thrown);
+    if (thrown) std::rethrow_exception(thrown);
+  }
+  /// No completion begins any more.
+  void end() noexcept { is_ended_ = true; }
+  /// A server has come or gone, or what was unread of one that is gone is lost.
+  void on_change() {
+    std::exception_ptr thrown;
+    give_up(thrown);
+    if (thrown) std::rethrow_exception(thrown);
+  }
+
+  bool remove(std::int64_t request) noexcept {
+    if (is_forked_child()) return false;
+    UntypedClient::Completion gone;  // user code, so after the lock; as below
+    const std::lock_guard lock(mutex_);
+    const auto found = pending_.find(request);
+    if (found == pending_.end()) return false;
+    gone = std::move(found->second.completion);
+    pending_.erase(found);
+    return true;
+  }
+  std::size_t prune() noexcept {
+    if (is_forked_child()) return 0;
+    std::map<std::int64_t, Pending> gone;
+    const std::lock_guard lock(mutex_);
+    gone.swap(pending_);
+    return gone.size();
+  }
+  std::size_t prune_older_than(std::chrono::system_clock::time_point time,
+                               std::vector<std::int64_t>* pruned) {
+    if (is_forked_child()) return 0;
+    const LoanPause pause;
+    std::vector<Pending> gone;
+    const std::lock_guard lock(mutex_);
+    for (auto at = pending_.begin(); at != pending_.end();) {
+      if (at->second.sent >= time) {
+        ++at;
+        continue;
+      }
+      if (pruned != nullptr) pruned->push_back(at->first);
+      gone.push_back(std::move(at->second));
+      at = pending_.erase(at);
+    }
+    return gone.size();
+  }
+  std::size_t pending_count() const noexcept {
+    if (is_forked_child()) return 0;
+    const std::lock_guard lock(mutex_);
+    return pending_.size();
+  }
+  std::uint64_t dropped_count() const noexcept {
+    if (is_forked_child()) return 0;
+    const std::lock_guard lock(mutex_);
+    return dropped_;
+  }
+
+ private:
+  using SystemClock = std::chrono::system_clock;
+  struct Pending {
+    UntypedClient::Completion completion;
+    std::vector<std::uint64_t> servers;
+    SystemClock::time_point sent;
+  };
+
+  std::shared_ptr<UntypedSubscription> replies() const noexcept {
+    if (is_forked_child()) return nullptr;
+    const std::lock_guard lock(mutex_);
+    return replies_.lock();
+  }
+
+  Servers servers_of(const UntypedSubscription& replies) const {
+    Servers found;
+    const std::vector<std::uint64_t> readers = requests_->reader_lineages();
+    for (const UntypedSubscription::Writer& writer : replies.writers()) {
+      found.has_unnamed = found.has_unnamed || writer.lineage == 0;
+      if (!writer.is_gone && writer.lineage != 0 &&
+          std::binary_search(readers.begin(), readers.end(), writer.lineage))
+        found.ready.push_back(writer.lineage);
+    }
+    return found;
+  }
+
+  /// Takes away what nobody will answer; all of it, or nothing and there is no memory.
+  std::map<std::int64_t, Pending> take_unanswerable() {
+    const LoanPause pause;
+    std::map<std::int64_t, Pending> gone;
+    const auto replies = this->replies();
+    if (replies == nullptr) return gone;
+    const std::lock_guard lock(mutex_);
+    if (pending_.empty()) return gone;
+    const std::vector<UntypedSubscription::Writer> there = replies->writers();
+    const auto may_answer = [&](std::uint64_t server) {
+      return std::any_of(there.begin(), there.end(),
+                         [&](const auto& writer) { return writer.lineage == server; });
+    };
+    for (auto at = pending_.begin(); at != pending_.end();) {
+      const auto& servers = at->second.servers;
+      const auto request = at++;
+      if (std::none_of(servers.begin(), servers.end(), may_answer))
+        gone.insert(pending_.extract(request));
+    }
+    return gone;
+  }
+
+  /// One of them may end the client.
+  void give_up(std::exception_ptr& thrown) noexcept {
+    try {
+      for (const auto& [number, request] : take_unanswerable()) {
+        if (!is_ended_) run(request.completion, nullptr, Errc::no_server, thrown);
+      }
+    } catch (...) {
+      if (!thrown) thrown = std::current_exception();
+    }
+  }
+  /// All of them are called, whatever one throws.
+  static void run(const UntypedClient::Completion& completion, Block* response, Errc why,
+                  std::exception_ptr& thrown) noexcept {
+    try {
+      completion(response, why);
+    } catch (...) {
+      if (!thrown) thrown = std::current_exception();
+    }
+  }
+
+  const EndpointName service_;
+  const std::shared_ptr<Watch> watch_ = std::make_shared<Watch>();
+  std::shared_ptr<UntypedPublisher> requests_;
+  mutable std::mutex mutex_;
+  std::weak_ptr<UntypedSubscription> replies_;
+  std::map<std::int64_t, Pending> pending_;
+  std::int64_t last_ = 0;
+  std::uint64_t dropped_ = 0;
+  std::atomic<bool> is_ended_{false};
+};
+
+Result<std::shared_ptr<UntypedClient>> UntypedClient::create(const EndpointName& service,
+                                                             const ServiceTypes& types,
+                                                             const QoS& qos,
+                                                             const MessageCode& request) {
+  const Result<QoS> keeps_all = service_qos(qos);
+  if (!keeps_all) return tl::unexpected<Failure>(keeps_all.error());
+  auto core = std::make_shared<ClientCore>(service);
+  EndpointName name{request_topic(service.topic), service.node};
+  auto requests = UntypedPublisher::create(name, types.request, *keeps_all, {}, request);
+  if (!requests) return tl::unexpected<Failure>(requests.error());
+  core->have(std::move(*requests));
+  name.topic = reply_topic(service.topic, core->id());
+  const std::weak_ptr<ClientCore> weak = core;
+  auto replies = UntypedSubscription::create(name, types.response, *keeps_all, ReplyOptions([weak] {
+                                               if (const auto client = weak.lock())
+                                                 client->on_change();
+                                             }),
+                                             [core](Block* block) { core->on_response(block); });
+  if (!replies) return tl::unexpected<Failure>(replies.error());
+  core->have(*replies);
+  std::shared_ptr<UntypedClient> client(new UntypedClient(std::move(core)));
+  client->replies_ = std::move(*replies);
+  return client;
+}
+
+UntypedClient::~UntypedClient() {
+  const auto end = Watch::Clock::now() + Connection::answer_timeout;  // for both
+  core_->end();
+  replies_->end(end);  // waits for a callback that runs, unless it is this one
+  requests().end_by(end);
+  (void)core_->prune();
+}
+
+UntypedPublisher& UntypedClient::requests() const noexcept { return core_->requests(); }
+Result<RequestId> UntypedClient::begin(Completion completion) {
+  return core_->begin(std::move(completion));
+}
+bool UntypedClient::remove(std::int64_t request) noexcept { return core_->remove(request); }
+std::size_t UntypedClient::prune() noexcept { return core_->prune(); }
+std::size_t UntypedClient::prune_older_than(std::chrono::system_clock::time_point time,
+                                            std::vector<std::int64_t>* pruned) {
+  return core_->prune_older_than(time, pruned);
+}
+std::size_t UntypedClient::server_count() const { return core_->servers().ready.size(); }
+
+bool UntypedClient::wait(std::chrono::nanoseconds timeout) const {
+  constexpr std::chrono::hours for_ever{24 * 365};
+  const auto end =
+      Watch::Clock::now() +
+      (timeout.count() < 0 ? for_ever : std::min<std::chrono::nanoseconds>(timeout, for_ever));
+  for (auto pause = unnamed_look_first; is_active() && is_served();
+       pause = std::min(pause * 2, unnamed_look_last)) {
+    const std::uint64_t seen = core_->watch()->count();
+    const ClientCore::Servers servers = core_->servers();
+    if (!servers.ready.empty()) return true;
+    const auto now = Watch::Clock::now();
+    if (now >= end) return false;
+    core_->watch()->wait_beyond(
+        seen, servers.has_unnamed ? std::min<Watch::Clock::time_point>(end, now + pause) : end);
+  }
+  return false;
+}
+
+const std::string& UntypedClient::service() const noexcept { return core_->service().topic; }
+std::size_t UntypedClient::pending_count() const noexcept { return core_->pending_count(); }
+std::uint64_t UntypedClient::dropped_count() const noexcept { return core_->dropped_count(); }
+bool UntypedClient::is_active() const noexcept { return core_->requests().is_active(); }
+
+}  // namespace agnocast::detail

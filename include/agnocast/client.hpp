@@ -1,0 +1,283 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Client: sends requests to whoever serves a service, and gets the responses. Names and shapes are
+// rclcpp's; requests are loans and responses received messages, so nothing is copied. What a service
+// is made of, and what happens when a side dies: docs/services.md.
+#pragma once
+
+#include <agnocast/heap.hpp>
+#include <agnocast/service_message.hpp>
+#include <agnocast/subscription.hpp>
+
+#include <chrono>
+#include <cstdint>
+#include <exception>
+#include <functional>
+#include <future>
+#include <memory>
+#include <string>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+namespace agnocast {
+
+namespace detail {
+
+class ClientCore;
+
+/// Requests and the responses they wait for, whatever their type.
+class AGNOCAST_PUBLIC UntypedClient {
+ public:
+  /// Called once: with one use of a response, behind its header, or with null and why there is none.
+  using Completion = std::function<void(Block* response, Errc why)>;
+
+  [[nodiscard]] static Result<std::shared_ptr<UntypedClient>> create(const EndpointName& service,
+                                                                     const ServiceTypes& types,
+                                                                     const QoS& qos,
+                                                                     const MessageCode& request);
+  ~UntypedClient();
+  UntypedClient(const UntypedClient&) = delete;
+  UntypedClient& operator=(const UntypedClient&) = delete;
+
+  UntypedPublisher& requests() const noexcept;
+  /// The number of a request that is sent next. Errors: no_server, shut_down, revoked, switched_off.
+  [[nodiscard]] Result<RequestId> begin(Completion completion);
+  bool remove(std::int64_t request) noexcept;
+  std::size_t prune() noexcept;
+  std::size_t prune_older_than(std::chrono::system_clock::time_point time,
+                               std::vector<std::int64_t>* pruned);
+  std::size_t server_count() const;
+  bool wait(std::chrono::nanoseconds timeout) const;
+  const std::string& service() const noexcept;
+  std::size_t pending_count() const noexcept;
+  std::uint64_t dropped_count() const noexcept;
+  bool is_active() const noexcept;
+
+ private:
+  explicit UntypedClient(std::shared_ptr<ClientCore> core) noexcept : core_(std::move(core)) {}
+  std::shared_ptr<ClientCore> core_;
+  std::shared_ptr<UntypedSubscription> replies_;
+};
+
+}  // namespace detail
+
+/// A future and the number of its request, as rclcpp has them.
+template <class FutureT>
+struct FutureAndRequestId {
+  FutureT future;
+  std::int64_t request_id;
+
+  FutureAndRequestId(FutureT impl, std::int64_t request) noexcept
+      : future(std::move(impl)), request_id(request) {}
+  operator FutureT&() noexcept { return future; }
+  /// The response. Throws Error: no_server, when whoever had the request ended without having
+  /// answered; std::future_error (broken_promise), when the request was removed.
+  auto get() { return future.get(); }
+  bool valid() const noexcept { return future.valid(); }
+  void wait() const { future.wait(); }
+  template <class Rep, class Period>
+  std::future_status wait_for(const std::chrono::duration<Rep, Period>& timeout) const {
+    return future.wait_for(timeout);
+  }
+  template <class Clock, class Duration>
+  std::future_status wait_until(const std::chrono::time_point<Clock, Duration>& end) const {
+    return future.wait_until(end);
+  }
+  auto share() noexcept { return future.share(); }
+};
+
+/// What all clients can say. Any thread may call anything, but waits do not belong into callbacks of
+/// the client's own node: nothing else of it runs meanwhile.
+class ClientBase {
+ public:
+  const char* get_service_name() const noexcept { return untyped_->service().c_str(); }
+  /// A server is there that gets what is sent from now on, and whose response will come here.
+  bool service_is_ready() const { return untyped_->server_count() != 0; }
+  /// How many such servers.
+  std::size_t get_server_count() const { return untyped_->server_count(); }
+  /// Sleeps until that is so; false when `timeout` is over (negative: there is none), when the
+  /// client is not active, and in a forked child.
+  template <class Rep = std::int64_t, class Period = std::milli>
+  bool wait_for_service(
+      std::chrono::duration<Rep, Period> timeout = std::chrono::duration<Rep, Period>(-1)) const {
+    return untyped_->wait(std::chrono::duration_cast<std::chrono::nanoseconds>(timeout));
+  }
+  /// The response is not wanted any more: its future breaks, its callback is not called, and what
+  /// comes for it is dropped. False: it has come, or there is no such request.
+  bool remove_pending_request(std::int64_t request) noexcept { return untyped_->remove(request); }
+  template <class FutureT>
+  bool remove_pending_request(const FutureAndRequestId<FutureT>& request) noexcept {
+    return untyped_->remove(request.request_id);
+  }
+  /// All of them; how many they were.
+  std::size_t prune_pending_requests() noexcept { return untyped_->prune(); }
+  /// Those sent before `time`; their numbers are appended to `pruned`, if there is one. How many.
+  std::size_t prune_requests_older_than(std::chrono::system_clock::time_point time,
+                                        std::vector<std::int64_t>* pruned = nullptr) {
+    return untyped_->prune_older_than(time, pruned);
+  }
+  std::size_t get_pending_request_count() const noexcept { return untyped_->pending_count(); }
+  /// Responses that nobody waited for: to removed requests, and of further servers.
+  std::uint64_t get_dropped_response_count() const noexcept { return untyped_->dropped_count(); }
+  /// As PublisherBase::is_active().
+  bool is_active() const noexcept { return untyped_->is_active(); }
+
+ protected:
+  explicit ClientBase(std::shared_ptr<detail::UntypedClient> untyped) noexcept
+      : untyped_(std::move(untyped)) {}
+  ~ClientBase() = default;
+  detail::UntypedClient& untyped() const noexcept { return *untyped_; }
+
+ private:
+  std::shared_ptr<detail::UntypedClient> untyped_;
+};
+
+namespace detail {
+
+/// Client and GenericClient; `Kind` is TypedService or GenericServiceKind.
+template <class Kind>
+class BasicClient : public ClientBase,
+                    public Lender<typename Kind::Request, typename Kind::RequestCode> {
+ public:
+  using SharedResponse = typename Kind::ResponseMessage;
+  using Promise = std::promise<SharedResponse>;
+  using Future = std::future<SharedResponse>;
+  using SharedFuture = std::shared_future<SharedResponse>;
+  using Request = typename Kind::RequestLoan;
+  using FutureAndRequestId = agnocast::FutureAndRequestId<Future>;
+  using SharedFutureAndRequestId = agnocast::FutureAndRequestId<SharedFuture>;
+
+  BasicClient(std::shared_ptr<UntypedClient> untyped, Kind kind) noexcept
+      : ClientBase(std::move(untyped)),
+        Lender<typename Kind::Request, typename Kind::RequestCode>(&this->untyped(),
+                                                                   kind.request_code()),
+        kind_(kind) {}
+
+  /// A request to fill. See Publisher::borrow_loaned_message.
+  Request borrow_loaned_request() { return kind_.request_loan(this->lend()); }
+
+  /// Sends a loan of this client; every copy of it becomes empty. The future is ready when the first
+  /// response is here, or nobody is left who could give one; whoever runs the callbacks of the node
+  /// makes it so. Never waits. On failure `request` is as before. Errors: no_server (nobody is there
+  /// who could answer: wait_for_service()), would_block (a server has not read as many requests of
+  /// this client as the depth allows), loan_invalid, and those of PublishResult.
+  [[nodiscard]] Result<FutureAndRequestId> try_async_send_request(Request&& request) {
+    const LoanPause pause;  // what is remembered of a request is private
+    auto promise = std::make_shared<Promise>();
+    Future future = promise->get_future();
+    const Result<std::int64_t> sent = send(std::move(request), fulfil(promise));
+    if (!sent) return tl::unexpected<Failure>(sent.error());
+    return FutureAndRequestId(std::move(future), *sent);
+  }
+  /// The same; and `callback` is called with the shared future when it is ready, where the node's
+  /// callbacks run. Not if this fails: either the failure is said here, or the callback is called.
+  template <class Callback,
+            class = std::enable_if_t<std::is_invocable_v<std::decay_t<Callback>&, SharedFuture>>>
+  [[nodiscard]] Result<SharedFutureAndRequestId> try_async_send_request(Request&& request,
+                                                                        Callback&& callback) {
+    const LoanPause pause;
+    auto promise = std::make_shared<Promise>();
+    SharedFuture future = promise->get_future().share();
+    const Result<std::int64_t> sent =
+        send(std::move(request),
+             [fulfil = fulfil(promise), future, function = std::forward<Callback>(callback)](
+                 Block* response, Errc why) mutable {
+               fulfil(response, why);
+               function(future);
+             });
+    if (!sent) return tl::unexpected<Failure>(sent.error());
+    return SharedFutureAndRequestId(std::move(future), *sent);
+  }
+  /// The same; these throw Error.
+  FutureAndRequestId async_send_request(Request&& request) {
+    auto sent = try_async_send_request(std::move(request));
+    if (!sent) throw Error(sent.error());
+    return std::move(*sent);
+  }
+  template <class Callback,
+            class = std::enable_if_t<std::is_invocable_v<std::decay_t<Callback>&, SharedFuture>>>
+  SharedFutureAndRequestId async_send_request(Request&& request, Callback&& callback) {
+    auto sent = try_async_send_request(std::move(request), std::forward<Callback>(callback));
+    if (!sent) throw Error(sent.error());
+    return std::move(*sent);
+  }
+
+ protected:
+  const Kind& kind() const noexcept { return kind_; }
+
+ private:
+  auto fulfil(std::shared_ptr<Promise> promise) const {
+    return [promise = std::move(promise), kind = kind_](Block* response, Errc why) {
+      if (response == nullptr) {
+        promise->set_exception(
+            std::make_exception_ptr(Error(Failure{why, 0, "waiting for a response", 0})));
+      } else {
+        promise->set_value(kind.response(ipc_shared_ptr<const typename Kind::Response>(response)));
+      }
+    };
+  }
+  Result<std::int64_t> send(Request&& request, UntypedClient::Completion completion) {
+    Result<RequestId> id = this->untyped().begin(std::move(completion));
+    if (!id) return tl::unexpected<Failure>(id.error());
+    bool has_failed = false;
+    const PublishResult sent = this->take_back(
+        std::move(Kind::handle(request)), [&](typename Kind::RequestCode::Owner&& message) {
+          id_of(message.get()) = *id;
+          const PublishResult result =
+              commit(this->untyped().requests(), this->code(), std::move(message));
+          has_failed = !result && this->untyped().remove(id->sequence);
+          if (result || has_failed) return result;
+          message.reset();  // it was given up meanwhile, and its completion has said so
+          return PublishResult{};
+        });
+    if (sent || (!has_failed && !this->untyped().remove(id->sequence))) return id->sequence;
+    return fail(sent.code, "sending a request");
+  }
+
+  Kind kind_;
+};
+
+template <class Made, class Kind, class Node>
+Result<std::shared_ptr<Made>> make_client(Node& node, const std::string& service, Kind kind,
+                                          const QoS& qos) {
+  const Result<EndpointName> name = resolve_service(dereference(node), service);
+  if (!name) return tl::unexpected<Failure>(name.error());
+  const Result<ServiceTypes> types = kind.types();
+  if (!types) return tl::unexpected<Failure>(types.error());
+  auto untyped = UntypedClient::create(*name, *types, qos, kind.request_code().code());
+  if (!untyped) return tl::unexpected<Failure>(untyped.error());
+  return std::make_shared<Made>(std::move(*untyped), kind);
+}
+
+}  // namespace detail
+
+/// A client of services of type ServiceT: anything with a Request and a Response that can be messages
+/// (message_traits.hpp), such as example_interfaces::srv::AddTwoInts with <agnocast/rosidl.hpp>.
+template <class ServiceT>
+class Client : public detail::BasicClient<detail::TypedService<ServiceT>> {
+ public:
+  using SharedPtr = std::shared_ptr<Client>;
+  using detail::BasicClient<detail::TypedService<ServiceT>>::BasicClient;
+};
+
+/// A client, or why there is none. Of `qos` the depth counts: requests that a server has not read yet,
+/// and responses that this client has not, at most. Responses are taken where the node's callbacks
+/// run. Errors: those of try_create_publisher and try_create_subscription; invalid_argument (best
+/// effort, transient local); invalid_name, also of a name of more than service_name_length_max bytes.
+template <class ServiceT, class Node>
+[[nodiscard]] Result<typename Client<ServiceT>::SharedPtr> try_create_client(
+    Node&& node, const std::string& service, const QoS& qos = ServicesQoS()) {
+  return detail::make_client<Client<ServiceT>>(node, service, detail::TypedService<ServiceT>(),
+                                               qos);
+}
+/// The same; throws Error.
+template <class ServiceT, class Node>
+typename Client<ServiceT>::SharedPtr create_client(Node&& node, const std::string& service,
+                                                   const QoS& qos = ServicesQoS()) {
+  auto client = try_create_client<ServiceT>(node, service, qos);
+  if (!client) throw Error(client.error());
+  return std::move(*client);
+}
+
+}  // namespace agnocast

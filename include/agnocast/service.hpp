@@ -1,0 +1,275 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Service: answers requests, at once or later. A callback gets the request and fills a response, or it
+// gets the request alone and somebody gives the response when there is one. Requests are received
+// messages, responses loans, so nothing is copied. docs/services.md has the whole.
+#pragma once
+
+#include <agnocast/service_message.hpp>
+#include <agnocast/subscription.hpp>
+
+#include <atomic>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <type_traits>
+#include <utility>
+
+namespace agnocast {
+
+namespace detail {
+
+class ServiceCore;
+
+/// Requests, and the publishers of responses, one for each client, whatever their type.
+class AGNOCAST_PUBLIC UntypedService {
+ public:
+  /// Takes over one use of a request, behind its header.
+  using Callback = std::function<void(const std::shared_ptr<ServiceCore>&, Block* request)>;
+
+  [[nodiscard]] static Result<std::shared_ptr<UntypedService>> create(const EndpointName& service,
+                                                                      const ServiceTypes& types,
+                                                                      const QoS& qos,
+                                                                      const MessageCode& response,
+                                                                      Callback callback);
+  ~UntypedService();
+  UntypedService(const UntypedService&) = delete;
+  UntypedService& operator=(const UntypedService&) = delete;
+
+  const std::shared_ptr<ServiceCore>& core() const noexcept { return core_; }
+  const std::string& service() const noexcept;
+  std::size_t client_count() const noexcept;
+  std::uint64_t undelivered_count() const noexcept;
+  std::uint64_t callback_exception_count() const noexcept;
+  bool is_active() const noexcept;
+  std::size_t refused_client_count() const noexcept;
+  Failure last_refusal() const noexcept;
+
+  /// To that client. Waits for nobody. Errors: endpoint_gone (it is, or this service is), would_block
+  /// (it is being made), and what the daemon has refused it with.
+  static Result<std::shared_ptr<UntypedPublisher>> publisher_to(ServiceCore& core,
+                                                                std::uint64_t client) noexcept;
+  static void count_undelivered(ServiceCore& core) noexcept;
+
+ private:
+  explicit UntypedService(std::shared_ptr<ServiceCore> core) noexcept : core_(std::move(core)) {}
+  std::shared_ptr<ServiceCore> core_;
+};
+
+/// The right to answer one request, once.
+struct Ticket {
+  RequestId id;
+  const ServiceCore* service = nullptr;
+  std::atomic<bool> is_answered{false};
+};
+
+template <class Kind>
+class BasicService;
+
+/// Lends responses and sends them.
+template <class Kind>
+class Responder : public Lender<typename Kind::Response, typename Kind::ResponseCode> {
+ public:
+  Responder(std::shared_ptr<ServiceCore> core, const Kind& kind) noexcept
+      : Lender<typename Kind::Response, typename Kind::ResponseCode>(core.get(),
+                                                                     kind.response_code()),
+        core_(std::move(core)),
+        kind_(kind) {}
+
+  typename Kind::ResponseLoan borrow() const { return kind_.response_loan(this->lend()); }
+  PublishResult send(const RequestId& to, typename Kind::ResponseLoan& response) const noexcept {
+    const auto publisher = UntypedService::publisher_to(*core_, to.client);
+    if (!publisher) return {publisher.error().code, 0};
+    return this->take_back(std::move(Kind::handle(response)),
+                           [&](typename Kind::ResponseCode::Owner&& message) {
+                             id_of(message.get()) = to;
+                             return commit(**publisher, this->code(), std::move(message));
+                           });
+  }
+  const std::shared_ptr<ServiceCore>& core() const noexcept { return core_; }
+  const Kind& kind() const noexcept { return kind_; }
+
+ private:
+  std::shared_ptr<ServiceCore> core_;
+  Kind kind_;
+};
+
+/// A request that is answered later. Copies are the same request.
+template <class Kind>
+class BasicServiceRequest {
+ public:
+  BasicServiceRequest() noexcept = default;
+  /// For the library.
+  BasicServiceRequest(typename Kind::RequestMessage message,
+                      std::shared_ptr<Ticket> ticket) noexcept
+      : message_(std::move(message)), ticket_(std::move(ticket)) {}
+
+  /// What was asked: read-only memory of the client, which this keeps. See release().
+  const typename Kind::RequestMessage& message() const noexcept { return message_; }
+  decltype(auto) operator*() const noexcept { return *message_; }
+  auto operator->() const noexcept { return message_.get(); }
+  explicit operator bool() const noexcept { return ticket_ != nullptr; }
+  RequestId id() const noexcept { return ticket_ != nullptr ? ticket_->id : RequestId(); }
+  /// Lets go of the message; the request can still be answered. A client whose requests are held, 64
+  /// of them, cannot have further ones read.
+  void release() noexcept { message_.reset(); }
+
+ private:
+  friend class BasicService<Kind>;
+  typename Kind::RequestMessage message_;
+  std::shared_ptr<Ticket> ticket_;
+};
+
+/// What create_service takes as a callback.
+template <class Kind, class Callback, class Request>
+inline constexpr bool fills_response =
+    std::is_invocable_v<Callback&, Request, typename Kind::ResponseLoan&>;
+template <class Kind, class Callback>
+inline constexpr bool answers_later = std::is_invocable_v<Callback&, BasicServiceRequest<Kind>>;
+
+/// Called with a request and a response to fill, which is sent when it returns, or with the request
+/// alone.
+template <class Kind, class Callback>
+UntypedService::Callback erase_service(const Kind& kind, Callback&& callback) {
+  using Function = std::decay_t<Callback>;
+  using Read = ipc_shared_ptr<const typename Kind::Request>;
+  using Writable = typename Kind::WritableRequestMessage;
+  constexpr bool reads = fills_response<Kind, Function, typename Kind::RequestMessage>;
+  constexpr bool fills = reads || fills_response<Kind, Function, Writable>;
+  static_assert(fills || answers_later<Kind, Function>,
+                "a service's callback takes agnocast::ipc_shared_ptr<const Request> and "
+                "agnocast::ipc_shared_ptr<Response>&, or for a response that is sent later "
+                "agnocast::ServiceRequest<T> alone");
+  return [kind, function = std::forward<Callback>(callback)](
+             const std::shared_ptr<ServiceCore>& core, Block* block) mutable {
+    const RequestId id = id_of(static_cast<std::byte*>(block->message.load()));
+    if constexpr (fills) {
+      std::conditional_t<reads, typename Kind::RequestMessage, Writable> request = [&] {
+        if constexpr (reads) {
+          return kind.request(Read(block));
+        } else {
+          return Writable(block);
+        }
+      }();
+      const Responder<Kind> responder(core, kind);
+      typename Kind::ResponseLoan response = responder.borrow();
+      function(std::move(request), response);
+      if (!responder.send(id, response)) UntypedService::count_undelivered(*core);
+    } else {
+      auto message = kind.request(Read(block));  // owns it, whatever is thrown
+      auto ticket = std::make_shared<Ticket>();
+      ticket->id = id;
+      ticket->service = core.get();
+      function(BasicServiceRequest<Kind>(std::move(message), std::move(ticket)));
+    }
+  };
+}
+
+/// Service and GenericService; `Kind` is TypedService or GenericServiceKind. Any thread may call
+/// anything.
+template <class Kind>
+class BasicService {
+ public:
+  using Request = BasicServiceRequest<Kind>;
+  using Response = typename Kind::ResponseLoan;
+
+  BasicService(std::shared_ptr<UntypedService> untyped, const Kind& kind) noexcept
+      : untyped_(std::move(untyped)), responder_(untyped_->core(), kind) {}
+
+  /// A response to fill, for any request of this service. See Publisher::borrow_loaned_message.
+  Response borrow_loaned_response() { return responder_.borrow(); }
+  /// Before another thread gets the loan: see Publisher::pause.
+  bool pause(const Response& response) noexcept { return responder_.pause(Kind::handle(response)); }
+  /// Sends a loan of this service to who has asked; every copy of it becomes empty. In any order.
+  /// Never waits. On failure `response` is as before, and the request can be answered once more.
+  /// Errors: already_answered; endpoint_gone (the client is); would_block (it has not read as many
+  /// responses as the depth allows, or the way to it is being made); invalid_argument (not a request of
+  /// this service); loan_invalid, those of PublishResult, and the code of get_last_refusal() if the
+  /// client is one of those.
+  PublishResult send_response(const Request& request, Response&& response) noexcept {
+    Ticket* const ticket = request.ticket_.get();
+    if (ticket == nullptr || ticket->service != untyped_->core().get())
+      return {Errc::invalid_argument, 0};
+    if (ticket->is_answered.exchange(true)) return {Errc::already_answered, 0};
+    const PublishResult sent = responder_.send(ticket->id, response);
+    if (!sent) ticket->is_answered = false;
+    return sent;
+  }
+
+  const char* get_service_name() const noexcept { return untyped_->service().c_str(); }
+  /// Clients that can be answered.
+  std::size_t get_client_count() const noexcept { return untyped_->client_count(); }
+  /// Clients that are there and cannot be answered, because agnocastd has refused the publisher that
+  /// this would take, for a limit, a quota or a rule. It is asked again every second. To them the
+  /// service is not ready.
+  std::size_t get_refused_client_count() const noexcept { return untyped_->refused_client_count(); }
+  /// Why, the last time; code ok if it never has.
+  Failure get_last_refusal() const noexcept { return untyped_->last_refusal(); }
+  /// Responses that a callback has filled and that could not be sent: the client was gone, or does
+  /// not read, or there is no way to it.
+  std::uint64_t get_undelivered_response_count() const noexcept {
+    return untyped_->undelivered_count();
+  }
+  /// As SubscriptionBase has them.
+  std::uint64_t get_callback_exception_count() const noexcept {
+    return untyped_->callback_exception_count();
+  }
+  bool is_active() const noexcept { return untyped_->is_active(); }
+
+ private:
+  std::shared_ptr<UntypedService> untyped_;
+  Responder<Kind> responder_;
+};
+
+template <class Made, class Kind, class Node, class Callback>
+Result<std::shared_ptr<Made>> make_service(Node& node, const std::string& service, Kind kind,
+                                           Callback&& callback, const QoS& qos) {
+  const Result<EndpointName> name = resolve_service(dereference(node), service);
+  if (!name) return tl::unexpected<Failure>(name.error());
+  const Result<ServiceTypes> types = kind.types();
+  if (!types) return tl::unexpected<Failure>(types.error());
+  auto untyped = UntypedService::create(*name, *types, qos, kind.response_code().code(),
+                                        erase_service(kind, std::forward<Callback>(callback)));
+  if (!untyped) return tl::unexpected<Failure>(untyped.error());
+  return std::make_shared<Made>(std::move(*untyped), kind);
+}
+
+}  // namespace detail
+
+/// What a callback of a deferred service gets, to answer by Service::send_response(): from any thread,
+/// in any order, or never.
+template <class ServiceT>
+using ServiceRequest = detail::BasicServiceRequest<detail::TypedService<ServiceT>>;
+
+/// A service of type ServiceT: anything with a Request and a Response that can be messages
+/// (message_traits.hpp), such as example_interfaces::srv::AddTwoInts with <agnocast/rosidl.hpp>.
+template <class ServiceT>
+class Service : public detail::BasicService<detail::TypedService<ServiceT>> {
+ public:
+  using SharedPtr = std::shared_ptr<Service>;
+  using detail::BasicService<detail::TypedService<ServiceT>>::BasicService;
+};
+
+/// A service, or why there is none. `callback` takes either ipc_shared_ptr<const Request> (or of
+/// Request) and ipc_shared_ptr<Response>&, which is sent when it returns, or a ServiceRequest<ServiceT>
+/// that is answered later; it is called where the node's callbacks run. Of `qos` the depth counts:
+/// requests of one client that are unread, and responses that it has not read, at most. Errors: those
+/// of try_create_client.
+template <class ServiceT, class Node, class Callback>
+[[nodiscard]] Result<typename Service<ServiceT>::SharedPtr> try_create_service(
+    Node&& node, const std::string& service, Callback&& callback, const QoS& qos = ServicesQoS()) {
+  return detail::make_service<Service<ServiceT>>(node, service, detail::TypedService<ServiceT>(),
+                                                 std::forward<Callback>(callback), qos);
+}
+/// The same; throws Error.
+template <class ServiceT, class Node, class Callback>
+typename Service<ServiceT>::SharedPtr create_service(Node&& node, const std::string& service,
+                                                     Callback&& callback,
+                                                     const QoS& qos = ServicesQoS()) {
+  auto made = try_create_service<ServiceT>(node, service, std::forward<Callback>(callback), qos);
+  if (!made) throw Error(made.error());
+  return std::move(*made);
+}
+
+}  // namespace agnocast

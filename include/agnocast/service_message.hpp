@@ -1,0 +1,123 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// What requests and responses are in shared memory: a header, and behind it the message that users
+// see. And what client.hpp and service.hpp have in common.
+#pragma once
+
+#include <agnocast/message_type.hpp>
+#include <agnocast/publisher.hpp>
+#include <agnocast/shared_allocator.hpp>
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <type_traits>
+#include <utility>
+
+namespace agnocast {
+
+/// Which request: in front of it and of its response. Sixteen bytes, so that what follows is aligned.
+struct alignas(16) RequestId {
+  std::uint64_t client = 0;   ///< never the same for two clients of a daemon's life
+  std::int64_t sequence = 0;  ///< of its client; the first is 1
+  friend bool operator==(const RequestId& a, const RequestId& b) noexcept {
+    return a.client == b.client && a.sequence == b.sequence;
+  }
+  friend bool operator!=(const RequestId& a, const RequestId& b) noexcept { return !(a == b); }
+};
+static_assert(sizeof(RequestId) == 16);
+
+/// rclcpp's default for services: reliable, volatile, depth 10.
+class ServicesQoS : public QoS {
+ public:
+  ServicesQoS() noexcept : QoS(10) {}
+};
+
+namespace detail {
+
+/// Messages are known by the address behind the header.
+template <class Message>
+RequestId& id_of(Message* message) noexcept {
+  return *reinterpret_cast<RequestId*>(reinterpret_cast<std::byte*>(message) - sizeof(RequestId));
+}
+
+/// Both halves of a service, as topics of their own have them.
+struct ServiceTypes {
+  MessageType request, response;
+};
+[[nodiscard]] AGNOCAST_PUBLIC ServiceTypes make_service_types(const MessageType& request,
+                                                              const MessageType& response) noexcept;
+
+struct NoBase {};
+/// Allocates by itself if its body does.
+template <class Body>
+struct ServiceMessage
+    : std::conditional_t<std::is_base_of_v<SharedMessage, Body>, SharedMessage, NoBase> {
+  static_assert(alignof(Body) <= sizeof(RequestId),
+                "agnocast: a request or response cannot be aligned to more than 16 bytes");
+  ServiceMessage() = default;
+  ServiceMessage(const RequestId& of, const Body& original) : id(of), body(original) {}
+  RequestId id;
+  Body body{};
+
+  static ServiceMessage* around(Body* body) noexcept {
+    return reinterpret_cast<ServiceMessage*>(&id_of(body));
+  }
+};
+
+template <class Body>
+struct ServiceMessageCode {
+  struct End {
+    void operator()(Body* body) const noexcept { delete ServiceMessage<Body>::around(body); }
+  };
+  using Owner = std::unique_ptr<Body, End>;
+  Owner make() const { return Owner(&(new ServiceMessage<Body>())->body); }
+  Owner copy(const Body& original) const {
+    return Owner(&(new ServiceMessage<Body>(id_of(const_cast<Body*>(&original)), original))->body);
+  }
+  Owner own(Body* body) const noexcept { return Owner(body); }
+  void* start_of(Body* body) const noexcept { return &id_of(body); }
+  constexpr std::size_t bytes() const noexcept { return sizeof(RequestId) + sizeof(Body); }
+  MessageCode code() const noexcept {
+    return {MessageEnd::of<ServiceMessage<Body>>(), std::is_base_of_v<SharedMessage, Body>};
+  }
+};
+
+/// A service whose type is known to the compiler: what users see of it.
+template <class ServiceT>
+struct TypedService {
+  using Request = typename ServiceT::Request;
+  using Response = typename ServiceT::Response;
+  using RequestCode = ServiceMessageCode<Request>;
+  using ResponseCode = ServiceMessageCode<Response>;
+  using RequestLoan = ipc_shared_ptr<Request>;
+  using ResponseLoan = ipc_shared_ptr<Response>;
+  using RequestMessage = ipc_shared_ptr<const Request>;
+  using WritableRequestMessage = ipc_shared_ptr<Request>;  // rclcpp users' habit; it is read-only
+  using ResponseMessage = ipc_shared_ptr<const Response>;
+
+  RequestCode request_code() const noexcept { return {}; }
+  ResponseCode response_code() const noexcept { return {}; }
+  RequestLoan request_loan(RequestLoan loan) const noexcept { return loan; }
+  ResponseLoan response_loan(ResponseLoan loan) const noexcept { return loan; }
+  RequestMessage request(RequestMessage message) const noexcept { return message; }
+  ResponseMessage response(ResponseMessage message) const noexcept { return message; }
+  template <class Loan>
+  static Loan& handle(Loan& loan) noexcept {
+    return loan;
+  }
+  Result<ServiceTypes> types() const noexcept {
+    const Result<MessageType> request = message_type_of<Request>();
+    if (!request) return tl::unexpected<Failure>(request.error());
+    const Result<MessageType> response = message_type_of<Response>();
+    if (!response) return tl::unexpected<Failure>(response.error());
+    return make_service_types(*request, *response);
+  }
+};
+
+/// The depth counts: a service is reliable and volatile, and nothing is overwritten. Errors:
+/// invalid_argument.
+[[nodiscard]] AGNOCAST_PUBLIC Result<QoS> service_qos(const QoS& qos);
+
+}  // namespace detail
+}  // namespace agnocast

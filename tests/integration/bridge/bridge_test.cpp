@@ -1,0 +1,336 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: what is published on this host with agnocast arrives in DDS as a ROS 2 node would have written it, and the
+// other way round, once each, with its history and in the name of its node; and the bridge may die.
+// Method: the real agnocastd and agnocast-bridge; this process has the agnocast endpoints, and is the other participant
+// in DDS, on the loopback interface and in a domain of its own.
+
+#include <tests/integration/bridge/bridge_side.hpp>
+#include <tests/support/plain_node.hpp>
+
+#include <agnocast/agnocast.hpp>
+#include <agnocast/generic.hpp>
+#include <bridge/ros_graph.hpp>
+
+#include <sensor_msgs/msg/point_cloud2.hpp>
+#include <std_msgs/msg/string.hpp>
+
+#include <gmock/gmock.h>
+
+#include <chrono>
+#include <cstring>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <thread>
+#include <vector>
+
+namespace agnocast::bridge {
+namespace {
+
+using namespace std::chrono_literals;
+using std_msgs::msg::String;
+using test::BridgeTest;
+using test::Other;
+using test::PlainNode;
+using testing::Contains;
+using testing::ElementsAre;
+using testing::IsEmpty;
+using Cloud = sensor_msgs::msg::PointCloud2;
+
+DdsQos keep_last(std::int32_t depth) {
+  DdsQos qos;
+  qos.depth = depth;
+  return qos;
+}
+DdsQos best_effort(std::int32_t depth) {
+  DdsQos qos = keep_last(depth);
+  qos.reliable = false;
+  return qos;
+}
+DdsQos history(std::int32_t depth) {
+  DdsQos qos = keep_last(depth);
+  qos.transient_local = true;
+  return qos;
+}
+
+String text(const std::string& data) {
+  String message;
+  message.data = data;
+  return message;
+}
+
+TEST_F(BridgeTest, TakesMessagesOutInTheirOrder) {
+  DdsReader& reader = other_.reads<String>(dds_topic(), keep_last(100));
+  auto publisher = create_publisher<String>(PlainNode(), topic(), 100);
+  ASSERT_TRUE(other_.eventually([&] { return is_out(reader, *publisher); }));
+  for (int i = 0; i < 50; ++i) {
+    auto loan = publisher->borrow_loaned_message();
+    loan->data = "message " + std::to_string(i);
+    ASSERT_TRUE(publisher->publish(std::move(loan)));
+  }
+  for (int i = 0; i < 50; ++i) {
+    const auto got = other_.take<String>(reader);
+    ASSERT_NE(got, nullptr) << i;
+    EXPECT_EQ(got->data, "message " + std::to_string(i));
+  }
+  EXPECT_EQ(other_.take<String>(reader, 200ms), nullptr) << "once each";
+}
+
+TEST_F(BridgeTest, BringsMessagesInToSharedMemory) {
+  auto subscription = create_subscription<String>(PlainNode(), topic(), 100);
+  DdsWriter& writer = other_.writes(dds_topic(), test::dds_type_name<String>(), keep_last(100));
+  ASSERT_TRUE(other_.eventually([&] { return writer.matched() == 1; }));
+  for (int i = 0; i < 50; ++i)
+    ASSERT_TRUE(Other::write(writer, text("message " + std::to_string(i))));
+  for (int i = 0; i < 50; ++i) {
+    const auto got = test::take_soon(subscription);
+    ASSERT_TRUE(got) << i;
+    EXPECT_EQ(got->data, "message " + std::to_string(i));
+  }
+  std::this_thread::sleep_for(200ms);
+  EXPECT_FALSE(subscription->take()) << "once each";
+}
+
+TEST_F(BridgeTest, MovesMegabytesBothWaysUnchanged) {
+  DdsReader& reader = other_.reads<Cloud>(dds_topic() + "_out", keep_last(10));
+  auto publisher = create_publisher<Cloud>(PlainNode(), topic() + "_out", 10);
+  auto subscription = create_subscription<Cloud>(PlainNode(), topic() + "_in", 10);
+  DdsWriter& writer =
+      other_.writes(dds_topic() + "_in", test::dds_type_name<Cloud>(), keep_last(10));
+  ASSERT_TRUE(
+      other_.eventually([&] { return is_out(reader, *publisher) && writer.matched() == 1; }));
+  Cloud cloud;
+  cloud.header.frame_id = "lidar";
+  cloud.fields.resize(5);
+  for (std::size_t i = 0; i < 5; ++i) cloud.fields[i].name = "field " + std::to_string(i);
+  cloud.data.resize(4'000'001);
+  for (std::size_t i = 0; i < cloud.data.size(); ++i)
+    cloud.data[i] = static_cast<std::uint8_t>(i * 7 + i / 251);
+  auto loan = publisher->borrow_loaned_message();
+  *loan = cloud;
+  ASSERT_TRUE(publisher->publish(std::move(loan)));
+  const auto out = other_.take<Cloud>(reader);
+  ASSERT_NE(out, nullptr);
+  EXPECT_TRUE(*out == cloud);
+  ASSERT_TRUE(Other::write(writer, cloud));
+  const auto in = test::take_soon(subscription);
+  ASSERT_TRUE(in);
+  EXPECT_TRUE(*in == cloud);
+}
+
+TEST_F(BridgeTest, TakesOutTheLastMessagesOfAPublisherThatIsGone) {
+  DdsReader& reader = other_.reads<String>(dds_topic(), keep_last(100));
+  for (int i = 0; i < 5; ++i) {
+    auto publisher = create_publisher<String>(PlainNode(), topic(), 100);
+    ASSERT_TRUE(other_.eventually([&] { return is_out(reader, *publisher); }));
+    for (int j = 0; j < 20; ++j) {
+      auto loan = publisher->borrow_loaned_message();
+      loan->data = std::to_string(20 * i + j);
+      ASSERT_TRUE(publisher->publish(std::move(loan)));
+    }
+    publisher.reset();
+    for (int j = 0; j < 20; ++j) {
+      const auto got = other_.take<String>(reader);
+      ASSERT_NE(got, nullptr) << i << ' ' << j;
+      EXPECT_EQ(got->data, std::to_string(20 * i + j));
+    }
+    ASSERT_TRUE(other_.eventually([&] { return reader.matched() == 0; })) << "the writer stays";
+  }
+}
+
+TEST_F(BridgeTest, BringsInTheLastMessagesOfAWriterThatIsGone) {
+  auto subscription = create_subscription<String>(PlainNode(), topic(), 100);
+  for (int i = 0; i < 5; ++i) {
+    auto writer = other_.participant().create_writer(dds_topic(), test::dds_type_name<String>(),
+                                                     keep_last(100));
+    ASSERT_TRUE(other_.eventually([&] { return (*writer)->matched() == 1; }));
+    for (int j = 0; j < 20; ++j)
+      ASSERT_TRUE(Other::write(**writer, text(std::to_string(20 * i + j))));
+    writer->reset();
+    for (int j = 0; j < 20; ++j) {
+      const auto got = test::take_soon(subscription);
+      ASSERT_TRUE(got) << i << ' ' << j;
+      EXPECT_EQ(got->data, std::to_string(20 * i + j));
+    }
+  }
+}
+
+TEST_F(BridgeTest, KeepsAllForASubscriptionThatReadsLate) {
+  auto subscription = create_subscription<String>(PlainNode(), topic(), QoS(1).keep_all(5));
+  DdsQos keep_all;
+  keep_all.keep_all = true;
+  keep_all.blocking_max = test::patience;
+  DdsWriter& writer = other_.writes(dds_topic(), test::dds_type_name<String>(), keep_all);
+  ASSERT_TRUE(other_.eventually([&] { return writer.matched() == 1; }));
+  // More than the subscription has room for, and than a keep-last history would have.
+  constexpr int count = 300;
+  for (int i = 0; i < count; ++i) ASSERT_TRUE(Other::write(writer, text(std::to_string(i))));
+  for (int i = 0; i < count; ++i) {
+    const auto got = test::take_soon(subscription);
+    ASSERT_TRUE(got) << i;
+    ASSERT_EQ(got->data, std::to_string(i));
+  }
+}
+
+TEST_F(BridgeTest, SaysThatAMessageIsMalformedAndGoesOn) {
+  auto subscription = create_subscription<String>(PlainNode(), topic(), 100);
+  DdsWriter& writer = other_.writes(dds_topic(), test::dds_type_name<String>(), keep_last(100));
+  ASSERT_TRUE(other_.eventually([&] { return writer.matched() == 1; }));
+  const auto lie = [](std::span<std::byte> room) {
+    constexpr unsigned char length_of_a_gigabyte[] = {0, 1, 0, 0, 0, 0, 0, 64, 'a', 'b', 'c', 0};
+    std::memcpy(room.data(), length_of_a_gigabyte, sizeof length_of_a_gigabyte);
+    return sizeof length_of_a_gigabyte;
+  };
+  for (int i = 0; i < 20; ++i) ASSERT_TRUE(writer.write(12, lie, 1));
+  ASSERT_TRUE(Other::write(writer, text("good")));
+  const auto got = test::take_soon(subscription);
+  ASSERT_TRUE(got);
+  EXPECT_EQ(got->data, "good");
+  const std::string log = bridge_log();
+  EXPECT_THAT(log, testing::HasSubstr("malformed message topic=" + topic()));
+  EXPECT_THAT(log, testing::HasSubstr("at byte 4 in data"));
+  EXPECT_EQ(log.find("malformed message"), log.rfind("malformed message"))
+      << "not as often as another host likes";
+}
+
+TEST_F(BridgeTest, NeverGivesBackWhatItHasTaken) {
+  // Both sides publish and subscribe on one topic.
+  auto publisher = create_publisher<String>(PlainNode(), topic(), 100);
+  auto subscription = create_subscription<String>(PlainNode(), topic(), 100);
+  DdsReader& reader = other_.reads<String>(dds_topic(), keep_last(100));
+  DdsWriter& writer = other_.writes(dds_topic(), test::dds_type_name<String>(), keep_last(100));
+  // The subscription here, and the bridge's.
+  ASSERT_TRUE(
+      other_.eventually([&] { return is_out(reader, *publisher, 2) && writer.matched() == 1; }));
+  for (int i = 0; i < 20; ++i) {
+    auto loan = publisher->borrow_loaned_message();
+    loan->data = "here";
+    ASSERT_TRUE(publisher->publish(std::move(loan)));
+    ASSERT_TRUE(Other::write(writer, text("there")));
+  }
+  std::vector<std::string> out, in;
+  while (const auto got = other_.take<String>(reader, 500ms)) out.push_back(got->data);
+  while (const auto got = subscription->take()) in.push_back(got->data);
+  EXPECT_EQ(out, std::vector<std::string>(20, "here"));
+  EXPECT_EQ(std::count(in.begin(), in.end(), "here"), 20) << "directly";
+  EXPECT_EQ(std::count(in.begin(), in.end(), "there"), 20) << "by the bridge";
+  EXPECT_EQ(in.size(), 40u);
+}
+
+TEST_F(BridgeTest, HandsHistoryOverBothWays) {
+  auto publisher =
+      create_publisher<String>(PlainNode(), topic() + "_out", QoS(3).transient_local());
+  for (int i = 0; i < 5; ++i) {
+    auto loan = publisher->borrow_loaned_message();
+    loan->data = std::to_string(i);
+    ASSERT_TRUE(publisher->publish(std::move(loan)));
+  }
+  DdsReader& reader = other_.reads<String>(dds_topic() + "_out", history(10));
+  for (const char* const expected : {"2", "3", "4"}) {
+    const auto got = other_.take<String>(reader);
+    ASSERT_NE(got, nullptr);
+    EXPECT_EQ(got->data, expected);
+  }
+
+  DdsWriter& writer = other_.writes(dds_topic() + "_in", test::dds_type_name<String>(), history(3));
+  for (int i = 0; i < 5; ++i) ASSERT_TRUE(Other::write(writer, text(std::to_string(i))));
+  auto early = create_subscription<String>(PlainNode(), topic() + "_in", QoS(10).transient_local());
+  for (const char* const expected : {"2", "3", "4"}) {
+    const auto got = test::take_soon(early);
+    ASSERT_TRUE(got);
+    EXPECT_EQ(got->data, expected);
+  }
+  auto late = create_subscription<String>(PlainNode(), topic() + "_in", QoS(10).transient_local());
+  const auto first = test::take_soon(late);
+  ASSERT_TRUE(first);
+  EXPECT_EQ(first->data, "2");
+}
+
+TEST_F(BridgeTest, KeepsBestEffortBestEffort) {
+  auto publisher = create_publisher<String>(PlainNode(), topic(), QoS(5).best_effort());
+  DdsReader& strict = other_.reads<String>(dds_topic(), keep_last(5));
+  DdsReader& easy = other_.reads<String>(dds_topic(), best_effort(5));
+  ASSERT_TRUE(other_.eventually([&] { return easy.matched() == 1; }));
+  EXPECT_EQ(strict.matched(), 0u);
+  bool is_best_effort = false;
+  for (const auto& [guid, remote] : other_.participant().remotes())
+    is_best_effort |= remote.topic == dds_topic() && !remote.qos.reliable;
+  EXPECT_TRUE(is_best_effort);
+}
+
+TEST_F(BridgeTest, HasAWriterWhileSomebodyReadsItAndAReaderForEachSubscription) {
+  auto publisher = create_publisher<String>(PlainNode(), topic(), 5);
+  auto subscription = create_subscription<String>(PlainNode(), topic(), 5);
+  const auto count = [&](Remote::Kind kind) { return other_.remote_count(dds_topic(), kind); };
+  ASSERT_TRUE(other_.eventually([&] { return count(Remote::Kind::reader) == 1; }));
+  EXPECT_EQ(count(Remote::Kind::writer), 0u);
+  {
+    auto reader = other_.participant()
+                      .create_reader(dds_topic(), test::dds_type_name<String>(), {},
+                                     [](RawPieces) { return nullptr; })
+                      .value();
+    ASSERT_TRUE(other_.eventually([&] { return count(Remote::Kind::writer) == 1; }));
+  }
+  ASSERT_TRUE(other_.eventually([&] { return count(Remote::Kind::writer) == 0; }));
+  {
+    auto writer =
+        other_.participant().create_writer(dds_topic(), test::dds_type_name<String>(), {}).value();
+    ASSERT_TRUE(other_.eventually([&] { return writer->matched() == 1; }));
+    EXPECT_EQ(count(Remote::Kind::reader), 1u);
+    subscription.reset();
+    ASSERT_TRUE(other_.eventually([&] { return count(Remote::Kind::reader) == 0; }));
+  }
+}
+
+TEST_F(BridgeTest, ShowsNodesAndWhatIsTheirs) {
+  auto graph = RosGraph::create(other_.participant(), RosGraph::Speak::humble).value();
+  auto publisher = create_publisher<String>(PlainNode(), topic(), 5);
+  DdsReader& reader = other_.reads<String>(dds_topic(), {});
+  std::optional<RosNode> node;
+  ASSERT_TRUE(other_.eventually([&] {
+    EXPECT_TRUE(graph->update());
+    for (const auto& [participant, entities] : graph->others()) {
+      for (const RosNode& one : entities.nodes) {
+        if (one.name == "node" && one.name_space == "/ns" && !one.writers.empty()) node = one;
+      }
+    }
+    return node.has_value();
+  }));
+  ASSERT_EQ(node->writers.size(), 1u);
+  // DDS tells of the writer in its own time.
+  ASSERT_TRUE(
+      other_.eventually([&] { return other_.participant().remotes().contains(node->writers[0]); }));
+  const auto writer = other_.participant().remotes().find(node->writers[0]);
+  EXPECT_EQ(writer->second.topic, dds_topic());
+  EXPECT_EQ(writer->second.type, test::dds_type_name<String>());
+  EXPECT_THAT(node->readers, IsEmpty());
+  (void)reader;
+}
+
+TEST_F(BridgeTest, MayBeKilledAndGoesOn) {
+  auto publisher = create_publisher<String>(PlainNode(), topic(), 5);
+  auto subscription = create_subscription<String>(PlainNode(), topic() + "_in", 5);
+  DdsReader& reader = other_.reads<String>(dds_topic(), keep_last(1000));
+  DdsWriter& writer =
+      other_.writes(dds_topic() + "_in", test::dds_type_name<String>(), keep_last(5));
+  const auto both_flow = [&] {
+    auto loan = publisher->borrow_loaned_message();
+    loan->data = "out";
+    EXPECT_TRUE(publisher->publish(std::move(loan)));
+    EXPECT_TRUE(Other::write(writer, text("in")));
+    std::this_thread::sleep_for(20ms);
+    bool out = false, in = false;
+    while (reader.take()) out = true;
+    while (subscription->take()) in = true;
+    return out && in;
+  };
+  ASSERT_TRUE(other_.eventually(both_flow));
+  bridge_.reset();  // SIGKILL
+  start_bridge();
+  EXPECT_TRUE(other_.eventually(both_flow));
+}
+
+}  // namespace
+}  // namespace agnocast::bridge

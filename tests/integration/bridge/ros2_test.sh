@@ -1,0 +1,58 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+#
+# Goal: real nodes of ROS 2 hear ours and are heard, and ROS's tools show ours under their own names. Method: where a workspace
+# of ROS 2 is sourced that has rmw_cyclonedds and demo_nodes_cpp: its command line and its demo nodes, our examples, the real
+# daemon and bridge, in a domain of their own on the loopback interface.
+#
+#   ros2_test.sh BUILD_DIRECTORY
+set -euo pipefail
+build=$1
+
+skip() { echo "SKIPPED: $1"; exit 77; }
+command -v ros2 >/dev/null || skip "needs ROS 2: source the setup file of a workspace before ctest"
+ros2 pkg prefix rmw_cyclonedds_cpp >/dev/null 2>&1 || skip "needs rmw_cyclonedds_cpp in the sourced workspace"
+ros2 pkg prefix demo_nodes_cpp >/dev/null 2>&1 || skip "needs demo_nodes_cpp in the sourced workspace"
+
+dir=$(mktemp -d)
+pids=()
+end() { kill "${pids[@]}" 2>/dev/null || true; wait 2>/dev/null || true; rm -rf "$dir"; }
+trap end EXIT
+fail() { echo "FAILED: $1"; tail -n 20 "$dir"/*.log || true; exit 1; }
+start() { local log=$1; shift; "$@" >"$dir/$log.log" 2>&1 & pids+=($!); }
+# Until the command's output has the text; ROS's discovery and its daemon take their time.
+shows() {
+  local text=$1 said; shift
+  for _ in $(seq 20); do
+    said=$(timeout 20 "$@" 2>&1 || true)
+    case $said in *"$text"*) return 0 ;; esac
+    sleep 0.5
+  done
+  fail "\"$*\" does not show \"$text\": $said"
+}
+
+export RMW_IMPLEMENTATION=rmw_cyclonedds_cpp ROS_DOMAIN_ID=$((20 + $$ % 70))
+export AGNOCAST_SOCKET=$dir/agnocastd.sock ROS2CLI_DISABLE_DAEMON=1
+export CYCLONEDDS_URI="<CycloneDDS><Domain id='any'><General><Interfaces><NetworkInterface name='lo' multicast='false'/></Interfaces>
+  <AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>
+  <MaxAutoParticipantIndex>50</MaxAutoParticipantIndex><Peers><Peer address='127.0.0.1'/></Peers></Discovery></Domain></CycloneDDS>"
+start agnocastd "$build/daemon/agnocastd" --socket "$AGNOCAST_SOCKET" --foreground
+for _ in $(seq 100); do [ -S "$AGNOCAST_SOCKET" ] && break; sleep 0.1; done
+start bridge "$build/bridge/agnocast-bridge"
+
+# Ours → ROS 2.
+start talker "$build/examples/talker" --rate 10
+shows /talker ros2 node list --no-daemon
+# The writer is in DDS while somebody there reads.
+start echo ros2 topic echo /chatter std_msgs/msg/String
+shows "/chatter: std_msgs/msg/String" ros2 node info --no-daemon /talker
+shows "Node name: talker" ros2 topic info --no-daemon -v /chatter
+shows "data:" ros2 topic echo --no-daemon --once /chatter std_msgs/msg/String
+
+# ROS 2 → ours.
+# Itself: ros2 run would leave it behind.
+start demo "$(ros2 pkg prefix demo_nodes_cpp)/lib/demo_nodes_cpp/talker" --ros-args -r chatter:=from_ros
+# Its verdict is about our talker's numbers, so it says that these are others.
+timeout 30 "$build/examples/listener" --topic from_ros --count 3 --verbose >"$dir/listener.log" 2>&1 || true
+grep -qF "I heard: 'Hello World: " "$dir/listener.log" || fail "our listener does not hear ROS's talker"
+echo "heard each other"

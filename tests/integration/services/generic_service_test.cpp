@@ -1,0 +1,212 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: services of types that rosidl generated, typed and found at run time, meet each other; what
+// their requests and responses have in strings and sequences crosses whole.
+// Method: the public interface with the real daemon, in one process; typed and generic sides are the
+// judges of each other.
+
+#include <agnocast/agnocast.hpp>
+#include <agnocast/generic_service.hpp>
+#include <tests/support/daemon_process.hpp>
+
+#include <example_interfaces/srv/add_two_ints.hpp>
+#include <std_srvs/srv/empty.hpp>
+#include <test_msgs/srv/arrays.hpp>
+
+#include <gmock/gmock.h>
+
+#include <chrono>
+#include <cstdlib>
+#include <future>
+#include <mutex>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace agnocast {
+namespace {
+
+using namespace std::chrono_literals;
+using example_interfaces::srv::AddTwoInts;
+using test::eventually;
+using Arrays = test_msgs::srv::Arrays;
+
+constexpr auto patience = 20s;
+
+class GenericServices : public testing::Test {
+ protected:
+  // The library connects once per process, so all tests here share one daemon.
+  static void SetUpTestSuite() {
+    test::DaemonOptions options;
+    options.config = "[heap]\nwindow_bytes = \"64MiB\"\n";
+    daemon = new test::DaemonProcess(options);
+    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
+  }
+  static void TearDownTestSuite() { delete daemon; }
+  static test::DaemonProcess* daemon;
+};
+test::DaemonProcess* GenericServices::daemon = nullptr;
+
+void add(const ipc_shared_ptr<const AddTwoInts::Request>& request,
+         ipc_shared_ptr<AddTwoInts::Response>& response) {
+  response->sum = request->a + request->b;
+}
+
+template <class FutureT>
+bool is_ready_soon(const FutureT& future) {
+  return future.wait_for(patience) == std::future_status::ready;
+}
+
+template <class T>
+T& as(const GenericLoan& loan) {
+  return *static_cast<T*>(loan.get());
+}
+template <class T>
+const T& as(const GenericMessage& message) {
+  return *static_cast<const T*>(message.get());
+}
+
+TEST_F(GenericServices, OfRosTypesAreTyped) {
+  Node node("node");
+  auto service = node.create_service<AddTwoInts>("add", add);
+  auto client = node.create_client<AddTwoInts>("add");
+  ASSERT_TRUE(client->wait_for_service(patience));
+  auto request = client->borrow_loaned_request();
+  request->a = 2;
+  request->b = 40;
+  auto sent = client->async_send_request(std::move(request));
+  ASSERT_TRUE(is_ready_soon(sent));
+  EXPECT_EQ(sent.get()->sum, 42);
+}
+
+TEST_F(GenericServices, AnswerTypedClients) {
+  Node node("node");
+  auto service = create_generic_service(node, "add_generic", "example_interfaces/srv/AddTwoInts",
+                                        [](const GenericMessage& request, GenericLoan& response) {
+                                          const auto& two = as<AddTwoInts::Request>(request);
+                                          as<AddTwoInts::Response>(response).sum = two.a + two.b;
+                                        });
+  auto client = node.create_client<AddTwoInts>("add_generic");
+  ASSERT_TRUE(client->wait_for_service(patience));
+  auto request = client->borrow_loaned_request();
+  request->a = 3;
+  request->b = 4;
+  auto sent = client->async_send_request(std::move(request));
+  ASSERT_TRUE(is_ready_soon(sent));
+  EXPECT_EQ(sent.get()->sum, 7);
+}
+
+TEST_F(GenericServices, AreAskedByGenericClientsAndAnswerLater) {
+  Node node("node");
+  std::mutex mutex;
+  std::vector<GenericServiceRequest> kept;
+  const IntrospectedServiceType type = find_service_type("example_interfaces/AddTwoInts");
+  auto service =
+      create_generic_service(node, "add_later", type, [&](GenericServiceRequest request) {
+        const std::lock_guard lock(mutex);
+        kept.push_back(std::move(request));
+      });
+  auto client = create_generic_client(node, "add_later", type);
+  ASSERT_TRUE(client->wait_for_service(patience));
+  std::promise<std::int64_t> called;
+  GenericLoan request = client->borrow_loaned_request();
+  ASSERT_STREQ(request.members()->message_name_, "AddTwoInts_Request");
+  as<AddTwoInts::Request>(request).a = 5;
+  const auto sent = client->async_send_request(
+      std::move(request), [&](const GenericClient::SharedFuture& future) {
+        called.set_value(as<AddTwoInts::Response>(future.get()).sum);
+      });
+  EXPECT_FALSE(request);
+  ASSERT_TRUE(eventually([&] {
+    const std::lock_guard lock(mutex);
+    return kept.size() == 1;
+  }));
+  EXPECT_EQ(kept[0].id().sequence, sent.request_id);
+  GenericLoan response = service->borrow_loaned_response();
+  as<AddTwoInts::Response>(response).sum = as<AddTwoInts::Request>(kept[0].message()).a + 1;
+  EXPECT_EQ(service->send_response(kept[0], std::move(response)).code, Errc::ok);
+  EXPECT_EQ(service->send_response(kept[0], service->borrow_loaned_response()).code,
+            Errc::already_answered);
+  auto sum = called.get_future();
+  ASSERT_TRUE(is_ready_soon(sum));
+  EXPECT_EQ(sum.get(), 6);
+}
+
+TEST_F(GenericServices, CarryStringsAndSequencesWhole) {
+  Node node("node");
+  const IntrospectedServiceType type = find_service_type("test_msgs/srv/Arrays");
+  Arrays::Request asked;
+  for (std::size_t i = 0; i < asked.string_values.size(); ++i)
+    asked.string_values[i] = std::string(100 * (i + 1), static_cast<char>('a' + i));
+  // The generic side copies by the table what it gets from the typed side, and back.
+  auto service = create_generic_service(
+      node, "arrays", type, [&](const GenericMessage& request, GenericLoan& response) {
+        as<Arrays::Response>(response).string_values = as<Arrays::Request>(request).string_values;
+      });
+  auto client = create_generic_client(node, "arrays", type);
+  ASSERT_TRUE(client->wait_for_service(patience));
+  GenericLoan request = client->borrow_loaned_request();
+  type.request.assign(&asked, request.get());
+  auto sent = client->async_send_request(std::move(request));
+  ASSERT_TRUE(is_ready_soon(sent));
+  const GenericMessage response = sent.get();
+  EXPECT_EQ(as<Arrays::Response>(response).string_values, asked.string_values);
+}
+
+TEST_F(GenericServices, AdoptWhatWasBuiltElsewhere) {
+  Node node("node");
+  auto service =
+      node.create_service<Arrays>("adopts", [](const ipc_shared_ptr<const Arrays::Request>& request,
+                                               ipc_shared_ptr<Arrays::Response>& response) {
+        response->string_values = request->string_values;
+      });
+  for (const bool is_generic : {false, true}) {
+    std::array<std::string, 3> foreign;
+    foreign.fill(std::string(500, 'f'));
+    if (is_generic) {
+      auto client = create_generic_client(node, "adopts", "test_msgs/srv/Arrays");
+      ASSERT_TRUE(client->wait_for_service(patience));
+      GenericLoan request = client->borrow_loaned_request();
+      const std::array<std::string, 3> expected = foreign;
+      as<Arrays::Request>(request).string_values = std::move(foreign);
+      auto sent = client->async_send_request(std::move(request));
+      ASSERT_TRUE(is_ready_soon(sent));
+      EXPECT_EQ(as<Arrays::Response>(sent.get()).string_values, expected);
+    } else {
+      auto client = node.create_client<Arrays>("adopts");
+      ASSERT_TRUE(client->wait_for_service(patience));
+      auto request = client->borrow_loaned_request();
+      const std::array<std::string, 3> expected = foreign;
+      request->string_values = std::move(foreign);
+      auto sent = client->async_send_request(std::move(request));
+      ASSERT_TRUE(is_ready_soon(sent));
+      EXPECT_EQ(sent.get()->string_values, expected);
+    }
+  }
+}
+
+TEST_F(GenericServices, OfEmptyMessagesAnswer) {
+  Node node("node");
+  auto service = node.create_service<std_srvs::srv::Empty>(
+      "empty", [](const ipc_shared_ptr<const std_srvs::srv::Empty::Request>&,
+                  ipc_shared_ptr<std_srvs::srv::Empty::Response>&) {});
+  auto client = create_generic_client(node, "empty", "std_srvs/srv/Empty");
+  ASSERT_TRUE(client->wait_for_service(patience));
+  auto sent = client->async_send_request(client->borrow_loaned_request());
+  ASSERT_TRUE(is_ready_soon(sent));
+  EXPECT_TRUE(sent.get());
+}
+
+TEST_F(GenericServices, OfUnknownTypesAreNotThere) {
+  Node node("node");
+  const auto code = [&](const std::string& type) {
+    const auto made = try_create_generic_client(node, "unknown", type);
+    return made ? Errc::ok : made.error().code;
+  };
+  EXPECT_EQ(code("example_interfaces/srv/AddTwoInts"), Errc::ok);
+  EXPECT_EQ(code("example_interfaces/srv/AddNothing"), Errc::type_not_found);
+  EXPECT_EQ(code("example_interfaces"), Errc::invalid_name);
+}
+
+}  // namespace
+}  // namespace agnocast

@@ -1,0 +1,192 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: bridge.toml means what docs/bridge.md says, and every mistake is named with its place and what to write instead;
+// the example that is installed has every key. Method: texts.
+
+#include <bridge/config.hpp>
+#include <bridge/options.hpp>
+#include <bridge/status_socket.hpp>
+#include <tests/support/temporary_directory.hpp>
+
+#include <gmock/gmock.h>
+
+#include <cstdlib>
+#include <fstream>
+#include <iterator>
+#include <string>
+
+namespace agnocast::bridge {
+namespace {
+
+using testing::HasSubstr;
+using testing::IsEmpty;
+using testing::SizeIs;
+
+std::string text_of(const std::string& path) {
+  std::ifstream file(path);
+  return {std::istreambuf_iterator<char>(file), {}};
+}
+
+TEST(BridgeConfig, IsEmptyByDefaultAndThenBridgesEverything) {
+  const auto config = parse_config("", "bridge.toml");
+  ASSERT_TRUE(config);
+  EXPECT_FALSE(config->domain);
+  EXPECT_THAT(config->bridge.rules, IsEmpty());
+  EXPECT_EQ(config->bridge.otherwise, Direction::both);
+}
+
+TEST(BridgeConfig, ReadsEveryKey) {
+  const auto config = parse_config(R"(
+domain = 7
+discovery_info = "iron"
+type_paths = ["/opt/robot/lib"]
+log_level = "debug"
+default = "none"
+[[topic]]
+name = "/lidar/**"
+direction = "out"
+to_dds = { reliability = "best_effort", durability = "volatile", depth = 1 }
+[[topic]]
+name = "/map"
+type = "nav_msgs/msg/OccupancyGrid"
+direction = "in"
+always = true
+[topic.from_dds]
+reliability = "reliable"
+durability = "transient_local"
+depth = 5
+)",
+                                   "bridge.toml");
+  ASSERT_TRUE(config) << config.error()[0].where << config.error()[0].what;
+  EXPECT_EQ(config->domain, 7u);
+  EXPECT_EQ(config->bridge.speak, RosGraph::Speak::iron);
+  EXPECT_EQ(config->bridge.type_paths, std::vector<std::string>{"/opt/robot/lib"});
+  EXPECT_EQ(config->log_level, agnocast::LogLevel::debug);
+  EXPECT_EQ(config->bridge.otherwise, Direction::none);
+  ASSERT_THAT(config->bridge.rules, SizeIs(2));
+  const Rule& lidar = config->bridge.rules[0];
+  EXPECT_EQ(lidar.topic, "/lidar/**");
+  EXPECT_EQ(lidar.direction, Direction::outward);
+  EXPECT_EQ(lidar.line, 7u);
+  EXPECT_EQ(lidar.to_dds, (QosOverride{false, false, 1}));
+  EXPECT_EQ(lidar.from_dds, QosOverride());
+  EXPECT_FALSE(lidar.always);
+  const Rule& map = config->bridge.rules[1];
+  EXPECT_EQ(map.type, "nav_msgs/msg/OccupancyGrid");
+  EXPECT_EQ(map.from_dds, (QosOverride{true, true, 5}));
+  EXPECT_TRUE(map.always);
+}
+
+TEST(BridgeConfig, NamesAllMistakesInTheirOrderAndWhatToWrite) {
+  const struct {
+    const char* text;
+    const char* where;
+    const char* what;
+    const char* remedy;
+  } cases[] = {
+      {"domain = 233", ":1:10: domain", "no domain", "0 to 232"},
+      {"default = \"some\"", ":1:11: default", "no direction", "\"both\""},
+      {"log_level = 3", ":1:13: log_level", "no level", "\"info\""},
+      {"discovery_info = \"jazzy\"", ":1:18: discovery_info", "no layout", "\"iron\""},
+      {"type_paths = [\"lib\"]", ":1:15: type_paths", "no absolute path", "/opt/robot/lib"},
+      {"topics = 1", ":1:1: topics", "unknown key", "[[topic]]"},
+      {"topic = 1", ":1:9: topic", "no table", "[[topic]]"},
+      {"[[topic]]\ndirection = \"in\"", ":1:1: topic", "no name", "name ="},
+      {"[[topic]]\nname = \"a b\"", ":2:8: topic.name", "", "/lidar/**"},
+      {"[[topic]]\nname = \"/a\"\ntype = \"String\"", ":3:8: topic.type", "no type",
+       "std_msgs/msg/String"},
+      {"[[topic]]\nname = \"/a\"\nalways = 1", ":3:10: topic.always", "neither", "true or false"},
+      {"[[topic]]\nname = \"/a/*\"\nalways = true\ndirection = \"out\"", ":1:1: topic.always",
+       "pattern", "whole name"},
+      {"[[topic]]\nname = \"/a\"\nalways = true", ":1:1: topic.always", "type",
+       "direction = \"out\""},
+      {"[[topic]]\nname = \"/a\"\nto_dds = 1", ":3:10: topic.to_dds", "no table", "depth = 1"},
+      {"[[topic]]\nname = \"/a\"\nto_dds = { depth = 0 }", ":3:20: topic.to_dds.depth", "no depth",
+       "1 to 100000"},
+      {"[[topic]]\nname = \"/a\"\nfrom_dds = { durability = \"persistent\" }",
+       ":3:27: topic.from_dds.durability", "none", "\"transient_local\" or \"volatile\""},
+      {"[[topic]]\nname = \"/a\"\nfrom_dds = { history = 1 }", ":3:14: topic.from_dds.history",
+       "unknown key", "reliability, durability, depth"},
+      {"domain = ", ":1:", "", "TOML"},
+  };
+  for (const auto& each : cases) {
+    const auto config = parse_config(each.text, "bridge.toml");
+    ASSERT_FALSE(config) << each.text;
+    ASSERT_THAT(config.error(), SizeIs(1)) << each.text;
+    EXPECT_THAT(config.error()[0].where, HasSubstr(std::string("bridge.toml") + each.where));
+    EXPECT_THAT(config.error()[0].what, HasSubstr(each.what)) << each.text;
+    EXPECT_THAT(config.error()[0].remedy, HasSubstr(each.remedy)) << each.text;
+  }
+  const auto several = parse_config("x = 1\ndomain = -1\na = 2\n", "bridge.toml");
+  ASSERT_FALSE(several);
+  ASSERT_THAT(several.error(), SizeIs(3));
+  EXPECT_THAT(several.error()[0].where, HasSubstr(":1:1: x"));
+  EXPECT_THAT(several.error()[1].where, HasSubstr(":2:10: domain"));
+  EXPECT_THAT(several.error()[2].where, HasSubstr(":3:1: a"));
+}
+
+TEST(BridgeConfig, TheExampleAndTheDocumentHaveEveryKey) {
+  const std::string example = AGNOCAST_SOURCE_DIR "/systemd/bridge.toml";
+  const auto config = load_config(example);
+  ASSERT_TRUE(config) << config.error()[0].where << config.error()[0].what;
+  const std::string document = text_of(AGNOCAST_SOURCE_DIR "/docs/bridge.md");
+  for (const ConfigKey& key : config_keys()) {
+    const std::string name(key.name.substr(key.name.rfind('.') + 1));
+    EXPECT_THAT(text_of(example), HasSubstr(name + " = ")) << key.name;
+    EXPECT_THAT(document, HasSubstr("| `" + name + '`')) << key.name;
+  }
+  EXPECT_FALSE(load_config("/nowhere/bridge.toml"));
+}
+
+TEST(BridgeConfig, TheFileOfTheDomainWinsOverTheOneOfAll) {
+  const test::TemporaryDirectory directory;
+  const std::string folder = directory.path();
+  Options options;
+  EXPECT_EQ(choose_config_file(options, folder), std::nullopt);
+  std::ofstream(folder + "/bridge.toml");
+  std::ofstream(folder + "/bridge-7.toml");
+  EXPECT_EQ(choose_config_file(options, folder), folder + "/bridge.toml");
+  options.domain = 7;
+  EXPECT_EQ(choose_config_file(options, folder), folder + "/bridge-7.toml");
+  options.domain = 8;
+  EXPECT_EQ(choose_config_file(options, folder), folder + "/bridge.toml");
+  options.config = "mine.toml";
+  EXPECT_EQ(choose_config_file(options, folder), "mine.toml");
+}
+
+TEST(BridgeConfig, TheSocketOfTheStatusIsWhereItIsNamedElseBesideTheDaemons) {
+  ::unsetenv("RUNTIME_DIRECTORY");
+  ::setenv("AGNOCAST_SOCKET", "/tmp/x/agnocastd.sock", 1);
+  EXPECT_EQ(choose_status_path("", 7), "/tmp/x/bridge-7.sock");
+  ::setenv("RUNTIME_DIRECTORY", "/run/agnocast-bridge:/run/other", 1);
+  EXPECT_EQ(choose_status_path("", 7), "/run/agnocast-bridge/bridge-7.sock");
+  EXPECT_EQ(choose_status_path("/a.sock", 7), "/a.sock");
+  ::unsetenv("RUNTIME_DIRECTORY");
+}
+
+TEST(BridgeOptions, SayWhatIsWrongAndHowToAsk) {
+  const auto parse = [](std::vector<const char*> words) {
+    words.insert(words.begin(), "agnocast-bridge");
+    return parse_options(static_cast<int>(words.size()), words.data());
+  };
+  const auto help = std::get<Exit>(parse({"--help"}));
+  EXPECT_EQ(help.status, 0);
+  for (const auto& texts : {option_texts(), environment_texts(), exit_texts()}) {
+    for (const HelpText& each : texts) EXPECT_THAT(help.out, HasSubstr(each.name));
+  }
+  for (const auto& wrong : {std::vector<const char*>{"--domain", "233"},
+                            {"--log-level", "loud"},
+                            {"--config", ""},
+                            {"--unknown"},
+                            {"extra"}}) {
+    const auto exit = std::get<Exit>(parse(wrong));
+    EXPECT_EQ(exit.status, 2) << wrong[0];
+    EXPECT_THAT(exit.err, HasSubstr("\nhint: agnocast-bridge")) << wrong[0];
+  }
+  const auto options = std::get<Options>(parse({"--domain", "7", "--log-level", "debug"}));
+  EXPECT_EQ(options.domain, 7u);
+  EXPECT_EQ(options.log_level, agnocast::LogLevel::debug);
+}
+
+}  // namespace
+}  // namespace agnocast::bridge

@@ -1,0 +1,528 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: the bridge has what the endpoints on both sides need and nothing else, every message goes one way once, and
+// whatever does not is said why. Method: plan_of() is pure; named situations, and random ones against what DDS's
+// matching rules say of each pair of endpoints.
+
+#include <bridge/routes.hpp>
+
+#include <gmock/gmock.h>
+
+#include <algorithm>
+#include <random>
+#include <set>
+#include <string>
+#include <vector>
+
+namespace agnocast::bridge {
+namespace {
+
+using testing::ElementsAre;
+using testing::HasSubstr;
+using testing::IsEmpty;
+using testing::SizeIs;
+
+constexpr const char* string_type = "std_msgs/msg/String";
+
+class Routes : public testing::Test {
+ protected:
+  std::uint64_t local(EndpointKind kind, const std::string& topic, const QoS& qos = QoS(10),
+                      const std::string& node = "node", const std::string& type = string_type,
+                      std::uint64_t domain = 0) {
+    EndpointInfo info;
+    info.kind = kind;
+    info.domain = domain;
+    info.topic = topic;
+    info.type = type;
+    info.node_name = node;
+    info.node_namespace = "/ns";
+    info.qos = qos;
+    info.generation = ++generation_;
+    locals_.push_back(info);
+    return info.generation;
+  }
+  std::uint64_t publisher(const std::string& topic, const QoS& qos = QoS(10),
+                          const std::string& node = "talker") {
+    return local(EndpointKind::publisher, topic, qos, node);
+  }
+  std::uint64_t subscription(const std::string& topic, const QoS& qos = QoS(10),
+                             const std::string& node = "listener") {
+    return local(EndpointKind::subscription, topic, qos, node);
+  }
+  Guid remote(Remote::Kind kind, const std::string& dds_topic, bool reliable = true,
+              bool transient_local = false, std::int32_t depth = 10,
+              const std::string& dds_type = "std_msgs::msg::dds_::String_") {
+    Remote remote;
+    remote.kind = kind;
+    remote.guid.bytes[0] = static_cast<std::uint8_t>(remotes_.size() + 1);
+    remote.guid.bytes[1] = static_cast<std::uint8_t>((remotes_.size() + 1) >> 8);
+    remote.topic = dds_topic;
+    remote.type = dds_type;
+    remote.qos.reliable = reliable;
+    remote.qos.transient_local = transient_local;
+    remote.qos.depth = depth;
+    remotes_[remote.guid] = remote;
+    return remote.guid;
+  }
+  Guid reader(const std::string& dds_topic, bool reliable = true, bool transient_local = false) {
+    return remote(Remote::Kind::reader, dds_topic, reliable, transient_local);
+  }
+  Guid writer(const std::string& dds_topic, bool reliable = true, bool transient_local = false,
+              std::int32_t depth = 10) {
+    return remote(Remote::Kind::writer, dds_topic, reliable, transient_local, depth);
+  }
+  Plan plan() {
+    return plan_of({0, locals_, &remotes_, rules_,
+                    [this](const std::string& type) {
+                      ++asked_;
+                      return type == string_type ? std::nullopt
+                                                 : std::optional<std::string>("not found");
+                    },
+                    otherwise_, [this](const Guid& guid) { return has_source_.contains(guid); }});
+  }
+
+  std::vector<EndpointInfo> locals_;
+  DdsParticipant::Remotes remotes_;
+  std::vector<Rule> rules_;
+  Direction otherwise_ = Direction::both;
+  std::set<Guid> has_source_;
+  std::uint64_t generation_ = 0;
+  int asked_ = 0;
+};
+
+const TopicKey chatter{"/chatter", string_type};
+ReaderKey tap(const QosClass& qos_class, std::size_t depth, bool keep_all = false) {
+  return {{chatter, qos_class}, depth, keep_all};
+}
+
+TEST_F(Routes, HaveAReaderAndNothingElseForATopicThatIsHereOnly) {
+  publisher("/chatter");
+  subscription("/news", QoS(200).best_effort(), "one");
+  reader("rt/elsewhere");
+  writer("rt/elsewhere");
+  const Plan nothing = plan();
+  EXPECT_THAT(nothing.outlets, IsEmpty());
+  EXPECT_THAT(nothing.taps, IsEmpty());
+  EXPECT_THAT(nothing.sources, IsEmpty());
+  // By it another bridge knows that somebody wants the topic.
+  ASSERT_THAT(nothing.inlets, SizeIs(1));
+  const auto& [key, inlet] = *nothing.inlets.begin();
+  EXPECT_EQ(key, (ClassKey{{"/news", string_type}, {false, false}}));
+  EXPECT_EQ(inlet.depth, 200u);
+  EXPECT_THAT(inlet.nodes, ElementsAre("/ns/one"));
+  EXPECT_THAT(
+      nothing.unbridged,
+      ElementsAre(Unbridged{"/chatter", string_type, Direction::outward, WhyNot::no_reader, ""},
+                  Unbridged{"/news", string_type, Direction::inward, WhyNot::no_writer, ""}));
+}
+
+TEST_F(Routes, AreNotForTheTopicsOfServices) {
+  publisher("/_service/request/add");
+  subscription("/_service/request/add");
+  reader("rt/_service/request/add");
+  writer("rt/_service/request/add");
+  const Plan nothing = plan();
+  EXPECT_THAT(nothing.outlets, IsEmpty());
+  EXPECT_THAT(nothing.taps, IsEmpty());
+  EXPECT_THAT(nothing.inlets, IsEmpty());
+  EXPECT_THAT(nothing.sources, IsEmpty());
+  EXPECT_THAT(nothing.unbridged, IsEmpty());
+}
+
+TEST_F(Routes, MirrorEachPublisherInTheNameOfItsNode) {
+  const auto first = publisher("/chatter", QoS(7), "talker");
+  const auto second = publisher("/chatter", QoS(3).best_effort(), "camera");
+  const auto third = publisher("/chatter", QoS(5).transient_local(), "map");
+  reader("rt/chatter", false);
+  const Plan all = plan();
+  ASSERT_THAT(all.outlets, SizeIs(3));
+  EXPECT_EQ(all.outlets.at(first).node, "/ns/talker");
+  EXPECT_EQ(all.outlets.at(first).depth, 7u);
+  EXPECT_EQ(all.outlets.at(first).tap.of.qos_class, (QosClass{true, false}));
+  EXPECT_EQ(all.outlets.at(second).tap.of.qos_class, (QosClass{false, false}));
+  EXPECT_EQ(all.outlets.at(third).tap.of.qos_class, (QosClass{true, true}));
+  EXPECT_THAT(all.taps,
+              ElementsAre(tap({false, false}, 3), tap({true, false}, 7), tap({true, true}, 5)));
+  EXPECT_THAT(all.unbridged, IsEmpty());
+}
+
+TEST_F(Routes, ShareATapAmongPublishersOfOneQos) {
+  publisher("/chatter", QoS(7));
+  publisher("/chatter", QoS(7), "other");
+  reader("rt/chatter");
+  const Plan all = plan();
+  EXPECT_THAT(all.outlets, SizeIs(2));
+  EXPECT_THAT(all.taps, ElementsAre(tap({true, false}, 7)));
+}
+
+TEST_F(Routes, LetEachPublishersTapKeepWhatItKeepsWhoeverElseComes) {
+  const auto first = publisher("/chatter", QoS(7));
+  reader("rt/chatter");
+  const Outlet before = plan().outlets.at(first);
+  const auto deep = publisher("/chatter", QoS(900));
+  const auto all_of_it = publisher("/chatter", QoS(1).keep_all(7));
+  const Plan all = plan();
+  EXPECT_EQ(all.outlets.at(first).tap, before.tap) << "nobody retains more because of others";
+  EXPECT_EQ(all.outlets.at(deep).tap, tap({true, false}, 900));
+  EXPECT_EQ(all.outlets.at(all_of_it).tap, tap({true, false}, 7, true));
+  EXPECT_THAT(all.taps, SizeIs(3));
+}
+
+TEST_F(Routes, HaveInletsOfFewDepths) {
+  subscription("/chatter", QoS(1));
+  for (const auto& [asked, made] :
+       std::vector<std::pair<int, std::size_t>>{{1, 100}, {100, 100}, {101, 200}, {1000, 1600}}) {
+    writer("rt/chatter", true, false, asked);
+    EXPECT_EQ(plan().inlets.begin()->second.depth, made) << asked;
+  }
+}
+
+TEST_F(Routes, GiveWritersOfDdsHalfOfATopicsPlacesAndLeaveThemTheirs) {
+  subscription("/chatter");
+  std::set<Guid> all;
+  for (std::size_t i = 0; i < sources_per_topic_max; ++i) all.insert(writer("rt/chatter"));
+  EXPECT_THAT(plan().sources, SizeIs(sources_per_topic_max));
+  EXPECT_THAT(plan().unbridged, IsEmpty());
+  has_source_ = all;
+  for (int i = 0; i < 300; ++i) writer("rt/chatter");
+  // Some of the new ones are before some of the old ones.
+  ASSERT_LT(remotes_.size(), 1000u);
+  Remote early = remotes_.at(*all.begin());
+  early.guid = {};
+  early.guid.bytes[15] = 1;
+  remotes_[early.guid] = early;
+  const Plan full = plan();
+  ASSERT_THAT(full.sources, SizeIs(sources_per_topic_max));
+  for (const auto& [guid, source] : full.sources) EXPECT_TRUE(all.contains(guid));
+  ASSERT_THAT(full.unbridged, SizeIs(1));
+  EXPECT_EQ(full.unbridged[0].why, WhyNot::too_many);
+  EXPECT_THAT(full.unbridged[0].detail, HasSubstr("301 of 428"));
+  // A place that is free is given away.
+  remotes_.erase(*all.begin());
+  EXPECT_TRUE(plan().sources.contains(early.guid));
+}
+
+TEST_F(Routes, AreThereSoonForThousandsOfEndpointsOfOneTopic) {
+  constexpr int count = 20'000;
+  for (int i = 0; i < count; ++i) {
+    publisher("/chatter", QoS(10), "talker_" + std::to_string(i));
+    subscription("/chatter", QoS(10), "listener_" + std::to_string(i));
+    Remote remote = remotes_.empty() ? Remote{} : remotes_.begin()->second;
+    remote.topic = "rt/chatter";
+    remote.type = "std_msgs::msg::dds_::String_";
+    for (const auto kind : {Remote::Kind::reader, Remote::Kind::writer}) {
+      remote.kind = kind;
+      for (int byte = 0; byte < 4; ++byte)
+        remote.guid.bytes[static_cast<std::size_t>(byte)] =
+            static_cast<std::uint8_t>((2 * i + (kind == Remote::Kind::writer)) >> 8 * byte);
+      remotes_[remote.guid] = remote;
+    }
+  }
+  // Of each with each it would be four hundred million looks, each with a text of its own: minutes.
+  const Plan all = plan();
+  EXPECT_THAT(all.outlets, SizeIs(count));
+  EXPECT_THAT(all.sources, SizeIs(sources_per_topic_max));
+  EXPECT_THAT(all.inlets.begin()->second.nodes, SizeIs(count));
+}
+
+TEST_F(Routes, MirrorEachRemoteWriterAndReadItOnceForAllSubscriptions) {
+  subscription("/chatter", QoS(4), "one");
+  subscription("/chatter", QoS(400).best_effort(), "two");
+  const Guid first = writer("rt/chatter", true, false, 6);
+  const Guid second = writer("rt/chatter", true, false, 8);
+  const Guid third = writer("rt/chatter", false, false, 0);  // a history that is not announced
+  const Plan all = plan();
+  ASSERT_THAT(all.sources, SizeIs(3));
+  EXPECT_EQ(all.sources.at(first).depth, 6u);
+  EXPECT_EQ(all.sources.at(second).depth, 8u);
+  EXPECT_EQ(all.sources.at(third).depth, 10u);
+  EXPECT_EQ(all.sources.at(third).qos_class, (QosClass{false, false}));
+  ASSERT_THAT(all.inlets, SizeIs(2));
+  const Inlet& reliable = all.inlets.at({chatter, {true, false}});
+  EXPECT_EQ(reliable.depth, 400u);
+  EXPECT_FALSE(reliable.keep_all);
+  EXPECT_THAT(reliable.nodes, ElementsAre("/ns/one", "/ns/two"));
+  // A reliable subscription gets nothing of a best-effort writer.
+  const Inlet& best_effort = all.inlets.at({chatter, {false, false}});
+  EXPECT_THAT(best_effort.nodes, ElementsAre("/ns/two"));
+  EXPECT_EQ(best_effort.depth, 400u);
+}
+
+TEST_F(Routes, ReadOnceWhatIsOfferedBetterThanAnybodyWants) {
+  subscription("/chatter", QoS(5).best_effort());
+  const Guid all_of_it = writer("rt/chatter", true, true);
+  const Plan all = plan();
+  ASSERT_THAT(all.inlets, SizeIs(1));
+  EXPECT_EQ(all.inlets.begin()->first.qos_class, (QosClass{false, false}));
+  EXPECT_EQ(all.sources.at(all_of_it).qos_class, (QosClass{true, true})) << "as it offers";
+}
+
+TEST_F(Routes, KeepAllOfAWriterThatKeepsAll) {
+  subscription("/chatter", QoS(1).keep_all(5));
+  const Guid all_of_it = writer("rt/chatter");
+  remotes_[all_of_it].qos.keep_all = true;
+  const Guid last = writer("rt/chatter", true, false, 3);
+  const Plan all = plan();
+  EXPECT_TRUE(all.sources.at(all_of_it).keep_all);
+  EXPECT_EQ(all.sources.at(all_of_it).depth, QoS(1).keep_all().depth());
+  EXPECT_FALSE(all.sources.at(last).keep_all);
+  EXPECT_TRUE(all.inlets.begin()->second.keep_all);
+}
+
+TEST_F(Routes, HaveRoomForWhatComesWhileTheBridgeDoesSomethingElse) {
+  subscription("/chatter", QoS(1));
+  writer("rt/chatter", true, false, 1);
+  EXPECT_EQ(plan().inlets.begin()->second.depth, 100u);
+}
+
+TEST_F(Routes, SayThatNobodyMatches) {
+  publisher("/chatter", QoS(10).best_effort());
+  subscription("/chatter", QoS(10).transient_local());
+  reader("rt/chatter");
+  writer("rt/chatter");
+  const Plan nothing = plan();
+  EXPECT_THAT(nothing.outlets, IsEmpty());
+  EXPECT_THAT(nothing.sources, IsEmpty());
+  ASSERT_THAT(nothing.unbridged, SizeIs(2));
+  EXPECT_EQ(nothing.unbridged[0].why, WhyNot::qos);
+  EXPECT_EQ(nothing.unbridged[1].why, WhyNot::qos);
+}
+
+TEST_F(Routes, GoWhereTheDefaultSaysWhenNoRuleSpeaksOfThem) {
+  publisher("/a");
+  publisher("/b");
+  reader("rt/a");
+  reader("rt/b");
+  otherwise_ = Direction::none;
+  rules_ = {{"/a", Direction::both, 1}};
+  const Plan made = plan();
+  EXPECT_THAT(made.outlets, SizeIs(1));
+  ASSERT_THAT(made.unbridged, SizeIs(1));
+  EXPECT_EQ(made.unbridged[0].topic, "/b");
+  EXPECT_EQ(made.unbridged[0].why, WhyNot::rule);
+  EXPECT_THAT(made.unbridged[0].detail, HasSubstr("default"));
+}
+
+TEST_F(Routes, ARuleOfATypeLeavesOtherTypesToTheNext) {
+  publisher("/a");
+  reader("rt/a");
+  rules_ = {{"/a", Direction::none, 1, "std_msgs/msg/Int32"}, {"/a", Direction::outward, 2}};
+  EXPECT_THAT(plan().outlets, SizeIs(1));
+  rules_[0].type = string_type;
+  EXPECT_THAT(plan().outlets, IsEmpty());
+}
+
+TEST_F(Routes, OfferToDdsWhatTheRuleSaysAndTakeWhatThePublisherOffers) {
+  const auto generation = publisher("/a", QoS(7).transient_local());
+  reader("rt/a", false, false);
+  Rule rule{"/a", Direction::both, 1};
+  rule.to_dds = {false, false, 2};
+  rules_ = {rule};
+  const Plan made = plan();
+  ASSERT_TRUE(made.outlets.contains(generation));
+  const Outlet& outlet = made.outlets.at(generation);
+  EXPECT_EQ(outlet.offered, (QosClass{false, false}));
+  EXPECT_EQ(outlet.depth, 2u);
+  EXPECT_EQ(outlet.tap, (ReaderKey{{{"/a", string_type}, {true, true}}, 7, false}));
+  EXPECT_THAT(made.taps, ElementsAre(outlet.tap));
+}
+
+TEST_F(Routes, MatchReadersByWhatTheRuleOffers) {
+  publisher("/a", QoS(5).best_effort());
+  reader("rt/a", true);
+  EXPECT_THAT(plan().outlets, IsEmpty());
+  Rule rule{"/a", Direction::both, 1};
+  rule.to_dds.reliable = true;
+  rules_ = {rule};
+  EXPECT_THAT(plan().outlets, SizeIs(1));
+  rules_[0].to_dds.reliable = false;
+  const Plan refused = plan();
+  EXPECT_THAT(refused.outlets, IsEmpty());
+  ASSERT_THAT(refused.unbridged, SizeIs(1));
+  EXPECT_EQ(refused.unbridged[0].why, WhyNot::qos);
+}
+
+TEST_F(Routes, RequestFromDdsWhatTheRuleSays) {
+  subscription("/a", QoS(5).best_effort());
+  const Guid reliable = writer("rt/a", true, true);
+  const Guid best_effort = writer("rt/a", false);
+  Rule rule{"/a", Direction::both, 1};
+  rule.from_dds = {true, false, 3};
+  rules_ = {rule};
+  const Plan made = plan();
+  EXPECT_TRUE(made.sources.contains(reliable));
+  EXPECT_FALSE(made.sources.contains(best_effort)) << "offers less";
+  ASSERT_THAT(made.inlets, SizeIs(1));
+  EXPECT_EQ(made.inlets.begin()->second.requested, (QosClass{true, false}));
+  EXPECT_EQ(made.inlets.begin()->second.depth, 3u);
+}
+
+TEST_F(Routes, AlwaysHaveTheEndpointsThatARuleWantsAlways) {
+  const auto generation = publisher("/a");
+  Rule rule{"/a", Direction::both, 1, string_type};
+  EXPECT_THAT(plan().outlets, IsEmpty());
+  rule.always = true;
+  rules_ = {rule};
+  Plan made = plan();
+  EXPECT_TRUE(made.outlets.contains(generation)) << "nobody reads it in DDS";
+  ASSERT_THAT(made.inlets, SizeIs(1)) << "nobody is on either side";
+  EXPECT_EQ(made.inlets.begin()->second.requested, (QosClass{true, false}));
+  EXPECT_THAT(made.sources, IsEmpty());
+  EXPECT_THAT(made.unbridged, IsEmpty());
+
+  const Guid remote = writer("rt/a", false, false);
+  made = plan();
+  EXPECT_TRUE(made.sources.contains(remote)) << "nobody subscribes here";
+  rules_[0].direction = Direction::outward;
+  made = plan();
+  EXPECT_THAT(made.sources, IsEmpty());
+  EXPECT_THAT(made.inlets, IsEmpty());
+}
+
+TEST_F(Routes, DoWhatTheFirstRuleSaysThatMatches) {
+  rules_ = {{"/chatter", Direction::outward, 3},
+            {"/lidar/**", Direction::both, 5},
+            {"**", Direction::none, 7}};
+  for (const char* const topic : {"/chatter", "/lidar/top/points", "/camera"}) {
+    publisher(topic);
+    subscription(topic);
+    reader("rt" + std::string(topic));
+    writer("rt" + std::string(topic));
+  }
+  const Plan some = plan();
+  EXPECT_THAT(some.outlets, SizeIs(2));
+  ASSERT_THAT(some.sources, SizeIs(1));
+  EXPECT_EQ(some.sources.begin()->second.key.topic, "/lidar/top/points");
+  ASSERT_THAT(some.unbridged, SizeIs(3));
+  for (const Unbridged& not_there : some.unbridged) EXPECT_EQ(not_there.why, WhyNot::rule);
+  EXPECT_THAT(some.unbridged.back().detail, HasSubstr("line 3"));
+}
+
+TEST_F(Routes, SayWhichTypeAnotherTopicOfThatNameHas) {
+  publisher("/chatter");
+  remote(Remote::Kind::reader, "rt/chatter", true, false, 10, "std_msgs::msg::dds_::Int64_");
+  const Plan nothing = plan();
+  ASSERT_THAT(nothing.unbridged, SizeIs(1));
+  EXPECT_EQ(nothing.unbridged[0].why, WhyNot::other_type);
+  EXPECT_THAT(nothing.unbridged[0].detail, HasSubstr("std_msgs/msg/Int64"));
+}
+
+TEST_F(Routes, AskForATypeOnceAndOnlyWhenItIsOnBothSides) {
+  for (int i = 0; i < 5; ++i)
+    local(EndpointKind::publisher, "/topic_" + std::to_string(i), QoS(1), "n", "foreign/msg/Type");
+  local(EndpointKind::publisher, "/alone", QoS(1), "n", "lonely/msg/Type");
+  for (int i = 0; i < 5; ++i)
+    remote(Remote::Kind::reader, "rt/topic_" + std::to_string(i), true, false, 1,
+           "foreign::msg::dds_::Type_");
+  const Plan nothing = plan();
+  EXPECT_EQ(asked_, 1);
+  EXPECT_THAT(nothing.outlets, IsEmpty());
+  EXPECT_EQ(std::count_if(nothing.unbridged.begin(), nothing.unbridged.end(),
+                          [](const Unbridged& one) { return one.why == WhyNot::unknown_type; }),
+            5);
+}
+
+TEST_F(Routes, SayThatNoWriterCanBeSeenThereForTheTypeIsUnknown) {
+  local(EndpointKind::subscription, "/news", QoS(1), "n", "foreign/msg/Type");
+  const Plan nothing = plan();
+  ASSERT_THAT(nothing.unbridged, SizeIs(1));
+  EXPECT_EQ(nothing.unbridged[0].why, WhyNot::no_writer);
+  EXPECT_THAT(nothing.unbridged[0].detail, HasSubstr("cannot be handled here"));
+}
+
+TEST_F(Routes, LeaveOutBridgesOtherDomainsServicesAndWhatIsNoRosName) {
+  local(EndpointKind::publisher, "/chatter", QoS(1), std::string(bridge_node));
+  local(EndpointKind::subscription, "/chatter", QoS(1), std::string(bridge_node) + "_3");
+  local(EndpointKind::publisher, "/chatter", QoS(1), "n", string_type, 7);
+  local(EndpointKind::publisher, "/own", QoS(1), "n", "a_type_of_its_own");
+  publisher("/add");
+  reader("rt/chatter");
+  writer("rt/chatter");
+  reader("rt/own");
+  remote(Remote::Kind::reader, "rq/addRequest");
+  remote(Remote::Kind::reader, "no_ros_topic");
+  const Plan nothing = plan();
+  EXPECT_THAT(nothing.outlets, IsEmpty());
+  EXPECT_THAT(nothing.inlets, IsEmpty());
+  ASSERT_THAT(nothing.unbridged, SizeIs(2));
+  EXPECT_EQ(nothing.unbridged[0].topic, "/add");
+  EXPECT_EQ(nothing.unbridged[0].why, WhyNot::no_reader);
+  EXPECT_EQ(nothing.unbridged[1].topic, "/own");
+  EXPECT_EQ(nothing.unbridged[1].why, WhyNot::no_ros_name);
+}
+
+bool matches(bool offers_reliable, bool offers_history, bool wants_reliable, bool wants_history) {
+  return (offers_reliable || !wants_reliable) && (offers_history || !wants_history);
+}
+
+TEST_F(Routes, TakeEveryMessageOneWayOnceInAnySituation) {
+  std::mt19937 random(7);
+  const auto flip = [&] { return random() % 2 == 0; };
+  for (int round = 0; round < 500; ++round) {
+    locals_.clear();
+    remotes_.clear();
+    const std::vector<std::string> topics{"/a", "/b"};
+    for (auto i = random() % 6; i > 0; --i) {
+      QoS qos(1 + random() % 20);
+      if (flip()) qos.best_effort();
+      if (flip()) qos.transient_local();
+      local(flip() ? EndpointKind::publisher : EndpointKind::subscription, topics[random() % 2],
+            qos);
+    }
+    for (auto i = random() % 6; i > 0; --i)
+      remote(flip() ? Remote::Kind::writer : Remote::Kind::reader, "rt" + topics[random() % 2],
+             flip(), flip());
+    const Plan now = plan();
+    for (const EndpointInfo& endpoint : locals_) {
+      const QosClass own{endpoint.qos.is_reliable(), endpoint.qos.is_transient_local()};
+      for (const auto& [guid, other] : remotes_) {
+        if (other.topic != "rt" + endpoint.topic) continue;
+        const QosClass theirs{other.qos.reliable, other.qos.transient_local};
+        if (endpoint.kind == EndpointKind::publisher && other.kind == Remote::Kind::reader) {
+          if (!matches(own.reliable, own.transient_local, theirs.reliable, theirs.transient_local))
+            continue;
+          // Its messages come through the tap of its QoS alone, to its own writer.
+          ASSERT_TRUE(now.outlets.contains(endpoint.generation));
+          const ReaderKey tap{{{endpoint.topic, endpoint.type}, own}, endpoint.qos.depth(), false};
+          EXPECT_EQ(now.outlets.at(endpoint.generation).tap, tap);
+          EXPECT_TRUE(now.taps.contains(tap));
+        }
+        if (endpoint.kind == EndpointKind::subscription && other.kind == Remote::Kind::writer &&
+            matches(theirs.reliable, theirs.transient_local, own.reliable, own.transient_local)) {
+          ASSERT_TRUE(now.sources.contains(guid));
+          EXPECT_EQ(now.sources.at(guid).qos_class, theirs);
+          // Read by one inlet, which matches it and asks for all that this one wants.
+          const QosClass read = now.sources.at(guid).inlet;
+          EXPECT_TRUE(now.inlets.contains({{endpoint.topic, endpoint.type}, read}));
+          EXPECT_TRUE(matches(theirs.reliable, theirs.transient_local, read.reliable,
+                              read.transient_local));
+          EXPECT_TRUE(
+              matches(read.reliable, read.transient_local, own.reliable, own.transient_local));
+        }
+      }
+    }
+    // Nothing without somebody for whom it is.
+    for (const auto& [generation, outlet] : now.outlets) EXPECT_TRUE(now.taps.contains(outlet.tap));
+    for (const ReaderKey& tap : now.taps)
+      EXPECT_TRUE(std::any_of(now.outlets.begin(), now.outlets.end(),
+                              [&](const auto& outlet) { return outlet.second.tap == tap; }));
+    for (const auto& [key, inlet] : now.inlets) {
+      EXPECT_FALSE(inlet.nodes.empty());
+      const bool is_written =
+          std::any_of(now.sources.begin(), now.sources.end(), [&](const auto& source) {
+            return source.second.key == key.key && source.second.inlet == key.qos_class;
+          });
+      const bool is_wanted = std::any_of(locals_.begin(), locals_.end(), [&](const auto& local) {
+        return local.kind == EndpointKind::subscription && local.topic == key.key.topic &&
+               QosClass{local.qos.is_reliable(), local.qos.is_transient_local()} == key.qos_class;
+      });
+      EXPECT_TRUE(is_written || is_wanted);
+    }
+    for (const auto& [guid, source] : now.sources)
+      EXPECT_TRUE(now.inlets.contains({source.key, source.inlet}));
+    if (HasFailure()) return;
+  }
+}
+
+}  // namespace
+}  // namespace agnocast::bridge

@@ -1,0 +1,93 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: a server has no more requests at once than it has room for answers, however long it answers none. Method: time as a
+// value, completions as pointers.
+
+#include <bridge/under_way.hpp>
+
+#include <gtest/gtest.h>
+
+#include <map>
+#include <memory>
+
+namespace agnocast::bridge {
+namespace {
+
+class RequestsUnderWay : public testing::Test {
+ protected:
+  /// As many as there is room for now.
+  std::size_t send() {
+    std::size_t count = 0;
+    for (; count <= UnderWay::unanswered_max && under_way_.has_room(now_); ++count) {
+      const auto completion = std::make_shared<int>();
+      completions_[++newest_] = completion;
+      if (const auto oldest = under_way_.add(newest_, completion, now_)) {
+        EXPECT_EQ(*oldest, completions_.begin()->first) << "there is an older one";
+        completions_.erase(*oldest);
+        ++forgotten_;
+      }
+    }
+    return count;
+  }
+  void answer(std::int64_t request) { completions_.erase(request); }
+  void pass_time() { now_ += UnderWay::patience; }
+
+  const std::size_t at_once_ = UnderWay::at_once_max();
+  UnderWay under_way_;
+  UnderWay::Time now_{std::chrono::hours(1)};
+  std::map<std::int64_t, std::shared_ptr<int>> completions_;  // of those unanswered
+  std::int64_t newest_ = 0;
+  std::size_t forgotten_ = 0;
+};
+
+TEST_F(RequestsUnderWay, AreReplacedAsTheyAreAnswered) {
+  EXPECT_EQ(send(), at_once_);
+  EXPECT_EQ(send(), 0u);
+  answer(3);
+  answer(newest_);
+  EXPECT_EQ(send(), 2u);
+  EXPECT_EQ(send(), 0u);
+}
+
+TEST_F(RequestsUnderWay, BecomeMoreAfterEachSecondOfTheLastOne) {
+  for (std::size_t second = 1; second <= 5; ++second) {
+    EXPECT_EQ(send(), at_once_);
+    now_ += UnderWay::patience - std::chrono::milliseconds(1);
+    EXPECT_EQ(send(), 0u);
+    EXPECT_EQ(completions_.size(), second * at_once_);
+    now_ += std::chrono::milliseconds(1);
+  }
+  EXPECT_EQ(send(), at_once_);
+  answer(1);
+  EXPECT_EQ(send(), 0u) << "one that was not waited for makes no room";
+  completions_.clear();
+  EXPECT_EQ(send(), at_once_);
+  EXPECT_EQ(send(), 0u);
+}
+
+TEST_F(RequestsUnderWay, OfTooManyUnansweredGoOnAtThatPaceAndForgetTheOldest) {
+  while (completions_.size() < UnderWay::unanswered_max) {
+    ASSERT_EQ(send(), at_once_);
+    pass_time();
+  }
+  EXPECT_EQ(forgotten_, 0u);
+  for (std::size_t second = 1; second <= 250; ++second) {
+    ASSERT_EQ(send(), at_once_) << second;
+    ASSERT_EQ(completions_.size(), UnderWay::unanswered_max);
+    ASSERT_EQ(forgotten_, second * at_once_);
+    pass_time();
+  }
+}
+
+TEST_F(RequestsUnderWay, AreNotForgottenAsLongAsOthersAreAnswered) {
+  ASSERT_EQ(send(), at_once_);
+  while (newest_ < static_cast<std::int64_t>(5 * UnderWay::unanswered_max)) {
+    answer(newest_);
+    ASSERT_EQ(send(), 1u);
+  }
+  EXPECT_EQ(forgotten_, 0u);
+  EXPECT_TRUE(completions_.contains(1));
+}
+
+}  // namespace
+}  // namespace agnocast::bridge
