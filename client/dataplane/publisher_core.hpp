@@ -61,7 +61,7 @@ class PublisherCore {
         head_sequence_(identity.first_sequence),
         seen_(identity.first_sequence),
         history_(identity.qos.transient_local ? identity.qos.depth : 0),
-        slot_count_(identity.slot_count) {}
+        slot_count_(std::min<std::uint64_t>(identity.slot_count, M::slot_capacity)) {}
 
   /// Commits one message. `environment` is told which sleepers to ring and which messages to
   /// destroy: ring(executor, armed) and freed(slot, address). On an error the caller keeps the
@@ -153,7 +153,8 @@ class PublisherCore {
   bool has_reclaimable() const noexcept {
     const std::uint64_t keep_from = minus_at_least(head_sequence_ + 1, history_, 0);
     bool found = false;
-    for_each(allocated_, [&](std::uint64_t slot) { found = found || sequence_[slot] < keep_from; });
+    for_each_allocated(
+        [&](std::uint64_t slot) { found = found || sequence_[slot] < keep_from; });
     return found;
   }
   /// The daemon has freed the index: nothing of it is read by anybody any more.
@@ -196,17 +197,24 @@ class PublisherCore {
   static bool test(const Mask& mask, std::uint64_t slot) noexcept {
     return (mask[slot / 64] >> slot % 64 & 1) != 0;
   }
+  /// Words of a mask that have a slot of this publisher; nothing is ever allocated beyond them.
+  std::size_t words_in_use() const noexcept {
+    return (static_cast<std::size_t>(slot_count_) + 63) / 64;
+  }
+  /// `function` may free the slot that it is given.
   template <class Function>
-  static void for_each(const Mask& mask, Function function) noexcept {
-    for (std::size_t word = 0; word < mask_words; ++word) {
-      for (std::uint64_t bits = mask[word]; bits != 0; bits &= bits - 1) {
+  void for_each_allocated(Function function) const noexcept {
+    const std::size_t words = words_in_use();
+    for (std::size_t word = 0; word < words; ++word) {
+      for (std::uint64_t bits = allocated_[word]; bits != 0; bits &= bits - 1) {
         function(word * 64 + static_cast<std::uint64_t>(std::countr_zero(bits)));
       }
     }
   }
 
   std::uint64_t lowest_free_slot() const noexcept {
-    for (std::size_t word = 0; word < mask_words; ++word) {
+    const std::size_t words = words_in_use();
+    for (std::size_t word = 0; word < words; ++word) {
       if (~allocated_[word] == 0) continue;
       const std::uint64_t slot =
           word * 64 + static_cast<std::uint64_t>(std::countr_one(allocated_[word]));
@@ -324,7 +332,6 @@ class PublisherCore {
     // [sync:hold] seq_cst; pairs with T4 and T5: a take that validated an entry is seen here, or
     // sees the mark made before here.
     AGNOCAST_STEP(P6_fence) M::fence();
-    const Mask marked = retired_;
     refresh_members();
     if (after_commit) {
       ring_sleepers(environment);
@@ -338,7 +345,8 @@ class PublisherCore {
     std::uint64_t need = minus_at_least(head_sequence_ + 1, history_, 0);
     std::uint64_t past = infinite;
     std::uint64_t unknown_from = infinite;
-    Mask held{};
+    Mask held;  // as far as words_in_use()
+    std::fill_n(held.begin(), words_in_use(), 0);
     for (std::uint64_t i = 0; i < (over_ != 0 ? 0 : member_high_); ++i) {
       Member& member = members_[i];
       if (!is_member(member.word)) continue;
@@ -367,15 +375,16 @@ class PublisherCore {
       if (!leaving)
         need = std::min(need, std::max(low, minus_at_least(head_sequence_ + 1, member.window, 0)));
     }
-    retire_and_free(environment, need, past, unknown_from, held, marked);
+    retire_and_free(environment, need, past, unknown_from, held);
   }
 
   /// An honest subscription takes nothing while it holds its quota. One that holds more would take all
   /// slots of this publisher; from then on its holds are not looked at, and it reads what it likes.
   void collect_holds(const LinkWords<M>& link, Member& member, Mask& held) const noexcept {
     if (member.lies != 0) return;
+    const std::size_t words = words_in_use();
     std::uint64_t count = 0;
-    for (std::size_t word = 0; word < mask_words; ++word) {
+    for (std::size_t word = 0; word < words; ++word) {
       if (allocated_[word] == 0) continue;
       // [sync:hold] acquire; pairs with the release of L1: what the holder read, it read before
       // this message is destroyed.
@@ -403,14 +412,15 @@ class PublisherCore {
 
   template <class Environment>
   void retire_and_free(Environment& environment, std::uint64_t need, std::uint64_t past,
-                       std::uint64_t unknown_from, const Mask& held, const Mask& marked) noexcept {
-    const Mask candidates = allocated_;
-    for_each(candidates, [&](std::uint64_t slot) {
+                       std::uint64_t unknown_from, const Mask& held) noexcept {
+    for_each_allocated([&](std::uint64_t slot) {
       const std::uint64_t sequence = sequence_[slot];
+      // By an earlier pass: this one marks a slot below, when it has decided about it. So the mark is
+      // older than the fence at P6.
       const bool retired = test(retired_, slot);
       if (!M::holds(Step::P10_needed, sequence < need) && !retired) return;
       const bool untouchable = M::holds(Step::P10_past, sequence < past) ||
-                               M::holds(Step::P10_marked, test(marked, slot));
+                               M::holds(Step::P10_marked, retired);
       if (untouchable && !M::holds(Step::P10_held, test(held, slot)) && sequence < unknown_from) {
         AGNOCAST_STEP(P10_free) self_.words.slot_id(slot).store(0, std::memory_order_release);
         clear(allocated_, slot);

@@ -347,6 +347,44 @@ TEST(Dataplane, HoldsEverySlotOfAFullQueueAndSaysWhenThereIsNone) {
   EXPECT_TRUE(environment.live.empty());
 }
 
+// A pass looks at no more slots than the publisher has, which may become more.
+TEST(Dataplane, UsesTheSlotsThatThePublisherHasAndThoseThatItGetsLater) {
+  constexpr std::uint64_t few = 65, many = 200;
+  Pair pair;
+  Region queue(std::uint64_t{1} << 18);
+  const PublisherWords<M> words{queue.base(), extent};
+  words.head().store(abi::pack_entry(Pair::first(), 0));
+  const abi::Qos keeps_all{1000, true, true, false, false};  // for late joiners
+  journal::BoardSteps<M>(pair.topic())
+      .add_publisher(0, generation, {keeps_all, 0, extent, few, Pair::first()});
+  auto publisher = std::make_unique<PublisherCore<M>>(PublisherCore<M>::Identity{
+      pair.topic(), words, 0, generation, Pair::first(), keeps_all, few, 0});
+  Freed environment;
+  std::uint64_t number = 0;
+  const auto publish_until_full = [&] {
+    for (std::uint64_t published = 0;; ++published) {
+      const std::uint64_t address = 0x100000 + ++number * 16;
+      environment.live.insert(address);
+      if (publisher->publish({address, 16, number}, environment) == PublishOutcome::published)
+        continue;
+      environment.live.erase(address);
+      return published;
+    }
+  };
+  EXPECT_EQ(publish_until_full(), few);
+  pair.topic().publisher(0, offsetof(abi::PublisherEntry, slot_count)).store(many);
+  pair.topic().epoch().fetch_add(1);
+  EXPECT_EQ(publish_until_full(), many - few);
+  EXPECT_EQ(publisher->allocated_count(), many);
+  EXPECT_FALSE(publisher->has_reclaimable());
+  publisher->keep_no_history();
+  EXPECT_TRUE(publisher->has_reclaimable());
+  publisher->pass(environment);
+  publisher->pass(environment);
+  EXPECT_EQ(publisher->allocated_count(), 0u) << "those that it got later are freed as well";
+  EXPECT_TRUE(environment.live.empty());
+}
+
 TEST(Dataplane, RefusesAMessageOfAnotherSizeOrAlignment) {
   for (const auto& [address, size, is_right] : {std::tuple{0x100010ull, 32ull, true},
                                                 {0x100010ull, 31ull, false},
