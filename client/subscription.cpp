@@ -36,26 +36,41 @@ struct ReceivedBlock : detail::Block {
   Received received;
 };
 
+class BlockReceiver final : public Receiver {
+ public:
+  BlockReceiver() noexcept = default;
+  BlockReceiver(const BlockReceiver&) = delete;
+  BlockReceiver& operator=(const BlockReceiver&) = delete;
+  ~BlockReceiver() { delete block_; }
+  Received* place() noexcept override {
+    if (block_ == nullptr) block_ = new (std::nothrow) ReceivedBlock;
+    return block_ != nullptr ? &block_->received : nullptr;
+  }
+  ReceivedBlock* take_out() noexcept { return std::exchange(block_, nullptr); }
+
+ private:
+  ReceivedBlock* block_ = nullptr;
+};
+
 /// A received message as a Block, or null when there is none (or no memory for it: then it stays
 /// unread).
 detail::Block* take_block(SubscriptionEndpoint& subscription) noexcept {
-  if (!subscription.has_news()) return nullptr;
-  std::unique_ptr<ReceivedBlock> block(new (std::nothrow) ReceivedBlock);
-  if (block == nullptr) return nullptr;
-  auto received = subscription.take();
-  if (!received) return nullptr;
-  block->message = reinterpret_cast<void*>(received->taken.address);
+  BlockReceiver receiver;
+  if (!subscription.take(receiver)) return nullptr;
+  ReceivedBlock* const block = receiver.take_out();
+  const dataplane::Taken& taken = block->received.taken;
+  const Link& link = *block->received.link;
+  block->message.store(reinterpret_cast<void*>(taken.address), std::memory_order_relaxed);
   block->end = [](detail::Block* last) noexcept {
     auto* const own = static_cast<ReceivedBlock*>(last);
     Context::instance().release(own->received);
     delete own;
   };
-  block->info.sequence = received->taken.sequence - received->link->first_sequence();
-  block->info.publisher = received->link->generation();
-  block->info.publish_time_ns = received->taken.stamp_ns;
-  block->info.object_bytes = received->taken.size;
-  block->received = std::move(*received);
-  return block.release();
+  block->info.sequence = taken.sequence - link.first_sequence();
+  block->info.publisher = link.generation();
+  block->info.publish_time_ns = taken.stamp_ns;
+  block->info.object_bytes = taken.size;
+  return block;
 }
 
 class SubscriptionSource final : public CallbackSource {

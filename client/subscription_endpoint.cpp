@@ -133,7 +133,7 @@ bool SubscriptionEndpoint::is_empty() const noexcept {
   return closed_ && departure_.is_known() && links_.empty();
 }
 
-std::shared_ptr<Link> SubscriptionEndpoint::oldest() const noexcept {
+const std::shared_ptr<Link>* SubscriptionEndpoint::oldest() const noexcept {
   const std::shared_ptr<Link>* best = nullptr;
   std::uint64_t best_stamp = 0;
   for (const auto& link : links_) {
@@ -143,7 +143,7 @@ std::shared_ptr<Link> SubscriptionEndpoint::oldest() const noexcept {
     best = &link;
     best_stamp = *stamp;
   }
-  return best != nullptr ? *best : nullptr;
+  return best;
 }
 
 // keep-last counts over all publishers, as the history of a DDS reader does. If it counts for each of them by itself, its own queue is
@@ -195,12 +195,12 @@ bool SubscriptionEndpoint::is_member() const noexcept {
          abi::pack_member(self_.generation, abi::MemberState::active);
 }
 
-std::optional<Received> SubscriptionEndpoint::take() noexcept {
-  if (!is_served()) return std::nullopt;
+bool SubscriptionEndpoint::take(Receiver& receiver) noexcept {
+  if (!is_served()) return false;
   const std::lock_guard lock(mutex_);
   if (!successors_.empty()) [[unlikely]]
-    return take_in_order();
-  return take_here();
+    return take_in_order(receiver);
+  return take_here(receiver);
 }
 
 bool SubscriptionEndpoint::may_take() const noexcept {
@@ -214,20 +214,32 @@ bool SubscriptionEndpoint::can_take(const Link& link) const noexcept {
           link.peer().heap().window_count() != link.windows_seen_);
 }
 
-std::optional<Received> SubscriptionEndpoint::take_here() noexcept {
-  if (!may_take()) return std::nullopt;
+// Of one publisher nothing has to be compared, and most takes that find nothing end here.
+inline bool SubscriptionEndpoint::take_here(Receiver& receiver) noexcept {
+  if (!may_take()) return false;
+  if (links_.size() != 1) return take_oldest(receiver);
+  const std::shared_ptr<Link>& link = links_.front();
+  if (!can_take(*link) || !link->core_.has_news()) return false;
+  return take_from(link, receiver) == Attempt::taken;
+}
+
+bool SubscriptionEndpoint::take_oldest(Receiver& receiver) noexcept {
   drop_beyond_depth();
   // A link whose candidate was gone when looked at closely is asked again; each round loses or
   // takes something.
   for (std::size_t round = 0; round <= links_.size(); ++round) {
-    std::shared_ptr<Link> link = oldest();
-    if (link == nullptr) return std::nullopt;
-    if (auto taken = take_from(std::move(link))) return taken;
+    const std::shared_ptr<Link>* const link = oldest();
+    if (link == nullptr) return false;
+    const Attempt attempt = take_from(*link, receiver);
+    if (attempt != Attempt::lost) return attempt == Attempt::taken;
   }
-  return std::nullopt;
+  return false;
 }
 
-std::optional<Received> SubscriptionEndpoint::take_from(std::shared_ptr<Link> link) noexcept {
+SubscriptionEndpoint::Attempt SubscriptionEndpoint::take_from(const std::shared_ptr<Link>& link,
+                                                              Receiver& receiver) noexcept {
+  Received* const place = receiver.place();
+  if (place == nullptr) return Attempt::no_room;
   link->windows_seen_ = link->peer().heap().window_count();
   HeapLook windows(link->peer().heap(), link->is_orphaned_ ? Unannounced::ignored
                                         : is_alone_        ? Unannounced::lost
@@ -236,12 +248,14 @@ std::optional<Received> SubscriptionEndpoint::take_from(std::shared_ptr<Link> li
   note_losses(*link);
   if (!taken) {
     if (link->ceased_ && !link->core_.has_news()) events_->drained();
-    return std::nullopt;
+    return Attempt::lost;
   }
   link->held_.fetch_add(1, std::memory_order_relaxed);
   // The last message of a publisher that is gone: its release is what the control thread waits for.
   if (link->core_.drained()) link->closing_.store(true, std::memory_order_release);
-  return Received{*taken, std::move(link)};
+  place->taken = *taken;
+  place->link = link;
+  return Attempt::taken;
 }
 
 bool SubscriptionEndpoint::has_news() const noexcept {
@@ -385,22 +399,23 @@ SubscriptionEndpoint::Candidate SubscriptionEndpoint::oldest_in_order() noexcept
       const auto stamp = link->core_.next_stamp();
       if (!stamp || (best.link != nullptr && *stamp > best.stamp) || is_held_back(*link, age))
         continue;
-      best = {&of, link, *stamp};
+      best = {&of, &link, *stamp};
     }
   }
   return best;
 }
 
-std::optional<Received> SubscriptionEndpoint::take_in_order() noexcept {
-  return with_successors_locked([this]() -> std::optional<Received> {
+bool SubscriptionEndpoint::take_in_order(Receiver& receiver) noexcept {
+  return with_successors_locked([&] {
     // Each round takes, loses or passes over something. Were a publisher faster than that, the next
     // call would go on.
     for (std::uint64_t round = 0; round < 2 * abi::ring_count; ++round) {
       Candidate next = oldest_in_order();
-      if (next.link == nullptr) return std::nullopt;
-      if (auto taken = next.of->take_from(std::move(next.link))) return taken;
+      if (next.link == nullptr) return false;
+      const Attempt attempt = next.of->take_from(*next.link, receiver);
+      if (attempt != Attempt::lost) return attempt == Attempt::taken;
     }
-    return std::nullopt;
+    return false;
   });
 }
 

@@ -117,6 +117,17 @@ struct Received {
   std::shared_ptr<Link> link;
 };
 
+/// Where a take puts what it takes.
+class Receiver {
+ public:
+  /// Called once there is something to take, and before it is; it may turn out to be lost. Null: there
+  /// is no memory, and it stays unread.
+  virtual Received* place() noexcept = 0;
+
+ protected:
+  ~Receiver() = default;
+};
+
 class Context;
 
 class SubscriptionEndpoint {
@@ -178,8 +189,8 @@ class SubscriptionEndpoint {
 
   /// The oldest unread message over all publishers (per publisher in order; between publishers by
   /// stamp), or nothing. Counts what falls out of the subscription's depth as lost. No system call
-  /// except after a publisher's heap has grown.
-  std::optional<Received> take() noexcept;
+  /// except after a publisher's heap has grown. True: `receiver` has it.
+  bool take(Receiver& receiver) noexcept;
   /// The subscription takes no more.
   void close() noexcept;
   /// Is there anything to take? For the look between arming and sleeping.
@@ -231,12 +242,14 @@ class SubscriptionEndpoint {
  private:
   struct Candidate {
     SubscriptionEndpoint* of = nullptr;
-    std::shared_ptr<Link> link;
+    const std::shared_ptr<Link>* link = nullptr;
     std::uint64_t stamp = 0;
   };
-  std::optional<Received> take_here() noexcept;
-  std::optional<Received> take_from(std::shared_ptr<Link> link) noexcept;
-  std::optional<Received> take_in_order() noexcept;
+  enum class Attempt : std::uint8_t { taken, lost, no_room };
+  bool take_here(Receiver& receiver) noexcept;
+  bool take_oldest(Receiver& receiver) noexcept;
+  Attempt take_from(const std::shared_ptr<Link>& link, Receiver& receiver) noexcept;
+  bool take_in_order(Receiver& receiver) noexcept;
   bool may_take() const noexcept;
   bool can_take(const Link& link) const noexcept;
   bool has_news_here() const noexcept;
@@ -259,7 +272,7 @@ class SubscriptionEndpoint {
   using Book = journal::AnnouncementBook<SharedMemory>;
   void drop_beyond_depth() noexcept;
   void note_losses(Link& link) noexcept;
-  std::shared_ptr<Link> oldest() const noexcept;
+  const std::shared_ptr<Link>* oldest() const noexcept;
 
   Identity self_;
   std::shared_ptr<Sleeper> sleeper_;

@@ -235,10 +235,15 @@ class Tool {
   }
 
   std::string take() {
-    auto received = subscription_->take();
-    if (!received) return subscription_->malformed() == 0 ? "none" : "damaged";
-    held_.push_back(*received);
-    const Cloud& cloud = *reinterpret_cast<const Cloud*>(received->taken.address);
+    struct Place final : Receiver {
+      Received* place() noexcept override { return &received; }
+      Received received;
+    };
+    Place receiver;
+    if (!subscription_->take(receiver))
+      return subscription_->malformed() == 0 ? "none" : "damaged";
+    held_.push_back(receiver.received);
+    const Cloud& cloud = *reinterpret_cast<const Cloud*>(receiver.received.taken.address);
     return intact(cloud) ? std::to_string(cloud.number) : "damaged";
   }
 
