@@ -60,14 +60,24 @@ void ExecutorCore::cancel() noexcept {
 }
 
 void ExecutorCore::begin_turn() {
-  turn_.clear();
   next_ = 0;
   const std::lock_guard lock(mutex_);
-  for (const Hosted& hosted : hosted_) {
+  if (turn_is_current_ && !has_new_list()) [[likely]]
+    return;
+  turn_is_current_ = false;  // should there be no memory for a whole one
+  turn_.clear();
+  for (Hosted& hosted : hosted_) {
     listed_.clear();
-    hosted.node->list(this, listed_);
+    hosted.listed = hosted.node->list(this, listed_);
     for (auto& source : listed_) turn_.push_back({hosted.node, std::move(source)});
   }
+  turn_is_current_ = true;
+}
+
+bool ExecutorCore::has_new_list() const noexcept {
+  return std::any_of(hosted_.begin(), hosted_.end(), [](const Hosted& hosted) {
+    return hosted.node->list_changes() != hosted.listed;
+  });
 }
 
 bool ExecutorCore::run_one_of_turn() {

@@ -9,7 +9,7 @@
 //
 // A *turn* is a list of all callback sources; each may run one callback in it. So a fast topic does
 // not starve the others, whichever nodes they belong to. The list refers weakly: a subscription that
-// goes takes what its callback holds with it.
+// goes takes what its callback holds with it. It is made anew when a node or a source came or went.
 //
 // Nodes come and go in any thread (client/runner.cpp orders that); everything else is for the one
 // thread that spins, except wake() and cancel().
@@ -83,7 +83,8 @@ class ExecutorCore {
  private:
   struct Hosted {
     std::shared_ptr<NodeCallbacks> node;
-    std::uint64_t tag;  // of its datagram bell in the epoll set
+    std::uint64_t tag;          // of its datagram bell in the epoll set
+    std::uint64_t listed = 0;  // what its list_changes() were for turn_; 0: it is not in there
   };
   struct Turn {
     std::weak_ptr<NodeCallbacks> node;
@@ -95,6 +96,7 @@ class ExecutorCore {
   template <class Condition>
   void drop_if(Condition condition) noexcept {
     const std::lock_guard lock(mutex_);
+    turn_is_current_ = false;
     std::erase_if(hosted_, [&](const Hosted& hosted) {
       if (!condition(*hosted.node)) return false;
       hosted.node->sleeper()->remove_from(epoll_.get());
@@ -102,6 +104,7 @@ class ExecutorCore {
     });
   }
   void begin_turn();
+  bool has_new_list() const noexcept;
   bool run_one_of_turn();
 
   UniqueFd epoll_, wake_;
@@ -110,6 +113,7 @@ class ExecutorCore {
   mutable std::mutex mutex_;
   std::vector<Hosted> hosted_;
   std::uint64_t last_tag_ = 0;
+  bool turn_is_current_ = false;  // unless a node says otherwise
 
   std::vector<Turn> turn_;
   std::size_t next_ = 0;

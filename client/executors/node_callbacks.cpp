@@ -12,6 +12,7 @@ void NodeCallbacks::add(std::shared_ptr<CallbackSource> source) {
   {
     const std::lock_guard lock(mutex_);
     sources_.push_back(std::move(source));
+    count_change();
   }
   sleeper_->wake();
 }
@@ -26,11 +27,12 @@ void NodeCallbacks::remove(CallbackSource& source, std::shared_ptr<const void> r
   if (found == sources_.end()) return;
   last = std::move(*found);
   sources_.erase(found);
+  count_change();
   source.removed_ = true;
   if (running_thread_ == std::this_thread::get_id()) {
     until_end_.swap(runner);
   } else {
-    changed_.wait(lock, [&] { return running_ != &source; });
+    callback_ended_.wait(lock, [&] { return running_ != &source; });
   }
   lock.unlock();
 }
@@ -41,14 +43,15 @@ void NodeCallbacks::hand_to(Host host) noexcept {
     if (armed_) sleeper_->disarm();
     armed_ = false;
     host_ = host;
-    changed_.notify_all();
+    count_change();
+    host_changed_.notify_all();
   }
   sleeper_->wake();  // whoever sleeps on its bells shall look who is the host
 }
 
 bool NodeCallbacks::await(Host host) noexcept {
   std::unique_lock lock(mutex_);
-  changed_.wait(lock, [&] { return stopped_ || host_ == host; });
+  host_changed_.wait(lock, [&] { return stopped_ || host_ == host; });
   return !stopped_;
 }
 
@@ -58,14 +61,16 @@ void NodeCallbacks::stop() noexcept {
     if (armed_) sleeper_->disarm();  // the next user of the sleeper begins awake
     armed_ = false;
     stopped_ = true;
-    changed_.notify_all();
+    host_changed_.notify_all();
   }
   sleeper_->wake();
 }
 
-void NodeCallbacks::list(Host host, std::vector<std::weak_ptr<CallbackSource>>& sources) const {
+std::uint64_t NodeCallbacks::list(Host host,
+                                  std::vector<std::weak_ptr<CallbackSource>>& sources) const {
   const std::lock_guard lock(mutex_);
   if (host_ == host) sources.insert(sources.end(), sources_.begin(), sources_.end());
+  return list_changes();
 }
 
 bool NodeCallbacks::has_work(Host host) const noexcept {
@@ -85,7 +90,7 @@ struct NodeCallbacks::Ending {
     let_go.swap(node.until_end_);
     node.running_ = nullptr;
     node.running_thread_ = {};
-    node.changed_.notify_all();
+    node.callback_ended_.notify_all();
     if (node.host_ != host) node.sleeper_->wake();  // the new one has seen nothing meanwhile
   }
 };

@@ -73,8 +73,11 @@ class NodeCallbacks {
 
   // --- the host; for anybody else these do nothing and see nothing
 
-  /// Appends the sources, in the order in which they were added.
-  void list(Host host, std::vector<std::weak_ptr<CallbackSource>>& sources) const;
+  /// Appends the sources, in the order in which they were added: the answer of list_changes() for
+  /// which that is the list.
+  std::uint64_t list(Host host, std::vector<std::weak_ptr<CallbackSource>>& sources) const;
+  /// Another number whenever list() would append something else. Never 0.
+  std::uint64_t list_changes() const noexcept { return changes_.load(std::memory_order_acquire); }
   /// False while a former host is still inside a callback.
   bool has_work(Host host) const noexcept;
   /// At most one callback of `source`; true if there was one. Throws what it throws.
@@ -87,12 +90,18 @@ class NodeCallbacks {
 
  private:
   struct Ending;
+  void count_change() noexcept {  // under the mutex
+    changes_.store(changes_.load(std::memory_order_relaxed) + 1, std::memory_order_release);
+  }
 
   const std::string node_;
   const std::shared_ptr<Sleeper> sleeper_;
   mutable std::mutex mutex_;
-  std::condition_variable changed_;  // host, end of a callback, stop
+  // Apart, because a callback ends with each message: whoever waits to be the host is not woken by that.
+  std::condition_variable host_changed_;  // or stop
+  std::condition_variable callback_ended_;
   std::vector<std::shared_ptr<CallbackSource>> sources_;
+  std::atomic<std::uint64_t> changes_{1};  // of the sources or the host; written under the mutex
   Host host_ = nullptr;
   const CallbackSource* running_ = nullptr;
   std::thread::id running_thread_;

@@ -7,16 +7,27 @@
 
 #include <sys/epoll.h>
 
+#include <cstdint>
 #include <new>
 #include <vector>
 
 namespace agnocast {
 namespace {
 
-void run_turn(NodeCallbacks& node, NodeCallbacks::Host self, bool& any) {
-  std::vector<std::weak_ptr<CallbackSource>> turn;
-  node.list(self, turn);
-  for (const auto& listed : turn) {
+/// The sources of a node, as they were in the last turn. Weakly: what goes takes with it what its
+/// callback holds.
+struct Turn {
+  std::vector<std::weak_ptr<CallbackSource>> sources;
+  std::uint64_t listed = 0;  // list_changes(); 0: never
+};
+
+void run_turn(NodeCallbacks& node, NodeCallbacks::Host self, Turn& turn, bool& any) {
+  if (node.list_changes() != turn.listed) {
+    turn.sources.clear();
+    turn.listed = 0;  // should there be no memory
+    turn.listed = node.list(self, turn.sources);
+  }
+  for (const auto& listed : turn.sources) {
     const UserCode code;  // goes after the source, which may be what keeps the callback
     if (!code.may_run()) return;
     const auto source = listed.lock();
@@ -36,10 +47,11 @@ void run_turn(NodeCallbacks& node, NodeCallbacks::Host self, bool& any) {
 
 void serve(NodeCallbacks& node, int epoll) noexcept {
   const NodeCallbacks::Host self = &node;
+  Turn turn;
   while (node.await(self)) {
     try {
       bool any = false;
-      run_turn(node, self, any);
+      run_turn(node, self, turn, any);
       if (is_forked_child()) return;  // a callback has forked, and has returned in the child
       if (exit_has_begun()) return;   // for good: what is unread stays unread
       if (any) continue;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: a node's callbacks are handed from host to host without a race, a lost wake-up, or two
-// callbacks at a time.
+// callbacks at a time; who is not the host sleeps on.
 // Method: the executors' core and the library's thread without daemon and client; a source of
 // callbacks is a queue that threads of this test fill, which ring like a publisher: only an armed
 // sleep word, through the real bells. Nothing is protected by more than the code under test promises,
@@ -22,9 +22,12 @@
 #include <atomic>
 #include <chrono>
 #include <cstdint>
+#include <fstream>
 #include <memory>
 #include <mutex>
+#include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 namespace agnocast {
@@ -77,7 +80,10 @@ struct Node {
                   DoorbellReceiver(UniqueFd(::dup(eventfd.get())), UniqueFd(pair[0])))));
     epoll.reset(::epoll_create1(EPOLL_CLOEXEC));
     EXPECT_TRUE(callbacks->sleeper()->add_to(epoll.get(), 0, 1));
-    thread = std::thread([this] { serve(*callbacks, epoll.get()); });
+    thread = std::thread([this] {
+      thread_number = ::gettid();
+      serve(*callbacks, epoll.get());
+    });
     callbacks->hand_to(callbacks.get());
   }
   ~Node() {
@@ -102,8 +108,20 @@ struct Node {
   test::AlignedRegion region;
   UniqueFd eventfd, datagram, epoll;
   std::shared_ptr<NodeCallbacks> callbacks;
+  std::atomic<pid_t> thread_number{0};
   std::thread thread;
 };
+
+/// How often a thread of this process has gone to sleep.
+std::uint64_t sleeps_of(pid_t thread) {
+  std::ifstream status("/proc/self/task/" + std::to_string(thread) + "/status");
+  const std::string name = "voluntary_ctxt_switches:";
+  for (std::string line; std::getline(status, line);) {
+    if (line.rfind(name, 0) == 0) return std::stoull(line.substr(name.size()));
+  }
+  ADD_FAILURE() << "no thread " << thread;
+  return 0;
+}
 
 /// A spinning thread on an ExecutorCore, as Executor::spin() is.
 struct Spinner {
@@ -251,6 +269,73 @@ TEST(ExecutorThreads, RemoveWaitsForTheCallbackInAnyHost) {
   node.ring(false);
   EXPECT_TRUE(eventually([&] { return queue->taken() == 1; })) << "and the new host goes on";
   spinner.core->drop(*node.callbacks);
+}
+
+TEST(ExecutorThreads, WhoIsNotTheHostSleepsThroughTheCallbacksOfWhoIs) {
+  constexpr std::uint64_t count = 2000;
+  Node node;
+  auto queue = std::make_shared<Queue>(count);
+  node.callbacks->add(queue);
+  ASSERT_TRUE(eventually([&] { return node.is_armed(); })) << "the library's thread has begun";
+  Spinner spinner(false);
+  ASSERT_TRUE(spinner.core->adopt(node.callbacks));
+  queue->push(0);
+  ASSERT_TRUE(eventually([&] { return node.ring(false), queue->taken() == 1; }));
+  // Its last sleep as a host is over, and it waits to be one again.
+  std::uint64_t before = sleeps_of(node.thread_number);
+  EXPECT_TRUE(eventually([&] {
+    std::this_thread::sleep_for(std::chrono::milliseconds(20));
+    return sleeps_of(node.thread_number) == std::exchange(before, sleeps_of(node.thread_number));
+  }));
+  for (std::uint64_t i = 1; i < count; ++i) {
+    queue->push(i);
+    node.ring(false);
+    while (queue->taken() <= i) std::this_thread::yield();
+  }
+  EXPECT_LT(sleeps_of(node.thread_number) - before, count / 100);
+  node.callbacks->remove(*queue, nullptr);
+  spinner.core->drop(*node.callbacks);
+}
+
+TEST(ExecutorThreads, ATurnKnowsWhatCameAndWentSinceTheLast) {
+  Node one, other;
+  const std::unique_ptr<ExecutorCore> core = std::move(*ExecutorCore::make());
+  const auto full = [] {
+    auto queue = std::make_shared<Queue>(100);
+    for (std::uint64_t i = 0; i < 100; ++i) queue->push(i);
+    return queue;
+  };
+  const auto run_turn = [&] { return core->run_turn(ExecutorCore::Clock::time_point::max()); };
+  ASSERT_TRUE(core->adopt(one.callbacks));
+  EXPECT_EQ(run_turn(), 0u);
+  const auto first = full(), second = full(), third = full();
+  one.callbacks->add(first);
+  EXPECT_EQ(run_turn(), 1u) << "a source came";
+  EXPECT_EQ(run_turn(), 1u) << "the same list again";
+  one.callbacks->add(second);
+  EXPECT_EQ(run_turn(), 2u) << "one more";
+  one.callbacks->remove(*first, nullptr);
+  EXPECT_EQ(run_turn(), 1u) << "the first went";
+  ASSERT_TRUE(core->adopt(other.callbacks));
+  other.callbacks->add(third);
+  EXPECT_EQ(run_turn(), 2u) << "a node came";
+  core->drop(*one.callbacks);
+  EXPECT_EQ(run_turn(), 1u) << "a node went";
+  EXPECT_EQ(first->taken(), 3u);
+  EXPECT_EQ(second->taken(), 3u);
+  EXPECT_EQ(third->taken(), 2u);
+  other.callbacks->remove(*third, nullptr);
+  std::weak_ptr<Queue> gone;
+  {
+    const auto last = full();
+    gone = last;
+    other.callbacks->add(last);
+    EXPECT_EQ(run_turn(), 1u);
+    other.callbacks->remove(*last, nullptr);
+  }
+  EXPECT_TRUE(gone.expired()) << "a list keeps nothing alive";
+  EXPECT_EQ(run_turn(), 0u);
+  core->drop(*other.callbacks);
 }
 
 }  // namespace
