@@ -189,7 +189,7 @@ void SubscriptionEndpoint::note_losses(Link& link) noexcept {
 
 // A process that was stopped while it was revoked may come here before its control thread has read
 // of it; publishers keep nothing for it any more.
-bool SubscriptionEndpoint::is_member() const noexcept {
+inline bool SubscriptionEndpoint::is_member() const noexcept {
   return self_.topic.subscription(self_.index, offsetof(abi::SubscriptionEntry, word))
              .load(std::memory_order_acquire) ==
          abi::pack_member(self_.generation, abi::MemberState::active);
@@ -203,7 +203,7 @@ bool SubscriptionEndpoint::take(Receiver& receiver) noexcept {
   return take_here(receiver);
 }
 
-bool SubscriptionEndpoint::may_take() const noexcept {
+inline bool SubscriptionEndpoint::may_take() const noexcept {
   return !closed_ && !has_finished_ && is_member();
 }
 
@@ -219,7 +219,7 @@ inline bool SubscriptionEndpoint::take_here(Receiver& receiver) noexcept {
   if (!may_take()) return false;
   if (links_.size() != 1) return take_oldest(receiver);
   const std::shared_ptr<Link>& link = links_.front();
-  if (!can_take(*link) || !link->core_.has_news()) return false;
+  if (!link->core_.has_news() || !can_take(*link)) return false;
   return take_from(link, receiver) == Attempt::taken;
 }
 

@@ -247,9 +247,11 @@ class SubscriptionEndpoint {
   };
   enum class Attempt : std::uint8_t { taken, lost, no_room };
   bool take_here(Receiver& receiver) noexcept;
-  bool take_oldest(Receiver& receiver) noexcept;
-  Attempt take_from(const std::shared_ptr<Link>& link, Receiver& receiver) noexcept;
-  bool take_in_order(Receiver& receiver) noexcept;
+  // Apart, so that a take that finds nothing saves no registers for them.
+  [[gnu::noinline]] bool take_oldest(Receiver& receiver) noexcept;
+  [[gnu::noinline]] Attempt take_from(const std::shared_ptr<Link>& link,
+                                      Receiver& receiver) noexcept;
+  [[gnu::noinline]] bool take_in_order(Receiver& receiver) noexcept;
   bool may_take() const noexcept;
   bool can_take(const Link& link) const noexcept;
   bool has_news_here() const noexcept;
