@@ -8,6 +8,7 @@
 #include <base/step.hpp>
 #include <base/text.hpp>
 #include <client/forked_child.hpp>
+#include <client/heap_return.hpp>
 #include <client/reregistration.hpp>
 
 #include <algorithm>
@@ -85,6 +86,8 @@ Result<void> Context::open_heap() {
   if (!found) return tl::unexpected<Failure>(found.error());
   const Result<HeapScope> scope = scope_from_environment(scope_);
   if (!scope) return tl::unexpected<Failure>(scope.error());
+  const auto idle_time = HeapReturn::idle_time();
+  if (!idle_time) return tl::unexpected<Failure>(idle_time.error());
   wire::WindowRequest request{};
   request.window = 0;
   Result<void> opened =
@@ -103,6 +106,7 @@ Result<void> Context::open_heap() {
   heap_ = *found;
   scope_ = *scope;
   heap_is_open_.store(true, std::memory_order_release);
+  if (*idle_time) HeapReturn::instance().begin(heap_->hook(), **idle_time);
   return {};
 }
 

@@ -139,6 +139,7 @@ class Context {
 
  private:
   friend class Reregistration;
+  friend class HeapReturn;  // has a thread
 
   struct KnownPeer {
     std::unique_ptr<Peer> peer;

@@ -3,6 +3,7 @@
 // The control thread of the context: what the daemon says, in order, and everything that user threads leave to it.
 
 #include <client/context.hpp>
+#include <client/heap_return.hpp>
 #include <client/reregistration.hpp>
 
 #include <base/step.hpp>
@@ -423,6 +424,7 @@ void Context::say_unlinked(Kind kind, std::uint32_t topic, std::uint64_t index,
 }
 
 void Context::run_errands() {
+  HeapReturn::instance().look();
   if (is_alone_.load(std::memory_order_acquire)) return run_former_errands();
   if (has_begun_.load(std::memory_order_acquire) &&
       reconnection_.state() == Reconnection::State::connected) {

@@ -75,6 +75,7 @@ std::uint64_t frontier(std::uint32_t window) {
 std::uint32_t first_window() { return shared_heap::first_window(); }
 
 void usage(struct agnocast_heaphook_usage* usage) { shared_heap::usage(*usage); }
+int window_wanted() { return shared_heap::wants_window() ? 1 : 0; }
 
 constexpr struct agnocast_heaphook_table table = {
     .abi_version = AGNOCAST_HEAPHOOK_ABI_VERSION,
@@ -94,6 +95,8 @@ constexpr struct agnocast_heaphook_table table = {
     .first_window = first_window,
     .usage = usage,
     .purge = shared_heap::purge,
+    .idle = shared_heap::idle,
+    .window_wanted = window_wanted,
 };
 
 }  // namespace

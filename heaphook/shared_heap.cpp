@@ -37,6 +37,29 @@ bool is_given_up(const windows::Window& window) {
 }
 
 constinit std::atomic<std::uint32_t> purging{0};  // calls of purge() in progress
+
+// Blocks of this size and more are counted while they live: what they have taken at most since somebody looked is what they want.
+// They are few, and begin on a page, so that a free of a small block is known for one by its address.
+constexpr std::size_t counted_min = std::size_t{64} << 10;
+constexpr std::size_t page_min = 4096;
+constinit std::atomic<std::uint64_t> counted_bytes{0};
+constinit std::atomic<std::uint64_t> counted_bytes_max{0};  // since the last idle()
+
+// Only then it is worth asking the allocator for the size.
+bool may_be_counted(const void* block) {
+  return reinterpret_cast<std::uintptr_t>(block) % page_min == 0 && counted_bytes.load(std::memory_order_relaxed) != 0;
+}
+
+void count_block(std::size_t before, std::size_t after) {
+  if (before < counted_min) before = 0;
+  if (after < counted_min) after = 0;
+  if (before == after) return;
+  const std::uint64_t now = counted_bytes.fetch_add(after - before, std::memory_order_relaxed) + after - before;
+  std::uint64_t seen = counted_bytes_max.load(std::memory_order_relaxed);
+  while (now > seen && !counted_bytes_max.compare_exchange_weak(seen, now, std::memory_order_relaxed)) {
+  }
+}
+
 constinit std::atomic<std::uint64_t> refused_count{0};
 constinit std::atomic<std::uint64_t> internal_error_count{0};
 
@@ -144,8 +167,14 @@ void* if_in_window(void* block) {
 constexpr std::size_t size_min = 16;
 constexpr std::size_t at_least_min(std::size_t size) { return size < size_min ? size_min : size; }
 
+[[gnu::noinline, gnu::cold]] void count_made(void* block) { count_block(0, usable_size(block)); }
+
 void* or_refused(void* block, std::size_t size) {
-  if (block != nullptr) [[likely]] return block;
+  if (block != nullptr) [[likely]] {
+    // A size class is less than twice what was asked for.
+    if (size >= counted_min / 2) [[unlikely]] count_made(block);
+    return block;
+  }
   refused_count.fetch_add(1, std::memory_order_relaxed);
   ++thread_state.spilled;
   auto& refused_max = windows::counters.refused_bytes_max;
@@ -294,7 +323,9 @@ void* reallocate(void* block, std::size_t size) {
     const KeepErrno keep;
     const LibcOnly inside;
     // In place, or not at all; in a window that was given up it may only shrink.
-    room = is_given_up(*windows::window_of(block)) ? usable_size(block) : agnocast_je_xallocx(block, at_least_min(size), 0, 0);
+    const std::size_t before = usable_size(block);
+    room = is_given_up(*windows::window_of(block)) ? before : agnocast_je_xallocx(block, at_least_min(size), 0, 0);
+    count_block(before, room);
   }
   // A block that shrinks stays where it is while that wastes little.
   const bool fits = room >= size;
@@ -305,10 +336,30 @@ void* reallocate(void* block, std::size_t size) {
   {
     const KeepErrno keep;
     const LibcOnly inside;
+    count_block(room, 0);
     agnocast_je_free(block);
   }
   return moved;
 }
+
+namespace {
+
+void give_back(void* block, const windows::Window& window) {
+  const KeepErrno keep;
+  const LibcOnly inside;
+  if (is_given_up(window)) [[unlikely]] {
+    agnocast_je_dallocx(block, no_cache);
+  } else {
+    agnocast_je_free(block);
+  }
+}
+
+[[gnu::noinline, gnu::cold]] void give_back_counted(void* block, const windows::Window& window) {
+  count_block(usable_size(block), 0);
+  give_back(block, window);
+}
+
+}  // namespace
 
 void release(void* block, const windows::Window& window) {
   if (!windows::is_owner()) return;
@@ -321,13 +372,8 @@ void release(void* block, const windows::Window& window) {
     thread_state.deferred = block;
     return;
   }
-  const KeepErrno keep;
-  const LibcOnly inside;
-  if (is_given_up(window)) [[unlikely]] {
-    agnocast_je_dallocx(block, no_cache);
-  } else {
-    agnocast_je_free(block);
-  }
+  if (may_be_counted(block)) [[unlikely]] return give_back_counted(block, window);
+  give_back(block, window);
 }
 
 std::size_t usable_size(const void* block) { return agnocast_je_malloc_usable_size(block); }
@@ -384,18 +430,23 @@ enum agnocast_heaphook_status add_window(const struct agnocast_heaphook_window& 
   return AGNOCAST_HEAPHOOK_OK;
 }
 
+bool wants_window() {
+  const std::uint32_t window_count = windows::count.load(std::memory_order_acquire);
+  if (window_count == 0 || window_count == AGNOCAST_HEAPHOOK_WINDOWS_MAX) return false;
+  const windows::Window& last = windows::table[window_count - 1];
+  return last.used.load(std::memory_order_relaxed) >= last.length / 4 * 3 ||
+         windows::counters.refused_bytes_max.load(std::memory_order_relaxed) > 0;
+}
+
 void usage(struct agnocast_heaphook_usage& usage) {
   memset(&usage, 0, sizeof usage);
   const std::uint32_t window_count = windows::count.load(std::memory_order_acquire);
   usage.window_count = window_count;
-  bool last_is_filling = false;
   for (std::uint32_t i = 0; i < window_count; ++i) {
     const windows::Window& window = windows::table[i];
-    const std::size_t used = window.used.load(std::memory_order_relaxed);
     usage.length_bytes += window.length;
-    usage.used_bytes += used;
+    usage.used_bytes += window.used.load(std::memory_order_relaxed);
     usage.frontier_bytes += window.frontier.load(std::memory_order_relaxed);
-    last_is_filling = used >= window.length / 4 * 3;
   }
   usage.refused_bytes_max = windows::counters.refused_bytes_max.load(std::memory_order_relaxed);
   usage.refused_count = refused_count.load(std::memory_order_relaxed);
@@ -403,8 +454,7 @@ void usage(struct agnocast_heaphook_usage& usage) {
   usage.punch_count = windows::counters.punch_count.load(std::memory_order_relaxed);
   usage.punched_bytes = windows::counters.punched_bytes.load(std::memory_order_relaxed);
   usage.internal_error_count = internal_error_count.load(std::memory_order_relaxed);
-  usage.next_window_wanted = window_count > 0 && window_count < AGNOCAST_HEAPHOOK_WINDOWS_MAX &&
-                             (last_is_filling || usage.refused_bytes_max > 0);
+  usage.next_window_wanted = wants_window();
   if (windows::is_owner()) {
     const LibcOnly inside;
     usage.live_bytes = live_bytes();
@@ -423,6 +473,28 @@ std::uint64_t purge() {
   }
   purging.fetch_sub(1, std::memory_order_relaxed);
   return windows::counters.punched_bytes.load(std::memory_order_relaxed) - before;
+}
+
+std::uint64_t idle() {
+  if (!windows::is_owner()) return 0;
+  const KeepErrno keep;
+  const LibcOnly inside;
+  std::size_t page = 0;
+  bool known = set("epoch", std::uint64_t{1}) && get("arenas.page", page);
+  std::uint64_t bytes = 0;
+  for (std::uint32_t i = 0; known && i < arena_count.load(std::memory_order_acquire); ++i) {
+    std::size_t pages = 0;
+    known = get(ArenaName("stats.arenas.", arenas[i], ".pdirty").text, pages);
+    bytes += pages * page;
+  }
+  if (!known) {
+    note_internal_error();
+    return 0;
+  }
+  const std::uint64_t now = counted_bytes.load(std::memory_order_relaxed);
+  const std::uint64_t most = counted_bytes_max.exchange(now, std::memory_order_relaxed);
+  const std::uint64_t wanted = most > now ? most - now : 0;
+  return bytes > wanted ? bytes - wanted : 0;
 }
 
 }  // namespace agnocast::heaphook::shared_heap

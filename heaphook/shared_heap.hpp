@@ -12,7 +12,8 @@
 // A FRESH window starts another shared arena, and all threads take from that one only. The arenas before it keep their blocks until
 // they are freed, past every thread cache, and hand out nothing any more.
 //
-// Freed extents stay with the arena, resident and warm, until purge() punches them; nothing else gives pages back.
+// Freed extents stay with the arena, resident and warm, until purge() punches them; nothing else gives pages back. How much of that
+// nobody wants is told by idle().
 //
 // Locks: the arena's own, then the growth lock of windows.cpp; never the other way round. A thread inside the allocator has
 // ThreadState::blocked > 0, so whatever the allocator calls (pthread_setspecific may call calloc) is served by libc.
@@ -45,7 +46,9 @@ enum agnocast_heaphook_status add_window(const struct agnocast_heaphook_window& 
 // The oldest window that blocks come from.
 std::uint32_t first_window();
 void usage(struct agnocast_heaphook_usage& usage);
+bool wants_window();
 std::uint64_t purge();
+std::uint64_t idle();
 
 // Something that cannot happen did: counted, never fatal.
 void note_internal_error();

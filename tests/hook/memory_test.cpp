@@ -110,6 +110,47 @@ HOOKED_TEST(HookMemory, IdleMemoryOfSmallMessagesServesLargeOnes) {
   EXPECT_LT(hook_test::usage().used_bytes, 140 * MiB) << "never more than 100 MiB were live";
 }
 
+HOOKED_TEST(HookMemory, IdleIsWhatNobodyHasWantedSinceTheLastLook) {
+  WindowFile file(1024 * MiB);
+  attach(file);
+  EXPECT_EQ(hook().idle(), 0u);
+  const auto use = [](std::size_t count, std::size_t size) {
+    std::vector<char*> messages(count);
+    {
+      Scope scope;
+      for (char*& message : messages) {
+        message = static_cast<char*>(malloc(size));
+        EXPECT_TRUE(is_shared(message));
+      }
+    }
+    for (char* message : messages) free(message);
+  };
+  use(100, MiB);
+  EXPECT_LT(hook().idle(), MiB) << "all of it was wanted just now";
+  EXPECT_GE(hook().idle(), 100 * MiB);
+  use(40, MiB);
+  std::uint64_t idle = hook().idle();
+  EXPECT_GE(idle, 59 * MiB) << "what was not touched meanwhile";
+  EXPECT_LE(idle, 61 * MiB);
+  EXPECT_GE(hook().idle(), 100 * MiB);
+  {
+    Scope scope;
+    void* block = malloc(MiB);
+    for (std::size_t size : {30 * MiB, 10 * MiB, MiB / 32, 20 * MiB}) {
+      block = realloc(block, size);
+      ASSERT_TRUE(is_shared(block));
+    }
+    free(block);
+  }
+  (void)hook().idle();
+  EXPECT_GE(hook().idle(), 100 * MiB) << "blocks that grow and shrink are counted as they are";
+  EXPECT_GE(hook().purge(), 100 * MiB);
+  EXPECT_LT(hook().idle(), MiB);
+  use(100000, 200);
+  EXPECT_GE(hook().idle(), 15 * MiB) << "small blocks are counted where they are idle";
+  EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
+}
+
 HOOKED_TEST(HookMemory, SteadyStateReusesWarmPages) {
   WindowFile file(1024 * MiB);
   attach(file);

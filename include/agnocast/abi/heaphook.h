@@ -23,7 +23,7 @@ extern "C" {
 #endif
 
 /** Changes with any change of this header's layout or meaning. */
-#define AGNOCAST_HEAPHOOK_ABI_VERSION 3u
+#define AGNOCAST_HEAPHOOK_ABI_VERSION 4u
 
 /** Windows of one process. Eight of the default 16 GiB are 128 GiB of addresses: more than the memory of today's robots. */
 #define AGNOCAST_HEAPHOOK_WINDOWS_MAX 8u
@@ -151,9 +151,18 @@ struct agnocast_heaphook_table {
   void (*usage)(struct agnocast_heaphook_usage* usage);
 
   /** Gives the pages of all idle memory back to the kernel (they read as zero in every process) and returns how many bytes of
-   *  addresses that were. Costs a system call per idle range and the next use of these pages faults: for a control thread,
-   *  after idle time. Nothing else in the hook gives pages back. */
+   *  addresses that were. Costs a system call per idle range and the next use of these pages faults: for a thread that nobody waits
+   *  for, after idle time. Allocations and frees go on beside it; fork, usage and idle wait for its end. Nothing else in the hook
+   *  gives pages back. */
   uint64_t (*purge)(void);
+
+  /** Bytes that purge would give back, and that nobody has wanted since the previous call: freed blocks count from the next call
+   *  on. Blocks of 64 KiB and more are followed all the time; of smaller ones only what is idle now is known. For a thread that
+   *  may wait: takes allocator locks, which a purge in another thread keeps until it is done. One caller at a time. */
+  uint64_t (*idle)(void);
+
+  /** next_window_wanted of usage, without any lock. */
+  int (*window_wanted)(void);
 };
 
 /** The table; static, the same for the life of the process. */

@@ -1,0 +1,195 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: what nobody wants any more of a shared heap goes back to the system after
+// AGNOCAST_HEAP_IDLE_SECONDS, beside traffic as well; what traffic wants stays, and with `never` all does.
+// Method: the real daemon and hook; the blocks of the heap's memfd, and the hook's count of what it gave
+// back. Each in a process of its own, because a process has one heap.
+
+#include <agnocast/abi/heaphook.h>
+#include <agnocast/agnocast.hpp>
+#include <tests/support/daemon_process.hpp>
+#include <tests/support/own_process.hpp>
+#include <tests/support/plain_node.hpp>
+
+#include <gtest/gtest.h>
+
+#include <sys/stat.h>
+
+#include <chrono>
+#include <cstdint>
+#include <cstdlib>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <set>
+#include <string>
+#include <thread>
+#include <vector>
+
+namespace agnocast {
+namespace {
+
+struct Bulk : SharedMessage {
+  SharedVector<std::uint8_t> data;
+};
+
+}  // namespace
+
+template <>
+struct MessageTraits<Bulk> {
+  static constexpr const char* name = "tests/Bulk";
+  static void for_each_pointer(const Bulk& bulk, PointerVisitor& visit) noexcept {
+    visit("data", bulk.data);
+  }
+};
+
+namespace {
+
+using Clock = std::chrono::steady_clock;
+using test::eventually;
+using test::in_own_process;
+using test::PlainNode;
+using test::take_soon;
+
+constexpr std::uint64_t MiB = 1 << 20;
+constexpr std::uint64_t spike_bytes = 300 * MiB;
+
+std::uint64_t resident_bytes() {
+  std::uint64_t blocks = 0;
+  std::set<ino_t> seen;
+  for (const auto& entry : std::filesystem::directory_iterator("/proc/self/fd")) {
+    std::error_code gone;
+    const std::string target = std::filesystem::read_symlink(entry.path(), gone).string();
+    struct stat status {};
+    if (target.rfind("/memfd:", 0) != 0 || ::stat(entry.path().c_str(), &status) != 0) continue;
+    if (seen.insert(status.st_ino).second) blocks += static_cast<std::uint64_t>(status.st_blocks);
+  }
+  return blocks * 512;
+}
+
+agnocast_heaphook_usage usage() {
+  agnocast_heaphook_usage now{};
+  agnocast_heaphook()->usage(&now);
+  return now;
+}
+
+bool has_thread(const std::string& name) {
+  for (const auto& task : std::filesystem::directory_iterator("/proc/self/task")) {
+    std::string found;
+    std::getline(std::ifstream(task.path() / "comm"), found);
+    if (found == name) return true;
+  }
+  return false;
+}
+
+class HeapReturns : public testing::Test {
+ protected:
+  void SetUp() override { ::setenv("AGNOCAST_SOCKET", daemon_.socket_path().c_str(), 1); }
+
+  static Publisher<Bulk>::SharedPtr publisher_with(const char* idle_seconds) {
+    ::setenv("AGNOCAST_HEAP_IDLE_SECONDS", idle_seconds, 1);
+    return create_publisher<Bulk>(PlainNode(), "bulk", QoS(1));
+  }
+  /// Much is lent at once, and given back.
+  static void spike(Publisher<Bulk>& publisher) {
+    constexpr std::uint64_t loan_bytes = 5 * MiB;
+    std::vector<ipc_shared_ptr<Bulk>> loans;
+    for (std::uint64_t sum = 0; sum < spike_bytes; sum += loan_bytes) {
+      loans.push_back(publisher.borrow_loaned_message());
+      loans.back()->data.resize(loan_bytes);
+    }
+  }
+  template <class Subscription>
+  static void publish_one(Publisher<Bulk>& publisher, const Subscription& subscription) {
+    auto loan = publisher.borrow_loaned_message();
+    loan->data.resize(8 * MiB);
+    ASSERT_TRUE(publisher.publish(std::move(loan)));
+    ASSERT_TRUE(take_soon(subscription));
+  }
+
+  test::DaemonProcess daemon_;
+};
+
+TEST_F(HeapReturns, ASpike) {
+  EXPECT_TRUE(in_own_process([] {
+    const auto publisher = publisher_with("3");
+    const std::uint64_t before = resident_bytes();
+    spike(*publisher);
+    EXPECT_GE(resident_bytes(), before + spike_bytes) << "not by a free";
+    EXPECT_EQ(usage().punch_count, 0u);
+    EXPECT_TRUE(eventually([&] { return resident_bytes() <= before + spike_bytes / 20; }));
+    EXPECT_TRUE(has_thread("agnocast-purge"));
+    spike(*publisher);
+    EXPECT_GE(resident_bytes(), before + spike_bytes);
+    EXPECT_TRUE(eventually([&] { return resident_bytes() <= before + spike_bytes / 20; }))
+        << "and the next one";
+    EXPECT_EQ(usage().internal_error_count, 0u);
+  }));
+}
+
+TEST_F(HeapReturns, ASpikeBesideTrafficThatKeepsWhatItWants) {
+  EXPECT_TRUE(in_own_process([] {
+    const auto publisher = publisher_with("1");
+    const auto subscription = create_subscription<Bulk>(PlainNode(), "bulk", QoS(1));
+    ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 1; }));
+    for (int i = 0; i < 5; ++i) publish_one(*publisher, subscription);
+    const std::uint64_t before = resident_bytes();
+    spike(*publisher);
+    const auto go_on = [&] {
+      publish_one(*publisher, subscription);
+      std::this_thread::sleep_for(std::chrono::milliseconds(20));
+    };
+    EXPECT_TRUE(eventually([&] {
+      go_on();
+      return resident_bytes() <= before + spike_bytes / 20;
+    }));
+    const std::uint64_t returned = usage().punch_count;
+    EXPECT_GT(returned, 0u);
+    for (const auto end = Clock::now() + std::chrono::seconds(5); Clock::now() < end;) go_on();
+    EXPECT_EQ(usage().punch_count, returned) << "nothing of what the traffic frees and takes again";
+  }));
+}
+
+TEST_F(HeapReturns, NothingOfWhatIsWantedAgainAndAgain) {
+  EXPECT_TRUE(in_own_process([] {
+    const auto publisher = publisher_with("2");
+    for (const auto end = Clock::now() + std::chrono::seconds(6); Clock::now() < end;) {
+      spike(*publisher);
+      std::this_thread::sleep_for(std::chrono::milliseconds(300));
+    }
+    EXPECT_EQ(usage().punch_count, 0u);
+  }));
+}
+
+TEST_F(HeapReturns, NothingWithNever) {
+  EXPECT_TRUE(in_own_process([] {
+    const auto publisher = publisher_with("never");
+    spike(*publisher);
+    const std::uint64_t full = resident_bytes();
+    std::this_thread::sleep_for(std::chrono::seconds(4));  // as ASpike needs
+    EXPECT_EQ(resident_bytes(), full);
+    EXPECT_EQ(usage().punch_count, 0u);
+    EXPECT_FALSE(has_thread("agnocast-purge")) << "nobody watches";
+  }));
+}
+
+TEST_F(HeapReturns, AnotherValueIsRefusedByNameAndTheNextTryMayBeRight) {
+  EXPECT_TRUE(in_own_process([] {
+    for (const char* value : {"0", "-1", "1.5", "10s", " 10", "always", "1000001"}) {
+      ::setenv("AGNOCAST_HEAP_IDLE_SECONDS", value, 1);
+      const auto refused = try_create_publisher<Bulk>(PlainNode(), "bulk", QoS(1));
+      ASSERT_FALSE(refused) << value;
+      EXPECT_EQ(refused.error().code, Errc::invalid_argument);
+      EXPECT_EQ(detail_of(refused.error()),
+                "AGNOCAST_HEAP_IDLE_SECONDS is \"" + std::string(value) +
+                    "\", which is neither a number of seconds from 1 to 1000000 nor never");
+    }
+    EXPECT_TRUE(try_create_subscription<Bulk>(PlainNode(), "bulk", QoS(1)))
+        << "who only subscribes has no heap";
+    ::setenv("AGNOCAST_HEAP_IDLE_SECONDS", "", 1);
+    EXPECT_TRUE(try_create_publisher<Bulk>(PlainNode(), "bulk", QoS(1)));
+  }));
+}
+
+}  // namespace
+}  // namespace agnocast
