@@ -153,8 +153,7 @@ class PublisherCore {
   bool has_reclaimable() const noexcept {
     const std::uint64_t keep_from = minus_at_least(head_sequence_ + 1, history_, 0);
     bool found = false;
-    for_each_allocated(
-        [&](std::uint64_t slot) { found = found || sequence_[slot] < keep_from; });
+    for_each_allocated([&](std::uint64_t slot) { found = found || sequence_[slot] < keep_from; });
     return found;
   }
   /// The daemon has freed the index: nothing of it is read by anybody any more.
@@ -419,8 +418,8 @@ class PublisherCore {
       // older than the fence at P6.
       const bool retired = test(retired_, slot);
       if (!M::holds(Step::P10_needed, sequence < need) && !retired) return;
-      const bool untouchable = M::holds(Step::P10_past, sequence < past) ||
-                               M::holds(Step::P10_marked, retired);
+      const bool untouchable =
+          M::holds(Step::P10_past, sequence < past) || M::holds(Step::P10_marked, retired);
       if (untouchable && !M::holds(Step::P10_held, test(held, slot)) && sequence < unknown_from) {
         AGNOCAST_STEP(P10_free) self_.words.slot_id(slot).store(0, std::memory_order_release);
         clear(allocated_, slot);

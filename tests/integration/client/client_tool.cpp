@@ -240,8 +240,7 @@ class Tool {
       Received received;
     };
     Place receiver;
-    if (!subscription_->take(receiver))
-      return subscription_->malformed() == 0 ? "none" : "damaged";
+    if (!subscription_->take(receiver)) return subscription_->malformed() == 0 ? "none" : "damaged";
     held_.push_back(receiver.received);
     const Cloud& cloud = *reinterpret_cast<const Cloud*>(receiver.received.taken.address);
     return intact(cloud) ? std::to_string(cloud.number) : "damaged";
