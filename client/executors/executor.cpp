@@ -41,8 +41,14 @@ Clock::time_point bound_of(std::chrono::nanoseconds max_duration) noexcept {
                                                     : Clock::time_point::max();
 }
 
+/// Who has no deadline does not ask for the time.
+bool is_over(Clock::time_point deadline) noexcept {
+  return deadline != Clock::time_point::max() && Clock::now() >= deadline;
+}
+
 /// Until `deadline`, rounded up so that a sleep does not end just before it.
 std::chrono::milliseconds time_until(Clock::time_point deadline) noexcept {
+  if (deadline == Clock::time_point::max()) return ExecutorCore::sleep_max;
   const Clock::time_point now = Clock::now();
   if (deadline <= now) return std::chrono::milliseconds(0);
   if (deadline - now >= ExecutorCore::sleep_max) return ExecutorCore::sleep_max;
@@ -112,7 +118,7 @@ bool Executor::wait_for_work(Clock::time_point deadline) {
       }
     } while (Clock::now() < end);
   }
-  if (core.is_cancelled() || Clock::now() >= deadline) return false;
+  if (core.is_cancelled() || is_over(deadline)) return false;
   if (!core.prepare()) core.sleep(time_until(deadline));
   return !core.is_cancelled();
 }

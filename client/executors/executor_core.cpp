@@ -120,9 +120,8 @@ bool ExecutorCore::has_work() const noexcept {
 
 bool ExecutorCore::prepare() noexcept {
   const std::lock_guard lock(mutex_);
-  for (const Hosted& hosted : hosted_) hosted.node->arm(this);
   const bool work = std::any_of(hosted_.begin(), hosted_.end(), [this](const Hosted& hosted) {
-    return hosted.node->has_work(this);
+    return hosted.node->arm_or_find_work(this);
   });
   if (!work) return false;
   for (const Hosted& hosted : hosted_) hosted.node->disarm(this);

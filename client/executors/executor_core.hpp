@@ -61,7 +61,9 @@ class ExecutorCore {
   /// wake(), and is_cancelled() until somebody takes note of it.
   void cancel() noexcept;
   bool is_cancelled() const noexcept { return cancelled_.load(std::memory_order_acquire); }
-  bool take_cancel() noexcept { return cancelled_.exchange(false, std::memory_order_acq_rel); }
+  bool take_cancel() noexcept {
+    return is_cancelled() && cancelled_.exchange(false, std::memory_order_acq_rel);
+  }
 
   /// Readable when a sleep of this executor would end.
   int fd() const noexcept { return epoll_.get(); }

@@ -75,6 +75,10 @@ std::uint64_t NodeCallbacks::list(Host host,
 
 bool NodeCallbacks::has_work(Host host) const noexcept {
   const std::lock_guard lock(mutex_);
+  return has_work_here(host);
+}
+
+bool NodeCallbacks::has_work_here(Host host) const noexcept {
   return host_ == host && running_ == nullptr && !stopped_ &&
          std::any_of(sources_.begin(), sources_.end(),
                      [](const auto& source) { return source->has_work(); });
@@ -107,11 +111,13 @@ bool NodeCallbacks::run(Host host, CallbackSource& source) {
   return source.run_one();
 }
 
-void NodeCallbacks::arm(Host host) noexcept {
+bool NodeCallbacks::arm_or_find_work(Host host) noexcept {
   const std::lock_guard lock(mutex_);
-  if (host_ != host || stopped_) return;
+  if (host_ != host || stopped_) return false;
   sleeper_->arm();
-  armed_ = true;
+  armed_ = !has_work_here(host);
+  if (!armed_) sleeper_->disarm();
+  return !armed_;
 }
 
 void NodeCallbacks::disarm(Host host) noexcept {

@@ -82,15 +82,17 @@ class NodeCallbacks {
   bool has_work(Host host) const noexcept;
   /// At most one callback of `source`; true if there was one. Throws what it throws.
   bool run(Host host, CallbackSource& source);
-  /// Order of a sleep: arm, has_work, block on the bells, disarm (docs/protocol.md).
-  void arm(Host host) noexcept;
+  /// Order of a sleep: arm, look, block on the bells, disarm (docs/protocol.md). True when the look
+  /// finds work, and then nothing is armed.
+  bool arm_or_find_work(Host host) noexcept;
   void disarm(Host host) noexcept;
   /// The datagram bell rang.
   void drain(Host host) noexcept;
 
  private:
   struct Ending;
-  void count_change() noexcept {  // under the mutex
+  bool has_work_here(Host host) const noexcept;  // under the mutex
+  void count_change() noexcept {                 // under the mutex
     changes_.store(changes_.load(std::memory_order_relaxed) + 1, std::memory_order_release);
   }
 

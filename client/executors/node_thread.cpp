@@ -58,11 +58,10 @@ void serve(NodeCallbacks& node, int epoll) noexcept {
     } catch (const std::bad_alloc&) {
       // Of the list: what is unread stays unread until there is memory.
     }
-    node.arm(self);
+    if (node.arm_or_find_work(self)) continue;
     epoll_event events[2];
-    int count = 0;
-    if (!node.has_work(self))
-      count = ::epoll_wait(epoll, events, 2, static_cast<int>(ExecutorCore::sleep_max.count()));
+    const int count =
+        ::epoll_wait(epoll, events, 2, static_cast<int>(ExecutorCore::sleep_max.count()));
     node.disarm(self);
     for (int i = 0; i < count; ++i) {
       if (events[i].data.u64 == 1) node.drain(self);
