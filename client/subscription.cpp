@@ -32,9 +32,14 @@ std::uint64_t MessageInfo::source_timestamp() const noexcept {
 
 namespace {
 
-struct ReceivedBlock : detail::Block {
-  Received received;
-};
+// In the hands of its last user.
+void end_block(detail::Block* last) noexcept {
+  auto* const own = static_cast<ReceivedBlock*>(last);
+  const Received received = std::move(own->received);
+  own->users.store(1, std::memory_order_relaxed);
+  Context::instance().release(received);
+  if (!received.link->keep(own)) delete own;
+}
 
 class BlockReceiver final : public Receiver {
  public:
@@ -42,7 +47,8 @@ class BlockReceiver final : public Receiver {
   BlockReceiver(const BlockReceiver&) = delete;
   BlockReceiver& operator=(const BlockReceiver&) = delete;
   ~BlockReceiver() { delete block_; }
-  Received* place() noexcept override {
+  Received* place(Link& link) noexcept override {
+    if (block_ == nullptr) block_ = link.spare();
     if (block_ == nullptr) block_ = new (std::nothrow) ReceivedBlock;
     return block_ != nullptr ? &block_->received : nullptr;
   }
@@ -61,11 +67,7 @@ detail::Block* take_block(SubscriptionEndpoint& subscription) noexcept {
   const dataplane::Taken& taken = block->received.taken;
   const Link& link = *block->received.link;
   block->message.store(reinterpret_cast<void*>(taken.address), std::memory_order_relaxed);
-  block->end = [](detail::Block* last) noexcept {
-    auto* const own = static_cast<ReceivedBlock*>(last);
-    Context::instance().release(own->received);
-    delete own;
-  };
+  block->end = end_block;
   block->info.sequence = taken.sequence - link.first_sequence();
   block->info.publisher = link.generation();
   block->info.publish_time_ns = taken.stamp_ns;

@@ -17,6 +17,8 @@ constexpr std::uint64_t gone_unread_max = 64;
 
 }  // namespace
 
+Link::~Link() { delete spare_.load(std::memory_order_acquire); }
+
 SubscriptionEndpoint::SubscriptionEndpoint(const Identity& identity,
                                            std::shared_ptr<Sleeper> sleeper)
     : self_(identity),
@@ -238,7 +240,7 @@ bool SubscriptionEndpoint::take_oldest(Receiver& receiver) noexcept {
 
 SubscriptionEndpoint::Attempt SubscriptionEndpoint::take_from(const std::shared_ptr<Link>& link,
                                                               Receiver& receiver) noexcept {
-  Received* const place = receiver.place();
+  Received* const place = receiver.place(*link);
   if (place == nullptr) return Attempt::no_room;
   link->windows_seen_ = link->peer().heap().window_count();
   HeapLook windows(link->peer().heap(), link->is_orphaned_ ? Unannounced::ignored

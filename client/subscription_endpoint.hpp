@@ -15,6 +15,7 @@
 // what was linked and unlinked last: to link a generation again would deliver its messages twice.
 #pragma once
 
+#include <agnocast/ipc_shared_ptr.hpp>
 #include <agnocast/result.hpp>
 #include <client/dataplane/subscription_core.hpp>
 #include <client/departure.hpp>
@@ -34,6 +35,8 @@
 
 namespace agnocast {
 
+struct ReceivedBlock;
+
 /// One subscription towards one publisher. Shared by the subscription and by every message it
 /// holds.
 class Link {
@@ -52,6 +55,9 @@ class Link {
                              ? std::min(identity.offered.depth, identity.requested.depth)
                              : 0);
   }
+  Link(const Link&) = delete;
+  Link& operator=(const Link&) = delete;
+  ~Link();
 
   std::uint64_t publisher() const noexcept { return identity_.index; }
   std::uint64_t generation() const noexcept { return identity_.generation; }
@@ -74,6 +80,20 @@ class Link {
   /// For whoever releases and is told so. Any thread.
   void wake_control() const noexcept {
     if (wake_control_) wake_control_();
+  }
+  /// A control block that was kept, or null. Under the subscription's mutex: nobody else takes one out.
+  ReceivedBlock* spare() noexcept {
+    ReceivedBlock* const kept = spare_.load(std::memory_order_acquire);
+    if (kept != nullptr) spare_.store(nullptr, std::memory_order_relaxed);
+    return kept;
+  }
+  /// Of a message that was released: one is kept for the next, so whoever holds one at a time allocates
+  /// none. Any thread. False: there is one.
+  bool keep(ReceivedBlock* block) noexcept {
+    ReceivedBlock* none = nullptr;
+    return spare_.load(std::memory_order_relaxed) == nullptr &&
+           spare_.compare_exchange_strong(none, block, std::memory_order_release,
+                                          std::memory_order_relaxed);
   }
   bool keeps_history() const noexcept { return identity_.offered.transient_local; }
   std::uint64_t held_count() const noexcept { return held_.load(std::memory_order_acquire); }
@@ -104,6 +124,7 @@ class Link {
   std::uint64_t lost_noted_ = 0, malformed_noted_ = 0, unreachable_noted_ = 0;
   std::atomic<std::uint64_t> held_{0};
   std::atomic<bool> closing_{false};
+  std::atomic<ReceivedBlock*> spare_{nullptr};
   bool ceased_ = false;     // the publisher adds nothing any more
   bool continues_ = false;  // it had a queue of the same publisher before
   // The daemon has said so, and before that it announced each window that the publisher had by then.
@@ -117,12 +138,17 @@ struct Received {
   std::shared_ptr<Link> link;
 };
 
+/// A received message as its users have it.
+struct ReceivedBlock : detail::Block {
+  Received received;
+};
+
 /// Where a take puts what it takes.
 class Receiver {
  public:
   /// Called once there is something to take, and before it is; it may turn out to be lost. Null: there
   /// is no memory, and it stays unread.
-  virtual Received* place() noexcept = 0;
+  virtual Received* place(Link& link) noexcept = 0;
 
  protected:
   ~Receiver() = default;
@@ -140,7 +166,7 @@ class SubscriptionEndpoint {
     std::byte* region;     // this process's client region
     std::uint64_t extent;  // in it
     abi::Qos qos;
-    std::uint64_t quota;              // messages held at once, per publisher
+    std::uint64_t quota;  // messages held at once, per publisher
     bool depth_per_publisher = false;
     std::uint64_t message_bytes = 0;  // sizeof the message object; 0 = any
     std::uint64_t message_alignment = 1;

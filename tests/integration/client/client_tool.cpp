@@ -236,7 +236,7 @@ class Tool {
 
   std::string take() {
     struct Place final : Receiver {
-      Received* place() noexcept override { return &received; }
+      Received* place(Link&) noexcept override { return &received; }
       Received received;
     };
     Place receiver;
