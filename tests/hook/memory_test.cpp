@@ -6,10 +6,14 @@
 #include "support.hpp"
 
 #include <cerrno>
+#include <cstdint>
+#include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <fstream>
 #include <mutex>
 #include <random>
+#include <string>
 #include <thread>
 #include <vector>
 
@@ -149,6 +153,22 @@ HOOKED_TEST(HookMemory, IdleIsWhatNobodyHasWantedSinceTheLastLook) {
   use(100000, 200);
   EXPECT_GE(hook().idle(), 15 * MiB) << "small blocks are counted where they are idle";
   EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
+}
+
+HOOKED_TEST(HookMemory, AsksForHugePages) {
+  if (access("/sys/kernel/mm/transparent_hugepage/shmem_enabled", F_OK) != 0) GTEST_SKIP() << "this kernel has none";
+  WindowFile file(512 * MiB);
+  attach(file);
+  char begin[20];
+  std::snprintf(begin, sizeof begin, "%lx-", static_cast<unsigned long>(reinterpret_cast<std::uintptr_t>(file.window.base)));
+  std::ifstream maps("/proc/self/smaps");
+  std::string line;
+  while (std::getline(maps, line) && line.rfind(begin, 0) != 0) {
+  }
+  ASSERT_TRUE(maps) << "the window is mapped";
+  while (std::getline(maps, line) && line.rfind("VmFlags:", 0) != 0) {
+  }
+  EXPECT_NE((line + " ").find(" hg "), std::string::npos) << line;
 }
 
 HOOKED_TEST(HookMemory, SteadyStateReusesWarmPages) {
