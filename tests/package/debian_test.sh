@@ -31,13 +31,14 @@ make_packages first
 make_packages next -D CPACK_DEBIAN_PACKAGE_RELEASE=0upstream2
 lintian --allow-root --no-cfg --fail-on error,warning "$here"/first/*.deb
 
-# Whatever an ordinary installation has is in a package, except for examples and demo. Debian has libraries and units elsewhere.
+# Whatever an ordinary installation has is in a package, except for examples, demo and benchmark, which need message packages that are none of
+# Debian's. Debian has libraries and units elsewhere.
 files_of() { sed -E '/\/$/d; s,^\./(usr/)?,,; s,^lib/[^/]*-linux-gnu[^/]*/,lib/,' | sort -u; }
 DESTDIR=$dir/plain cmake --install "$build" --prefix /usr >/dev/null
 (cd "$dir/plain" && find . ! -type d) | files_of >"$dir/installed"
 for package in "$here"/first/*.deb; do dpkg-deb --fsys-tarfile "$package" | tar t; done | files_of >"$dir/packaged"
 forgotten=$(comm -23 "$dir/installed" "$dir/packaged" |
-  grep -vxE 'bin/(talker|listener|cloud_(publisher|subscriber)|add_two_ints_(server|client))|libexec/agnocast/(agnocast_)?demo.*|share/doc/agnocast/LICENSE') || true
+  grep -vxE 'bin/(talker|listener|cloud_(publisher|subscriber)|add_two_ints_(server|client)|agnocast-bench(-plot)?)|share/agnocast/schemas/bench-1.json|libexec/agnocast/(agnocast_)?demo.*|share/doc/agnocast/LICENSE') || true
 [ -z "$forgotten" ] || { echo "FAILED: in no package: $forgotten"; exit 1; }
 
 # What a user has: a workspace, and message packages that are no packages of Debian yet.

@@ -1,37 +1,29 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// recovery_bench: what a death costs those who live. Real processes, the real daemon and its
-// supervisor, SIGKILL. It asserts no time; what does not happen within ten seconds ends it with a
-// sentence. Without options it is over within two minutes, and what the large heap takes.
+// The peer of whoever dies in the case death: it subscribes to the dying publisher and publishes to the dying subscriber, a
+// process of its own because it publishes. What it has measured it says line by line:
 //
-// This process is the peer of whoever dies: it subscribes to the dying publisher and publishes to the
-// dying subscriber. All durations begin before kill():
-//   ended    its pidfd is readable: the kernel has taken its memory down. What comes before is not ours
-//   told     the peer's event callback runs: nobody is matched any more
-//   back     the publisher's message that the dead subscriber held is destroyed, its memory free again
-//   free     the daemon has given back everything: place, addresses, descriptors; the peer has unmapped
-//   creation meanwhile   with a large heap: the longest of the creations that this process asks for all
-//            the time until then
-// told and back are taken where they happen; ended and free (a line of the daemon's log) are looked for every 100 µs.
+//   series NAME        and on the next line nanoseconds, one for each death or gap
+//   number NAME        and on the next line a figure
+//   step WHAT          what it does next
+//   failed WHY         something did not happen within ten seconds, or a message was lost; then it ends
+//   done
 //
-//   answered   a creation that was asked for just after the daemon's death is answered
-//   all back   every client has rejoined
-// Beside it a stream of 1 kHz: in turn a second with a death of the daemon and a creation every 200 ms, and a
-// second with the creations alone.
+// All durations begin before kill(); see death.cpp for what they are. told and back are taken where they happen; ended and
+// free (a line of the daemon's log) are looked for every 100 µs.
 
-#include <bench/recovery_client.hpp>
-#include <bench/recovery_figures.hpp>
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/steered_process.hpp>
+#include <bench/cases/death_client.hpp>
+#include <bench/cases/looking.hpp>
+#include <bench/process.hpp>
+#include <bench/services.hpp>
 
 #include <agnocast/agnocast.hpp>
-#include <base/pidfd.hpp>
+#include <base/unique_fd.hpp>
 
 #include <fcntl.h>
-#include <getopt.h>
-#include <gtest/gtest.h>
 #include <poll.h>
 #include <sys/prctl.h>
+#include <sys/syscall.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -39,8 +31,6 @@
 #include <csignal>
 #include <cstdio>
 #include <cstdlib>
-#include <cstring>
-#include <fstream>
 #include <memory>
 #include <string>
 #include <thread>
@@ -56,11 +46,20 @@ constexpr std::chrono::milliseconds between_restarts{200};
 constexpr std::size_t restarts_in_a_row = 5;
 constexpr std::size_t small_bytes = 1000;
 
-[[noreturn]] void give_up(const std::string& what) {
-  std::fprintf(stderr, "recovery_bench: %s\n", what.c_str());
+void say(const std::string& what, const std::string& name) {
+  std::printf("%s %s\n", what.c_str(), name.c_str());
   std::fflush(stdout);
+}
+[[noreturn]] void give_up(const std::string& why) {
+  say("failed", why);
   ::_exit(1);  // destructors would wait for what does not happen
 }
+
+/// Durations of one kind.
+struct Series {
+  std::string what;
+  std::vector<std::int64_t> ns;
+};
 
 template <class Condition>
 void wait_until(Condition holds, const std::string& what) {
@@ -130,9 +129,9 @@ class Stream {
   std::vector<std::int64_t> gaps_[phase_count];
 };
 
-class Bench {
+class Peer {
  public:
-  explicit Bench(test::DaemonProcess& daemon) : daemon_(daemon), log_(daemon.directory() + "/log") {
+  explicit Peer(Daemon& daemon) : daemon_(daemon), log_(daemon.log_path()) {
     SubscriptionOptions listening;
     listening.matched_callback(at_subscription_.callback());
     subscription_ = create_subscription<Sample>(
@@ -150,43 +149,43 @@ class Bench {
   void publisher_deaths(std::size_t rounds, std::size_t bytes, const std::string& how,
                         double seconds) {
     const std::string who = "publisher dies, " + how + ": ";
-    std::fprintf(stderr, "… %s%zu times\n", who.c_str(), rounds);
+    say("step", who + std::to_string(rounds) + " times");
     Series ended{who + "ended", {}}, told{who + "its subscription is told", {}},
         free{who + "everything free", {}}, meanwhile{who + "longest creation meanwhile", {}};
     for (const std::int64_t end = budget(seconds); rounds > 0 && now_ns() < end; --rounds) {
       const std::uint64_t heard = heard_;
-      const auto victim = start("publisher", std::to_string(bytes));
+      const auto victim = start("publisher", {std::to_string(bytes)});
       wait_until([&] { return heard_ != heard; }, "a new publisher's message");
       kill(*victim, at_subscription_,
            {ended, told, free, bytes > small_bytes ? &meanwhile : nullptr}, nullptr);
     }
-    for (Series* series : {&ended, &told, &free, &meanwhile}) add(std::move(*series));
+    for (const Series* series : {&ended, &told, &free, &meanwhile}) add(*series);
   }
 
   void subscriber_deaths(std::size_t rounds, std::size_t bytes, const std::string& how,
                          double seconds) {
     const std::string who = "subscriber dies, " + how + ": ";
-    std::fprintf(stderr, "… %s%zu times\n", who.c_str(), rounds);
+    say("step", who + std::to_string(rounds) + " times");
     Series ended{who + "ended", {}}, told{who + "its publisher is told", {}},
         back{who + "the message it held is free", {}}, free{who + "everything free", {}},
         meanwhile{who + "longest creation meanwhile", {}};
     for (const std::int64_t end = budget(seconds); rounds > 0 && now_ns() < end; --rounds) {
-      const auto victim = process("subscriber", "");
+      const auto victim = process("subscriber", {});
       wait_until([&] { return at_publisher_.count == 1; }, "the match of a new subscriber");
       auto message = publisher_->borrow_loaned_message();
       message->bytes.resize(bytes, 1);
       Sample::destroyed_ns = 0;
       if (!publisher_->publish(std::move(message))) give_up("a message was not published");
-      await(*victim, "subscriber");
+      await(*victim);
       if (Sample::destroyed_ns != 0) give_up("a message was destroyed while it was held");
       kill(*victim, at_publisher_, {ended, told, free, bytes > small_bytes ? &meanwhile : nullptr},
            &back);
     }
-    for (Series* series : {&ended, &told, &back, &free, &meanwhile}) add(std::move(*series));
+    for (const Series* series : {&ended, &told, &back, &free, &meanwhile}) add(*series);
   }
 
   void daemon_deaths(std::size_t rounds, const std::string& how, double seconds) {
-    std::fprintf(stderr, "… daemon dies, %s: %zu times\n", how.c_str(), rounds);
+    say("step", "daemon dies, " + how + ": " + std::to_string(rounds) + " times");
     Series without{"no death, " + how + ": creation answered", {}},
         answered{"daemon dies, " + how + ": creation answered", {}},
         all_back{"daemon dies, " + how + ": all clients back", {}};
@@ -195,7 +194,7 @@ class Bench {
     auto subscription = create_subscription<Sample>(
         node, topic_of_stream, QoS(stream_depth),
         [&](const ipc_shared_ptr<const Sample>& sample) { stream.receive(*sample); });
-    auto source = start("stream", "");
+    auto source = start("stream", {});
     wait_until([&] { return stream.count > 100; }, "the hundredth message of a stream");
     const std::int64_t end = budget(seconds);
     for (std::size_t done = 0; done < rounds && now_ns() < end; done += restarts_in_a_row) {
@@ -210,47 +209,58 @@ class Bench {
     std::this_thread::sleep_for(std::chrono::milliseconds(20));
     subscription.reset();
     source.reset();
-    for (Series* series : {&without, &answered, &all_back}) add(std::move(*series));
+    for (const Series* series : {&without, &answered, &all_back}) add(*series);
     Series gaps[2]{
         {"1 kHz stream, " + how + ", no death: gap", stream.gaps(Stream::quiet)},
         {"1 kHz stream, " + how + ", a death each 200 ms: gap", stream.gaps(Stream::deadly)}};
-    const double ratio = static_cast<double>(gaps[1].at(1)) / static_cast<double>(gaps[0].at(1));
-    for (Series& series : gaps) figures_.add(std::move(series));
-    figures_.add_number("1 kHz stream, " + how + ": longest gap with deaths / without", ratio);
-    figures_.add_number("1 kHz stream, " + how + ": messages lost",
-                        static_cast<double>(stream.lost()));
+    const auto longest = [](const Series& series) {
+      return static_cast<double>(*std::max_element(series.ns.begin(), series.ns.end()));
+    };
+    for (Series& series : gaps) {
+      if (series.ns.empty()) give_up("the stream has stood still");
+      add(series);
+    }
+    add("1 kHz stream, " + how + ": longest gap with deaths / without",
+        longest(gaps[1]) / longest(gaps[0]));
+    add("1 kHz stream, " + how + ": messages lost", static_cast<double>(stream.lost()));
     if (stream.lost() != 0) give_up("the stream lost messages");
   }
 
   void start_idle(std::size_t count) {
-    std::fprintf(stderr, "… starting %zu idle processes\n", count);
+    say("step", "starting " + std::to_string(count) + " idle processes");
     for (std::size_t i = 0; i < count; ++i)
-      idle_.push_back(start("idle", "/recovery/idle" + std::to_string(i)));
+      idle_.push_back(start("idle", {"/death/idle" + std::to_string(i)}));
   }
 
-  const Figures& figures() const { return figures_; }
-
  private:
-  void add(Series series) {
-    if (!series.ns.empty()) figures_.add(std::move(series));
+  static void add(const Series& series) {
+    if (series.ns.empty()) return;
+    say("series", series.what);
+    std::string line;
+    for (const std::int64_t ns : series.ns) line += std::to_string(ns) + ' ';
+    say("", line);
+  }
+  static void add(const std::string& what, double value) {
+    say("number", what);
+    say("", std::to_string(value));
   }
   static std::int64_t budget(double seconds) {
     return now_ns() + static_cast<std::int64_t>(seconds * 1e9);
   }
-  std::unique_ptr<test::SteeredProcess> process(const std::string& role,
-                                                const std::string& argument) const {
-    return std::make_unique<test::SteeredProcess>(
-        std::vector<std::string>{"/proc/self/exe", "--be", role, argument},
-        std::vector<std::string>{"AGNOCAST_SOCKET=" + daemon_.socket_path()});
+  std::unique_ptr<Process> process(const std::string& role,
+                                   std::vector<std::string> arguments) const {
+    return std::make_unique<Process>(
+        Process::Options{.command = as_role("death-" + role, std::move(arguments)),
+                         .environment = variables_of(daemon_),
+                         .has_pipes = true});
   }
-  static void await(test::SteeredProcess& process, const std::string& role) {
-    const std::string answer = process.answer(10);
-    if (answer != "ready") give_up("a new process, " + role + ", is not ready: " + answer);
+  static void await(Process& process) {
+    if (process.line(std::chrono::seconds(10)) != "ready") give_up("a new process is not ready");
   }
-  std::unique_ptr<test::SteeredProcess> start(const std::string& role,
-                                              const std::string& argument) const {
-    auto started = process(role, argument);
-    await(*started, role);
+  std::unique_ptr<Process> start(const std::string& role,
+                                 std::vector<std::string> arguments) const {
+    auto started = process(role, std::move(arguments));
+    await(*started);
     return started;
   }
 
@@ -258,10 +268,9 @@ class Bench {
     Series &ended, &told, &free;
     Series* meanwhile;  // null: nothing is created meanwhile
   };
-  void kill(test::SteeredProcess& victim, Matched& peer, const DeathFigures& figures,
-            Series* back) {
-    const auto pidfd = Pidfd::open(victim.pid());
-    if (!pidfd) give_up("a living process has no pidfd");
+  void kill(Process& victim, Matched& peer, const DeathFigures& figures, Series* back) {
+    const UniqueFd pidfd(static_cast<int>(::syscall(SYS_pidfd_open, victim.pid(), 0)));
+    if (pidfd.get() < 0) give_up("a living process has no pidfd");
     std::this_thread::sleep_for(std::chrono::milliseconds(3));  // what its start caused is over
     log_.begin();
     peer.gone_ns = 0;
@@ -274,7 +283,7 @@ class Bench {
     const std::int64_t killed = now_ns();
     ::kill(victim.pid(), SIGKILL);
     const auto is_over = [&] {
-      pollfd end{pidfd->fd(), POLLIN, 0};
+      pollfd end{pidfd.get(), POLLIN, 0};
       if (ended_ns == 0 && ::poll(&end, 1, 0) == 1) ended_ns = now_ns();
       if (free_ns == 0 && log_.count(" client place free ") != 0) free_ns = now_ns();
       return ended_ns != 0 && free_ns != 0 && peer.gone_ns != 0 &&
@@ -300,12 +309,12 @@ class Bench {
 
   std::int64_t time_of_creation() {
     const std::int64_t begin = now_ns();
-    const auto made = try_create_subscription<Sample>(node_, "/recovery/late", QoS(1));
+    const auto made = try_create_subscription<Sample>(node_, "/death/late", QoS(1));
     if (!made) give_up("a creation was refused: " + text_of(made.error()));
     return now_ns() - begin;
   }
   void kill_daemon(Series& answered, Series& all_back) {
-    const pid_t worker = daemon_.pid();
+    const pid_t worker = worker_of(daemon_);
     log_.begin();
     const std::int64_t killed = now_ns();
     ::kill(worker, SIGKILL);
@@ -315,133 +324,61 @@ class Bench {
     wait_until([&] { return log_.count(" client is back ") >= clients; },
                "the return of all clients after a death of the daemon");
     all_back.ns.push_back(now_ns() - killed);
-    if (daemon_.pid() == worker) give_up("the daemon outlived its SIGKILL");
+    if (worker_of(daemon_) == worker) give_up("the daemon outlived its SIGKILL");
   }
   template <class Action>
   static void paced(Action action) {
-    const auto next = Clock::now() + between_restarts;
+    const auto next = std::chrono::steady_clock::now() + between_restarts;
     action();
     std::this_thread::sleep_until(next);
   }
 
-  test::DaemonProcess& daemon_;
+  Daemon& daemon_;
   LogTail log_;
   Node node_{"peer"};
   Matched at_subscription_, at_publisher_;
   std::atomic<std::uint64_t> heard_{0};
   Subscription<Sample>::SharedPtr subscription_;
   Publisher<Sample>::SharedPtr publisher_;
-  std::vector<std::unique_ptr<test::SteeredProcess>> idle_;
-  Figures figures_;
+  std::vector<std::unique_ptr<Process>> idle_;
 };
 
-constexpr const char* usage =
-    "usage: recovery_bench [OPTION]...\n"
-    "Measures what a death of a client or of agnocastd costs those who live.\n\n"
-    "  --rounds=200         deaths of each kind of client; half as many with the large heap, a "
-    "quarter\n"
-    "                       with idle neighbours, and a quarter of the daemon\n"
-    "  --large-mib=1024     what the large heap has mapped and touched, MiB\n"
-    "  --large-seconds=300  at most this long for the deaths of each kind of client with it: one "
-    "takes\n"
-    "                       most of a second, and a 99th percentile needs a hundred\n"
-    "  --idle=100           processes that are connected and do nothing, in the last part\n"
-    "  --json=FILE          writes the figures there as well\n"
-    "  --help               this text\n\n"
-    "Exit status: 0 measured, 1 something did not happen in time, 2 the command line is wrong.\n";
-
-struct Options {
-  std::size_t rounds = 200, large_mib = 1024, large_seconds = 300, idle = 100;
-  std::string json;
-};
-
-[[noreturn]] void refuse(const std::string& what) {
-  std::fprintf(stderr, "%shint: recovery_bench --help\n", what.c_str());
-  std::exit(2);
-}
-
-Options parse(int argc, char** argv) {
-  // Above the greatest, nothing can be multiplied beyond its type; no machine gets there.
-  constexpr unsigned long number_max = 1'000'000;
-  static constexpr ::option known[] = {{"rounds", required_argument, nullptr, 'r'},
-                                       {"large-mib", required_argument, nullptr, 'm'},
-                                       {"large-seconds", required_argument, nullptr, 's'},
-                                       {"idle", required_argument, nullptr, 'i'},
-                                       {"json", required_argument, nullptr, 'j'},
-                                       {"help", no_argument, nullptr, 'h'},
-                                       {nullptr, 0, nullptr, 0}};
-  Options options;
-  int index = 0;
-  for (int found; (found = ::getopt_long(argc, argv, "", known, &index)) != -1;) {
-    if (found == '?') refuse("");  // getopt_long has said what is wrong
-    if (found == 'h') {
-      std::fputs(usage, stdout);
-      std::exit(0);
-    }
-    if (found == 'j') {
-      options.json = optarg;
-      continue;
-    }
-    char* end = nullptr;
-    const unsigned long number = std::strtoul(optarg, &end, 10);
-    // A crowd may be none; everything else is needed.
-    if (optarg[0] < '0' || optarg[0] > '9' || *end != '\0' || number > number_max ||
-        (number == 0 && found != 'i'))
-      refuse(std::string("recovery_bench: --") + known[index].name + "=" + optarg +
-             ": expected a whole number from " + (found == 'i' ? "0" : "1") + " to " +
-             std::to_string(number_max) + "\n");
-    (found == 'r'   ? options.rounds
-     : found == 'm' ? options.large_mib
-     : found == 's' ? options.large_seconds
-                    : options.idle) = number;
-  }
-  if (optind < argc)
-    refuse(std::string("recovery_bench: unexpected argument '") + argv[optind] + "'\n");
-  return options;
-}
-
-int run(const Options& options) {
-  const auto& [rounds, large_mib, large_seconds, idle, json] = options;
-  const auto part = [rounds = rounds](std::size_t of) {
-    return std::max<std::size_t>(rounds / of, 1);
-  };
+/// ROUNDS LARGE_BYTES IDLE
+int be_peer(const std::vector<std::string>& arguments) {
   ::prctl(PR_SET_TIMERSLACK, 1UL);
-  test::DaemonProcess daemon({.config = "[daemon]\nlog_level = \"debug\"\n"
-                                        "[heap]\nwindow_bytes = \"4GiB\"\n"});
-  ::setenv("AGNOCAST_SOCKET", daemon.socket_path().c_str(), 1);
-  double load = 0;
-  std::ifstream("/proc/loadavg") >> load;
-  std::printf("%u cores, load %.1f, resources looked at every %lld µs\n",
-              std::thread::hardware_concurrency(), load,
-              static_cast<long long>(look_every.count()));
-  Figures::print_head();
+  // It has the hook already; the daemon is to be as it always is.
+  ::unsetenv("LD_PRELOAD");
+  const std::size_t rounds = std::stoul(arguments.at(0));
+  const std::size_t large = std::stoul(arguments.at(1));
+  const std::size_t idle = std::stoul(arguments.at(2));
+  const auto part = [rounds](std::size_t of) { return std::max<std::size_t>(rounds / of, 1); };
   // The seconds are what a loaded machine may take for 200 rounds; then there are fewer samples.
   const double unit = std::max(1.0, static_cast<double>(rounds) / 200);
-  Bench bench(daemon);
-  bench.publisher_deaths(rounds, small_bytes, "small heap", 12 * unit);
-  bench.subscriber_deaths(rounds, small_bytes, "small heap", 12 * unit);
-  const std::string large = std::to_string(large_mib) + " MiB";
-  const auto large_budget = static_cast<double>(large_seconds);
-  bench.publisher_deaths(part(2), large_mib << 20, large, large_budget);
-  bench.subscriber_deaths(part(2), large_mib << 20, large, large_budget);
-  bench.daemon_deaths(part(4), "few clients", 25 * unit);
-  bench.start_idle(idle);
-  const std::string crowd = std::to_string(idle) + " idle clients";
-  bench.publisher_deaths(part(4), small_bytes, crowd, 6 * unit);
-  bench.subscriber_deaths(part(4), small_bytes, crowd, 6 * unit);
-  bench.daemon_deaths(part(8), crowd, 15 * unit);
-  if (!json.empty() && !bench.figures().write(json)) give_up("cannot write " + json);
-  return testing::Test::HasFailure() ? 1 : 0;
+  try {
+    Daemon daemon(
+        "[daemon]\nsocket_mode = \"0666\"\nlog_level = \"debug\"\n"
+        "[heap]\nwindow_bytes = \"4GiB\"\n");
+    ::setenv("AGNOCAST_SOCKET", daemon.socket().c_str(), 1);
+    Peer peer(daemon);
+    peer.publisher_deaths(rounds, small_bytes, "small heap", 12 * unit);
+    peer.subscriber_deaths(rounds, small_bytes, "small heap", 12 * unit);
+    const std::string size = std::to_string(large >> 20) + " MiB";
+    peer.publisher_deaths(part(2), large, size, 150 * unit);
+    peer.subscriber_deaths(part(2), large, size, 150 * unit);
+    peer.daemon_deaths(part(4), "few clients", 25 * unit);
+    peer.start_idle(idle);
+    const std::string crowd = std::to_string(idle) + " idle clients";
+    peer.publisher_deaths(part(4), small_bytes, crowd, 6 * unit);
+    peer.subscriber_deaths(part(4), small_bytes, crowd, 6 * unit);
+    peer.daemon_deaths(part(8), crowd, 15 * unit);
+    say("done", "");
+  } catch (const std::exception& error) {
+    give_up(error.what());
+  }
+  return 0;
 }
+
+const RegisterRole role("death-peer", be_peer);
 
 }  // namespace
 }  // namespace agnocast::bench
-
-int main(int argc, char** argv) {
-  try {
-    if (argc == 4 && std::strcmp(argv[1], "--be") == 0) agnocast::bench::be(argv[2], argv[3]);
-    return agnocast::bench::run(agnocast::bench::parse(argc, argv));
-  } catch (const std::exception& error) {
-    agnocast::bench::give_up(error.what());
-  }
-}

@@ -1,18 +1,30 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What recovery_bench and the processes that it starts have in common: the message, the topics, and what such a process does.
+// Who dies in the case death, and who stands by: the message, the topics, and roles of processes. Each says "ready" when it
+// has what it is about.
+//
+//   death-publisher BYTES    has published a message of that size, which stays in its queue
+//   death-subscriber         holds the first message that comes, and has read it
+//   death-stream             publishes every millisecond
+//   death-idle TOPIC         has a publisher and a subscription
 #pragma once
 
 #include <agnocast/message_traits.hpp>
 #include <agnocast/residency.hpp>
 
 #include <atomic>
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
-#include <string>
 #include <vector>
 
 namespace agnocast::bench {
+
+inline std::int64_t now_ns() {
+  return std::chrono::duration_cast<std::chrono::nanoseconds>(
+             std::chrono::steady_clock::now().time_since_epoch())
+      .count();
+}
 
 struct Sample {
   std::uint64_t number = 0;
@@ -22,20 +34,13 @@ struct Sample {
   static inline std::atomic<std::int64_t> destroyed_ns{0};
 };
 
-constexpr const char* topic_of_dying_publisher = "/recovery/heard";
-constexpr const char* topic_of_dying_subscriber = "/recovery/held";
-constexpr const char* topic_of_stream = "/recovery/stream";
+constexpr const char* topic_of_dying_publisher = "/death/heard";
+constexpr const char* topic_of_dying_subscriber = "/death/held";
+constexpr const char* topic_of_stream = "/death/stream";
 constexpr std::size_t stream_depth = 500;  // half a second: what is lost is lost, and not late
 
 /// Reads a byte of each page.
 void touch(const Sample& sample) noexcept;
-
-/// The life of a started process; it says "ready" when it has what its role is about.
-///   publisher BYTES    has published a message of that size, which stays in its queue
-///   subscriber         holds the first message that comes, and has read it
-///   stream             publishes every millisecond
-///   idle TOPIC         has a publisher and a subscription
-[[noreturn]] void be(const std::string& role, const std::string& argument);
 
 }  // namespace agnocast::bench
 

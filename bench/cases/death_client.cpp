@@ -1,19 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <bench/recovery_client.hpp>
-
-#include <bench/recovery_figures.hpp>
+#include <bench/cases/death_client.hpp>
+#include <bench/process.hpp>
 
 #include <agnocast/agnocast.hpp>
 
-#include <sys/prctl.h>
 #include <time.h>
 #include <unistd.h>
 
-#include <csignal>
 #include <cstdio>
 #include <cstdlib>
+#include <string>
 #include <utility>
+#include <vector>
 
 namespace agnocast::bench {
 
@@ -84,19 +83,12 @@ void say_ready() {
   wait_for_death();
 }
 
+using Arguments = std::vector<std::string>;
+const RegisterRole publisher("death-publisher",
+                             [](const Arguments& all) -> int { be_publisher(all.at(0)); });
+const RegisterRole subscriber("death-subscriber", [](const Arguments&) -> int { be_subscriber(); });
+const RegisterRole stream("death-stream", [](const Arguments&) -> int { be_stream(); });
+const RegisterRole idle("death-idle", [](const Arguments& all) -> int { be_idle(all.at(0)); });
+
 }  // namespace
-
-void be(const std::string& role, const std::string& argument) {
-  ::prctl(PR_SET_PDEATHSIG, SIGKILL);
-  try {
-    if (role == "publisher") be_publisher(argument);
-    if (role == "subscriber") be_subscriber();
-    if (role == "stream") be_stream();
-    if (role == "idle") be_idle(argument);
-  } catch (const std::exception& error) {
-    std::fprintf(stderr, "recovery_bench, %s: %s\n", role.c_str(), error.what());
-  }
-  ::_exit(1);
-}
-
 }  // namespace agnocast::bench

@@ -1,0 +1,89 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// A case of agnocast-bench: what it is given, and what it gives back.
+//
+// A case prints its tables on stdout through Report::say, and hands over results (objects for machines, see
+// schemas/bench-1.json) and pictures. It asserts no time. It throws std::runtime_error when something did not work:
+// a message lost or changed, a process that ended.
+#pragma once
+
+#include <nlohmann/json.hpp>
+
+#include <chrono>
+#include <cstddef>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+namespace agnocast::bench {
+
+/// What was asked for; what is not said is the case's own default.
+struct Run {
+  std::optional<std::size_t> rounds = {};
+  std::optional<std::size_t> messages = {};      ///< of a round and system
+  std::optional<std::chrono::microseconds> period = {};
+  std::vector<std::size_t> sizes = {};           ///< bytes
+  std::vector<std::string> systems = {};         ///< names; empty: all that fit
+  std::string scan = {};                         ///< pipeline: a recorded scan instead of the simulator
+  bool is_small = false;                         ///< as short as works, for a test: seconds in all
+};
+
+/// A picture, drawn by agnocast-bench-plot from its JSON. One of:
+///   violins  series: {"label", "values": […]}           one violin each, with median and p99
+///   lines    series: {"label", "x": […], "y": […]}      curves with points
+///   bars     series: {"label", "y": […]} and "groups": [names]   bars side by side
+/// `log_x`, `log_y` choose logarithmic axes; a table of at most 2,000 values a series is kept.
+struct Plot {
+  std::string name;     ///< file name without suffix: "latency-1-core"
+  std::string kind;     ///< violins, lines, bars
+  std::string title, x_label, y_label;
+  bool log_x = false, log_y = false;
+  std::vector<std::string> groups = {};
+  nlohmann::json series = nlohmann::json::array();
+};
+
+/// Gathers what cases give. Not thread-safe.
+class Report {
+ public:
+  /// A line for people, to stdout (not with --json=-).
+  void say(const std::string& line);
+  /// One object of "results"; the case's name is added.
+  void add(nlohmann::json result);
+  void add(Plot plot);
+  /// How far the case is: `done` of `all` steps, with the time left on stderr where that is a terminal.
+  void progress(std::size_t done, std::size_t all, std::string_view what);
+
+  void begin_case(std::string_view name);
+  bool is_quiet = false;       ///< say() prints nothing
+  nlohmann::json results = nlohmann::json::array();
+  nlohmann::json plots = nlohmann::json::array();
+
+ private:
+  std::string case_;
+  std::chrono::steady_clock::time_point case_began_{};
+  bool has_bar_ = false;
+};
+
+struct Case {
+  std::string_view name;
+  std::string_view summary;
+  /// What its default run takes here, about.
+  std::chrono::seconds usual;
+  void (*run)(const Run&, Report&);
+};
+
+// cases/*.cpp
+void run_latency(const Run&, Report&);
+void run_throughput(const Run&, Report&);
+void run_fanout(const Run&, Report&);
+void run_load(const Run&, Report&);
+void run_alloc(const Run&, Report&);
+void run_memory(const Run&, Report&);
+void run_scale(const Run&, Report&);
+void run_death(const Run&, Report&);
+void run_bridge(const Run&, Report&);
+void run_pipeline(const Run&, Report&);
+
+}  // namespace agnocast::bench

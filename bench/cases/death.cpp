@@ -1,0 +1,143 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// death: what a death costs those who live. Real processes, the real daemon and its supervisor, SIGKILL. No time is
+// asserted; what does not happen within ten seconds ends it with a sentence, and so does a lost message. death_peer.cpp is
+// the peer of whoever dies and measures, death_client.cpp those who die. All durations begin before kill():
+//
+//   ended      its pidfd is readable: the kernel has taken its memory down. What comes before is not ours
+//   told       the peer's event callback runs: nobody is matched any more
+//   back       the publisher's message that the dead subscriber held is destroyed, its memory free again
+//   free       the daemon has given back everything: place, addresses, descriptors; the peer has unmapped
+//   creation meanwhile   with a large heap: the longest of the creations that the peer asks for all the time until then
+//   answered   a creation that was asked for just after the daemon's death is answered
+//   all back   every client has rejoined
+//
+// Beside the daemon's deaths a stream of 1 kHz: in turn a second with a death and a creation every 200 ms, and a second with
+// the creations alone. --rounds are deaths of each kind of client (200); half as many with the large heap, a quarter with
+// idle neighbours and of the daemon. --sizes is what the large heap has mapped and touched (1 GiB).
+
+#include <bench/case.hpp>
+#include <bench/cases/looking.hpp>
+#include <bench/figures.hpp>
+#include <bench/process.hpp>
+#include <bench/services.hpp>
+
+#include <cctype>
+#include <map>
+#include <sstream>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace agnocast::bench {
+namespace {
+
+// Budgets of death_peer.cpp are for many deaths; between two lines of it there is one of them at most.
+constexpr std::chrono::minutes patience{20};
+// What it says it does next; the last step is its end.
+constexpr std::size_t steps = 9;
+
+class Death {
+ public:
+  Death(const Run& run, Report& report)
+      : report_(report),
+        peer_(
+            {.command = as_role(
+                 "death-peer", {std::to_string(run.rounds.value_or(run.is_small ? 4 : 200)),
+                                std::to_string(!run.sizes.empty()
+                                                   ? run.sizes.front()
+                                                   : std::size_t{run.is_small ? 16u : 1024u} << 20),
+                                std::to_string(run.is_small ? 3 : 100)}),
+             .environment = {"LD_PRELOAD=" + path_of("libagnocast_heaphook.so")},
+             .has_pipes = true}) {}
+
+  void run() {
+    report_.say(text("%-66s %8s %9s %9s %9s", "milliseconds", "samples", "p50", "p99", "max"));
+    for (std::size_t step = 0;;) {
+      std::istringstream line(peer_.line(patience));
+      std::string word, name;
+      line >> word;
+      std::getline(line >> std::ws, name);
+      if (word == "done") break;
+      if (word == "failed") throw std::runtime_error(name);
+      if (word == "step") report_.progress(step++, steps, name);
+      if (word == "series") add_series(name, values_of(peer_.line(patience)));
+      if (word == "number") add_number(name, values_of(peer_.line(patience)).at(0));
+    }
+    report_.progress(steps, steps, "");
+    for (auto& [name, plot] : plots_) report_.add(std::move(plot));
+  }
+
+ private:
+  static std::vector<double> values_of(const std::string& line) {
+    std::istringstream words(line);
+    std::vector<double> values;
+    for (double value = 0; words >> value;) values.push_back(value);
+    return values;
+  }
+
+  void add_series(const std::string& name, const std::vector<double>& ns) {
+    report_.say(text("%-66s %8zu %9.2f %9.2f %9.2f", name.c_str(), ns.size(), median(ns) / 1e6,
+                     quantile(ns, 0.99) / 1e6, quantile(ns, 1) / 1e6));
+    report_.add(nlohmann::json{{"system", "agnocast-executor"},
+                               {"part", name},
+                               {"samples", ns.size()},
+                               {"min_ns", quantile(ns, 0)},
+                               {"p50_ns", median(ns)},
+                               {"p99_ns", quantile(ns, 0.99)},
+                               {"max_ns", quantile(ns, 1)},
+                               {"variation", variation(ns)}});
+    nlohmann::json values = nlohmann::json::array();
+    for (const double value : ns) values.push_back(value / 1e6);
+    plot_of(name).series.push_back({{"label", label_of(name)}, {"values", std::move(values)}});
+  }
+  /// "publisher dies, small heap: ended" is a violin "ended" in the picture of what comes before.
+  static std::string label_of(const std::string& series) {
+    const std::size_t colon = series.rfind(": ");
+    const std::string stream = "1 kHz stream, ";
+    if (series.starts_with(stream)) return series.substr(stream.size(), colon - stream.size());
+    return series.substr(colon + 2) + (series.starts_with("no death") ? ", no death" : "");
+  }
+  void add_number(const std::string& name, double value) {
+    report_.say(text("%-66s %8.2f", name.c_str(), value));
+    report_.add(nlohmann::json{{"system", "agnocast-executor"}, {"part", name}, {"value", value}});
+  }
+
+  /// One picture for each who and how; those of the stream and of the daemon with what is beside them.
+  Plot& plot_of(const std::string& series) {
+    std::string title = series.substr(0, series.rfind(": "));
+    std::string name = "death-";
+    if (series.starts_with("1 kHz stream")) {
+      title = "1 kHz stream beside deaths of the daemon";
+      name += "stream";
+    } else {
+      if (title.starts_with("no death")) title.replace(0, 8, "daemon dies");
+      for (const char letter : title) {
+        if (letter == ' ') name += '-';
+        if (std::isalnum(static_cast<unsigned char>(letter)) != 0)
+          name += static_cast<char>(std::tolower(letter));
+      }
+    }
+    const auto [place, is_new] = plots_.try_emplace(name);
+    Plot& plot = place->second;
+    if (is_new) {
+      plot.name = name;
+      plot.kind = "violins";
+      plot.title = title;
+      plot.y_label = "ms";
+      plot.log_y = true;
+    }
+    return plot;
+  }
+
+  Report& report_;
+  Process peer_;
+  std::map<std::string, Plot> plots_;
+};
+
+}  // namespace
+
+void run_death(const Run& run, Report& report) { Death(run, report).run(); }
+
+}  // namespace agnocast::bench

@@ -1,0 +1,139 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Case fanout: one sender, 1 to 16 receivers. What does the publish call cost for each further one, and when does the last
+// one have the message? The sender is on one core, all receivers are on the other, one after the other.
+//
+//   asleep  every receiver has to be woken: the publish call beside as many bare futex wakes
+//   awake   nobody has to be: the publish call beside the one with a single receiver. Receivers that never sleep share their
+//           core by time slices, so when the last one has it says nothing of the system.
+
+#include <bench/comparison.hpp>
+#include <bench/options.hpp>
+#include <bench/wishes.hpp>
+
+#include <map>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+namespace agnocast::bench {
+namespace {
+
+constexpr std::size_t kib = 1024;
+
+class Fanout {
+ public:
+  Fanout(const Run& run, Report& report)
+      : run_(run),
+        wishes_(run),
+        report_(report),
+        counts_(run.is_small ? std::vector<std::size_t>{1, 4}
+                             : std::vector<std::size_t>{1, 2, 4, 8, 16}) {}
+
+  void asleep() {
+    std::vector<const System*> systems = chosen(run_, all_names(), "floor-futex");
+    std::erase_if(
+        systems, [](const System* one) { return one->is_spinning || one->name == "floor-memcpy"; });
+    const auto by_count = measure("asleep", systems, "floor-futex", 200);
+    const Comparison& most = by_count.back();
+    if (const Series* const ours = most.find("agnocast-executor"))
+      aims_.add(
+          "publish to " + std::to_string(counts_.back()) + " sleepers / as many bare futex wakes",
+          ours->publish_ratio_to(*most.find("floor-futex")), Aims::Sense::at_most, 1);
+  }
+
+  void awake() {
+    std::vector<const System*> systems = chosen(run_, all_names(), "floor-polling");
+    std::erase_if(systems, [](const System* one) { return !one->is_spinning; });
+    const auto by_count = measure("awake", systems, "floor-polling", 100);
+    for (const Series& ours : by_count.back().series) {
+      if (!ours.system->name.starts_with("agnocast")) continue;
+      aims_.add(std::string(ours.system->name) + ": publish to " + std::to_string(counts_.back()) +
+                    " awake / to one awake",
+                ours.publish_ratio_to(*by_count.front().find(ours.system->name)),
+                Aims::Sense::at_most, 8);
+    }
+  }
+
+  void tell_aims() const { aims_.tell(report_); }
+
+ private:
+  std::vector<Comparison> measure(const std::string& part,
+                                  const std::vector<const System*>& systems, std::string_view floor,
+                                  std::size_t messages) {
+    const std::size_t bytes = wishes_.sizes({100 * kib}, {kib}).front();
+    std::vector<Comparison> by_count;
+    for (const std::size_t count : counts_) {
+      const Plan plan = wishes_.plan({.bytes = bytes,
+                                      .receivers = count,
+                                      .messages = messages,
+                                      .period_ns = 5'000'000,
+                                      .cores = Cores::two});
+      by_count.push_back(compare_and_tell(
+          part + ", " + std::to_string(count) + (count == 1 ? " receiver, " : " receivers, ") +
+              size_text(bytes),
+          systems, plan, wishes_.rounds(5), floor, {{"part", part}}, services_, report_));
+    }
+    tell_publish(part, by_count);
+    draw(part + ": the publish call", "fanout-publish-" + part, by_count,
+         [](const Series& one) { return one.publish_ns(0.5); });
+    draw(part + ": until the last receiver has it", "fanout-slowest-" + part, by_count,
+         [](const Series& one) { return one.latency_ns(0.5); });
+    return by_count;
+  }
+
+  void tell_publish(const std::string& part, const std::vector<Comparison>& by_count) {
+    report_.say("\n" + part + ": publish call, p50 us, by receivers");
+    std::vector<std::string> head{"system"};
+    for (const std::size_t count : counts_) head.push_back(std::to_string(count));
+    Table table(head);
+    for (std::size_t i = 0; i < by_count.front().series.size(); ++i) {
+      std::vector<std::string> row{std::string(by_count.front().series[i].system->name)};
+      for (const Comparison& one : by_count) row.push_back(us(one.series[i].publish_ns(0.5)));
+      table.add(row);
+    }
+    table.say(report_);
+  }
+
+  template <class Of>
+  void draw(const std::string& title, const std::string& name,
+            const std::vector<Comparison>& by_count, Of of) {
+    Plot plot{.name = name,
+              .kind = "lines",
+              .title = "Receivers " + title,
+              .x_label = "receivers",
+              .y_label = "microseconds, median",
+              .log_x = true,
+              .log_y = true};
+    for (std::size_t i = 0; i < by_count.front().series.size(); ++i) {
+      nlohmann::json line = {{"label", by_count.front().series[i].system->name}};
+      for (const Comparison& one : by_count) {
+        line["x"].push_back(one.plan.receivers);
+        line["y"].push_back(of(one.series[i]) / 1000);
+      }
+      plot.series.push_back(std::move(line));
+    }
+    report_.add(std::move(plot));
+  }
+
+  const Run& run_;
+  Wishes wishes_;
+  Report& report_;
+  std::vector<std::size_t> counts_;
+  Services services_;
+  Aims aims_;
+};
+
+}  // namespace
+
+void run_fanout(const Run& run, Report& report) {
+  if (std::thread::hardware_concurrency() < 2)
+    return report.say("fanout: left out, it needs two cores");
+  Fanout fanout(run, report);
+  fanout.asleep();
+  fanout.awake();
+  fanout.tell_aims();
+}
+
+}  // namespace agnocast::bench

@@ -1,0 +1,212 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Case latency: from before the publish call to the message in the receiver's hand, one sender, one receiver.
+//
+//   one core        every system that sleeps. Both processes on one CPU, so a wake-up is a switch and nothing else; across
+//                   cores it is mostly the interrupt and the halted CPU, which all systems share and which drown what they
+//                   differ in. This is the comparison of ways to notify.
+//   two cores       every system, by size: does the time depend on the size?
+//   bare calls      publish with nobody asleep, take and release (latency_bare.cpp)
+//   across users    the receiver as another user, who gets a datagram where the same user gets an eventfd
+
+#include <bench/cases/latency_bare.hpp>
+#include <bench/comparison.hpp>
+#include <bench/options.hpp>
+#include <bench/wishes.hpp>
+
+#include <unistd.h>
+
+#include <algorithm>
+#include <map>
+#include <string>
+#include <thread>
+#include <tuple>
+#include <utility>
+
+namespace agnocast::bench {
+namespace {
+
+constexpr std::string_view floor_name = "floor-futex", ours = "agnocast-executor";
+constexpr std::size_t kib = 1024, mib = kib * 1024;
+constexpr std::uint32_t nobody = 65534;
+
+class Latency {
+ public:
+  Latency(const Run& run, Report& report) : run_(run), wishes_(run), report_(report) {}
+
+  void one_core() {
+    std::vector<const System*> systems = chosen(run_, all_names(), floor_name);
+    std::erase_if(systems, [](const System* one) { return one->is_spinning; });
+    for (const std::size_t bytes : wishes_.sizes({kib, 100 * kib}, {kib})) {
+      const Comparison result =
+          measure("one core", systems, {.bytes = bytes, .messages = 1000, .cores = Cores::one}, 7,
+                  {{"part", "one-core"}});
+      draw(result, "latency-one-core-" + std::to_string(bytes),
+           "One core, " + size_text(bytes) + ": from publish to the message in hand");
+      const std::string where = "one core, " + size_text(bytes) + ": ";
+      aim_ratio(result, ours, floor_name, where, 1.25);
+      aim_ratio(result, ours, "iceoryx-listener", where, 1);
+      aim_ratio(result, ours, "bound-kernel-module", where, 1);
+    }
+  }
+
+  void two_cores() {
+    if (std::thread::hardware_concurrency() < 2) return;
+    const std::vector<const System*> systems = chosen(run_, all_names(), floor_name);
+    std::vector<Comparison> by_size;
+    for (const std::size_t bytes :
+         wishes_.sizes({kib, 10 * kib, 100 * kib, mib, 8 * mib}, {kib, mib})) {
+      by_size.push_back(measure("two cores", systems,
+                                {.bytes = bytes, .messages = 400, .cores = Cores::two}, 5,
+                                {{"part", "two-cores"}}));
+      draw(by_size.back(), "latency-two-cores-" + std::to_string(bytes),
+           "Two cores, " + size_text(bytes) + ": from publish to the message in hand");
+      if (bytes == mib) aim_beside_peers(by_size.back());
+      if (bytes == kib)
+        aim_ratio(by_size.back(), "agnocast-spinning", "floor-polling", "two cores, 1 KiB: ", 1.5);
+    }
+    tell_quotients(by_size);
+    draw_by_size(by_size);
+  }
+
+  void bare_calls() {
+    const BareCalls calls =
+        measure_bare_calls(wishes_.rounds(7), wishes_.is_small() ? 100 : 20000, services_);
+    report_.say("\nbare calls, nobody asleep, 1 KiB");
+    Table table({"call", "p50 ns", "x (mutex + clock)"});
+    table.add({"mutex lock and unlock, one clock read", digits(calls.mutex_clock_ns), "1"});
+    for (const auto& [what, ns, ratio] :
+         {std::tuple("publish", calls.publish_ns, calls.publish_ratio),
+          std::tuple("take and release", calls.take_ns, calls.take_ratio)}) {
+      table.add({what, digits(ns), digits(ratio)});
+      report_.add({{"part", "bare-calls"},
+                   {"call", what},
+                   {"system", "agnocast"},
+                   {"size_bytes", kib},
+                   {"p50_ns", ns},
+                   {"ratio_to_mutex_and_clock", ratio}});
+      aims_.add(std::string(what) + " / (mutex + clock)", ratio, Aims::Sense::at_most, 3);
+    }
+    table.say(report_);
+  }
+
+  void across_users() {
+    if (::geteuid() != 0)
+      return report_.say(
+          "\nacross users: left out, only root can start a receiver as another user");
+    const Plan plan{.bytes = kib, .cores = Cores::one, .receiver_uid = nobody};
+    const Comparison result =
+        measure("one core, receiver of another user", chosen(run_, {ours}, floor_name), plan, 7,
+                {{"part", "across-users"}});
+    aim_ratio(result, ours, floor_name, "across users, one core, 1 KiB: ", 2);
+  }
+
+  void tell_aims() const { aims_.tell(report_); }
+
+ private:
+  Comparison measure(const std::string& where, const std::vector<const System*>& systems,
+                     const Plan& plan, std::size_t rounds, const nlohmann::json& extra) {
+    return compare_and_tell(where + ", " + size_text(plan.bytes), systems, wishes_.plan(plan),
+                            wishes_.rounds(rounds), floor_name, extra, services_, report_);
+  }
+
+  void draw(const Comparison& result, const std::string& name, const std::string& title) {
+    report_.add(Plot{.name = name,
+                     .kind = "violins",
+                     .title = title,
+                     .x_label = "",
+                     .y_label = "microseconds",
+                     .log_y = true,
+                     .series = violins(result)});
+  }
+
+  void draw_by_size(const std::vector<Comparison>& by_size) {
+    std::map<std::string, nlohmann::json> lines;
+    for (const Comparison& one : by_size) {
+      for (const Series& series : one.series) {
+        nlohmann::json& line = lines[std::string(series.system->name)];
+        line["x"].push_back(one.plan.bytes);
+        line["y"].push_back(series.latency_ns(0.5) / 1000);
+      }
+    }
+    Plot plot{.name = "latency-by-size",
+              .kind = "lines",
+              .title = "Two cores: median latency by size",
+              .x_label = "payload, bytes",
+              .y_label = "microseconds",
+              .log_x = true,
+              .log_y = true};
+    for (auto& [name, line] : lines) {
+      line["label"] = name;
+      plot.series.push_back(line);
+    }
+    report_.add(std::move(plot));
+  }
+
+  void aim_ratio(const Comparison& result, std::string_view system, std::string_view base,
+                 const std::string& where, double bound) {
+    const Series *const one = result.find(system), *const other = result.find(base);
+    if (one == nullptr || other == nullptr) return;
+    aims_.add(where + std::string(system) + " / " + std::string(base), one->ratio_to(*other),
+              Aims::Sense::at_most, bound);
+  }
+
+  void aim_beside_peers(const Comparison& result) {
+    const Series* const one = result.find(ours);
+    for (const auto& [peer, bound] :
+         {std::pair("cyclonedds", 40.0), std::pair("cyclonedds-iceoryx", 4.0),
+          std::pair("iceoryx-listener", 1.0)}) {
+      const Series* const other = result.find(peer);
+      if (one == nullptr || other == nullptr) continue;
+      aims_.add("two cores, 1 MiB: " + std::string(peer) + " / " + std::string(ours),
+                other->ratio_to(*one), Aims::Sense::at_least, bound);
+    }
+  }
+
+  // How much longer the largest takes than the smallest, beside what the same is for the floor: caches are the floor's too.
+  void tell_quotients(const std::vector<Comparison>& by_size) {
+    const Comparison &smallest = by_size.front(), &largest = by_size.back();
+    if (smallest.plan.bytes >= largest.plan.bytes) return;
+    const auto quotient_of = [&](std::string_view name) {
+      return largest.find(name)->latency_ns(0.5) / smallest.find(name)->latency_ns(0.5);
+    };
+    const std::string sizes =
+        size_text(largest.plan.bytes) + " / " + size_text(smallest.plan.bytes);
+    report_.say("\nsize: p50 of " + sizes);
+    Table table({"system", "quotient", "x floor's quotient"});
+    for (const Series& one : largest.series) {
+      const double quotient = quotient_of(one.system->name),
+                   over_floor = quotient / quotient_of(floor_name);
+      table.add({std::string(one.system->name), digits(quotient), digits(over_floor)});
+      report_.add({{"part", "size-quotient"},
+                   {"system", one.system->name},
+                   {"size_bytes", largest.plan.bytes},
+                   {"smallest_size_bytes", smallest.plan.bytes},
+                   {"quotient", quotient},
+                   {"quotient_to_floor", over_floor}});
+      if (one.system->name == ours)
+        aims_.add("size quotient " + sizes + " / the floor's", over_floor, Aims::Sense::at_most,
+                  1.10);
+    }
+    table.say(report_);
+  }
+
+  const Run& run_;
+  Wishes wishes_;
+  Report& report_;
+  Services services_;
+  Aims aims_;
+};
+
+}  // namespace
+
+void run_latency(const Run& run, Report& report) {
+  Latency latency(run, report);
+  latency.one_core();
+  latency.two_cores();
+  latency.bare_calls();
+  latency.across_users();
+  latency.tell_aims();
+}
+
+}  // namespace agnocast::bench

@@ -1,0 +1,129 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// One process has both ends: a publisher, and a subscription that is only ever asked by take(). Calls are timed in batches of
+// eight (below the depth of ten, so nothing is lost), because the clock alone takes as long as one of them.
+
+#include <agnocast/agnocast.hpp>
+#include <bench/cases/latency_bare.hpp>
+#include <bench/figures.hpp>
+#include <bench/lane.hpp>
+#include <bench/process.hpp>
+
+#include <sensor_msgs/msg/point_cloud2.hpp>
+
+#include <sched.h>
+#include <nlohmann/json.hpp>
+
+#include <array>
+#include <cstdio>
+#include <mutex>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace agnocast::bench {
+namespace {
+
+using Cloud = sensor_msgs::msg::PointCloud2;
+constexpr std::size_t batch = 8, depth = 10, payload_bytes = 1024;
+
+// Nanoseconds of one call, of `batch` of them.
+template <class Call>
+double time_of(Call call) {
+  const std::int64_t begin_ns = now_ns();
+  for (std::size_t i = 0; i < batch; ++i) call(i);
+  return static_cast<double>(now_ns() - begin_ns) / batch;
+}
+
+class Bench {
+ public:
+  Bench()
+      : node_("bench_calls"),
+        publisher_(node_.create_publisher<Cloud>("/bench/calls", depth)),
+        subscription_(node_.create_subscription<Cloud>("/bench/calls", depth)) {}
+
+  bool is_matched() const { return publisher_->get_subscription_count() == 1; }
+
+  void turn() {
+    for (auto& loan : loans_) {
+      loan = publisher_->borrow_loaned_message();
+      loan->data.resize(payload_bytes);
+    }
+    mutex_clock_ns.push_back(time_of([this](std::size_t) {
+      const std::lock_guard lock(mutex_);
+      latest_ns_ = now_ns();
+    }));
+    publish_ns.push_back(time_of([this](std::size_t i) {
+      if (!publisher_->publish(std::move(loans_[i]))) ++failures_;
+    }));
+    take_ns.push_back(time_of([this](std::size_t) {
+      if (!subscription_->take()) ++failures_;  // released at once
+    }));
+    if (failures_ != 0) throw std::runtime_error("a message was not published, or not taken");
+  }
+
+  std::vector<double> mutex_clock_ns, publish_ns, take_ns;
+
+ private:
+  Node node_;
+  Publisher<Cloud>::SharedPtr publisher_;
+  PollingSubscriber<Cloud>::SharedPtr subscription_;
+  std::array<ipc_shared_ptr<Cloud>, batch> loans_;
+  std::mutex mutex_;
+  volatile std::int64_t latest_ns_ = 0;
+  std::size_t failures_ = 0;
+};
+
+int be_calls(const std::vector<std::string>& arguments) {
+  try {
+    cpu_set_t first;
+    CPU_ZERO(&first);
+    CPU_SET(0, &first);
+    (void)::sched_setaffinity(0, sizeof first, &first);  // only steadier
+    Bench bench;
+    const std::int64_t end_ns = now_ns() + 10'000'000'000;
+    while (!bench.is_matched()) {
+      if (now_ns() > end_ns) throw std::runtime_error("no match");
+      ::sched_yield();
+    }
+    const std::size_t batches = std::stoul(arguments.at(0));
+    for (std::size_t i = 0; i < batches; ++i) bench.turn();
+    const nlohmann::json figures = {{"mutex_clock", median(bench.mutex_clock_ns)},
+                                    {"publish", median(bench.publish_ns)},
+                                    {"take", median(bench.take_ns)}};
+    std::printf("%s\n", figures.dump().c_str());
+    return 0;
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "agnocast-bench: bare calls: %s\n", error.what());
+    return 1;
+  }
+}
+
+const RegisterRole calls_role("calls", be_calls);
+
+}  // namespace
+
+BareCalls measure_bare_calls(std::size_t rounds, std::size_t batches, Services& services) {
+  std::vector<std::string> environment = services.variables("agnocastd");
+  environment.push_back("LD_PRELOAD=" + path_of("libagnocast_heaphook.so"));
+  std::vector<double> mutex_clock, publish, take, publish_ratio, take_ratio;
+  for (std::size_t round = 0; round < rounds; ++round) {
+    Process process({.command = as_role("calls", {std::to_string(batches)}),
+                     .environment = environment,
+                     .has_pipes = true});
+    const nlohmann::json figures = nlohmann::json::parse(process.line());
+    const auto base = figures.at("mutex_clock").get<double>();
+    mutex_clock.push_back(base);
+    publish.push_back(figures.at("publish"));
+    take.push_back(figures.at("take"));
+    publish_ratio.push_back(publish.back() / base);
+    take_ratio.push_back(take.back() / base);
+    if (process.wait(std::chrono::seconds(10)) != 0)
+      throw std::runtime_error("bare calls: the process did not end well");
+  }
+  return {median(mutex_clock), median(publish), median(take), median(publish_ratio),
+          median(take_ratio)};
+}
+
+}  // namespace agnocast::bench

@@ -1,0 +1,135 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Case load: how long a point cloud takes while the machine does other things. stress-ng keeps every CPU busy for a part
+// of the time; sender and receiver are ordinary processes, not pinned and not real-time, and so wait for their turn as
+// those of a robot without tuning do. At each level the systems take turns, round by round.
+
+#include <bench/comparison.hpp>
+#include <bench/figures.hpp>
+#include <bench/options.hpp>
+#include <bench/process.hpp>
+
+#include <csignal>
+#include <memory>
+#include <stdexcept>
+#include <string>
+
+namespace agnocast::bench {
+namespace {
+
+constexpr std::string_view floor_name = "floor-futex";
+
+bool is_ours(const System& system) { return system.name.starts_with("agnocast"); }
+bool is_peer(const System& system) {
+  return system.name.starts_with("iceoryx") || system.name.starts_with("cyclonedds");
+}
+
+/// Something else to do for all CPUs, `percent` of the time.
+class Busyness {
+ public:
+  explicit Busyness(unsigned percent) {
+    if (percent == 0) return;
+    // Its own end is for the case that nobody else ends it.
+    stress_ = std::make_unique<Process>(
+        Process::Options{.command = {"stress-ng", "--quiet", "--cpu", "0", "--cpu-load",
+                                     std::to_string(percent), "--timeout", "1h"},
+                         .end_signal = SIGTERM});
+    // Until its processes are there and have found their pace.
+    if (stress_->wait(std::chrono::seconds(1)))
+      throw std::runtime_error("stress-ng does not run; Debian has it in the package stress-ng");
+  }
+  /// Throws when it has ended meanwhile.
+  void check() const {
+    if (stress_ != nullptr && stress_->status())
+      throw std::runtime_error("stress-ng has ended in the midst of the measurement");
+  }
+
+ private:
+  std::unique_ptr<Process> stress_;
+};
+
+/// The smallest p99 of all samples among those that `belongs` says yes to; null: there is none.
+template <class Belongs>
+const Series* best(const Comparison& comparison, Belongs belongs) {
+  const Series* best = nullptr;
+  for (const Series& one : comparison.series) {
+    if (!belongs(*one.system)) continue;
+    if (best == nullptr || one.latency_ns(0.99) < best->latency_ns(0.99)) best = &one;
+  }
+  return best;
+}
+
+/// Who sleeps beside those who sleep, who spins beside those who spin.
+void aim_beside_peers(const Comparison& comparison, const std::string& where, Aims& aims) {
+  for (const bool spins : {false, true}) {
+    const Series* const own = best(
+        comparison, [&](const System& one) { return is_ours(one) && one.is_spinning == spins; });
+    const Series* const other = best(
+        comparison, [&](const System& one) { return is_peer(one) && one.is_spinning == spins; });
+    if (own == nullptr || other == nullptr) continue;
+    aims.add(where + ", p99: " + std::string(own->system->name) + " / best peer, " +
+                 std::string(other->system->name),
+             own->latency_ns(0.99) / other->latency_ns(0.99), Aims::Sense::at_most, 1);
+  }
+}
+
+std::vector<const System*> compared(const Run& run) {
+  std::vector<std::string_view> names;
+  for (const System& system : systems()) {
+    if (!run.systems.empty() || is_ours(system) || is_peer(system)) names.push_back(system.name);
+  }
+  return chosen(run, names, floor_name);
+}
+
+Plan plan_of(const Run& run, std::size_t bytes) {
+  using std::chrono::milliseconds;
+  const std::chrono::nanoseconds period = run.period.value_or(milliseconds(run.is_small ? 1 : 10));
+  Plan plan{.bytes = bytes, .cores = Cores::anywhere};
+  plan.messages = run.messages.value_or(run.is_small ? 10 : 150);
+  plan.warm_up = run.is_small ? 2 : 10;
+  plan.period_ns = period.count();
+  return plan;
+}
+
+}  // namespace
+
+void run_load(const Run& run, Report& report) {
+  const std::vector<unsigned> levels =
+      run.is_small ? std::vector<unsigned>{0, 90} : std::vector<unsigned>{0, 30, 60, 90};
+  const std::vector<std::size_t> sizes =
+      run.sizes.empty() ? std::vector<std::size_t>{100 * 1024} : run.sizes;
+  const std::size_t rounds = run.rounds.value_or(run.is_small ? 1 : 5);
+  const std::vector<const System*> all = compared(run);
+  Services services;
+  Aims aims;
+  std::size_t done = 0;
+  for (const std::size_t bytes : sizes) {
+    const Plan plan = plan_of(run, bytes);
+    for (const unsigned level : levels) {
+      const std::string where = size_text(bytes) + ", load " + std::to_string(level) + " %";
+      const Busyness busyness(level);
+      const Comparison result = compare(all, plan, rounds, services, [&](const System& system) {
+        busyness.check();
+        report.progress(done++, sizes.size() * levels.size() * rounds * all.size(),
+                        where + ", " + std::string(system.name));
+      });
+      busyness.check();
+      report.say("\n" + where + ", every " + digits(static_cast<double>(plan.period_ns) / 1e6) +
+                 " ms, " + std::to_string(rounds) + " x " + std::to_string(plan.messages) +
+                 " messages");
+      tell(result, floor_name, {{"load_percent", level}}, report);
+      report.add(Plot{.name = "load-" + std::to_string(level) + "-" + std::to_string(bytes),
+                      .kind = "violins",
+                      .title = where + ": from publish to the message in hand",
+                      .x_label = "",
+                      .y_label = "microseconds",
+                      .log_y = true,
+                      .series = violins(result)});
+      if (level == levels.back()) aim_beside_peers(result, where, aims);
+    }
+  }
+  report.progress(done, done, "");
+  aims.tell(report);
+}
+
+}  // namespace agnocast::bench

@@ -1,0 +1,239 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Throughput: messages of 64 bytes a second, and bytes a second in messages of 1 MiB, back to back from one sender to one
+// and to four receivers, on one core and on two. What a message costs is all in it: borrowing, writing each byte, sending,
+// waking, taking, reading each byte, giving back.
+//
+// Queues are alike in all systems and nothing may be lost: see throughput_roles.cpp. Everything is scheduled as ordinary
+// processes are; a real-time sender that never waits would be stopped by the kernel from time to time.
+
+#include <bench/cases/throughput.hpp>
+#include <bench/comparison.hpp>
+#include <bench/figures.hpp>
+#include <bench/options.hpp>
+
+#include <unistd.h>
+
+#include <algorithm>
+#include <map>
+#include <stdexcept>
+#include <string>
+
+namespace agnocast::bench {
+namespace throughput {
+
+const std::vector<System>& systems() {
+  static const std::vector<System> all = [] {
+    std::vector<System> made = ring_systems();
+    for (const System& system : agnocast_systems()) made.push_back(system);
+    for (const System& system : bench::systems()) {
+      if (system.name.starts_with("iceoryx") || system.name.starts_with("cyclonedds"))
+        made.push_back(system);
+    }
+    return made;
+  }();
+  return all;
+}
+
+const System& find(std::string_view name) {
+  for (const System& system : systems()) {
+    if (system.name == name) return system;
+  }
+  throw std::runtime_error("throughput: no such system: " + std::string(name));
+}
+
+namespace {
+
+constexpr std::string_view floor_name = "floor-futex";
+constexpr double aim = 3;  // times the fastest iceoryx
+
+/// One table: all systems under the same conditions.
+struct Setting {
+  Cores cores;
+  std::size_t receivers;
+  std::size_t bytes;
+
+  std::size_t core_count() const { return cores == Cores::one ? 1 : 2; }
+  bool is_small() const { return bytes == small_bytes; }
+  std::string text() const {
+    return "1:" + std::to_string(receivers) + (core_count() == 1 ? ", one core" : ", two cores");
+  }
+  /// One that never sleeps keeps others from running.
+  bool has_room_for(const System& system) const {
+    return !system.is_spinning || core_count() > receivers;
+  }
+};
+
+std::vector<Setting> settings(const Run& run) {
+  std::vector<std::size_t> sizes = run.sizes;
+  if (sizes.empty()) sizes = {small_bytes, large_bytes};
+  std::vector<Setting> all;
+  for (const std::size_t bytes : sizes) {
+    if (bytes != small_bytes && bytes != large_bytes)
+      throw std::runtime_error("there are message types of 64 and 1M bytes only (--sizes)");
+    for (const Cores cores : {Cores::one, Cores::two}) {
+      for (const std::size_t receivers : {1UL, 4UL}) {
+        // A test looks at each size, and at each number of cores and receivers once.
+        if (!run.is_small || (cores == Cores::two) == (receivers == 1))
+          all.push_back({cores, receivers, bytes});
+      }
+    }
+  }
+  return all;
+}
+
+Plan plan_of(const Setting& setting, const Run& run) {
+  Plan plan{.bytes = setting.bytes, .receivers = setting.receivers, .messages = 1};
+  plan.warm_up = run.is_small ? 20 : setting.is_small() ? 5000 : 100;
+  plan.cores = setting.cores;
+  plan.is_real_time = false;
+  plan.depth = setting.is_small() ? 100 : 10;  // 10 of 1 MiB are more than most caches hold
+  plan.lasting_ns = run.is_small ? 20'000'000 : 300'000'000;
+  return plan;
+}
+
+/// Messages a second.
+double rate_of(const System& system, const Plan& plan, Services& services) {
+  static unsigned run_count = 0;
+  Lane lane(plan, system.name,
+            "/bench/p" + std::to_string(::getpid()) + "/throughput" + std::to_string(++run_count));
+  conduct_roles(system, lane, services, sender_role, receiver_role);
+  const Lane::Sent& span = lane.sent(1);
+  const auto messages = static_cast<double>(lane.seen(0).number.load() - plan.warm_up);
+  return messages * 1e9 / static_cast<double>(span.end_ns - span.begin_ns);
+}
+
+using Rates = std::map<std::string_view, std::vector<double>>;  // of each round
+
+/// Median over the rounds of the ratios within each.
+double ratio(const std::vector<double>& rates, const std::vector<double>& base) {
+  std::vector<double> ratios;
+  for (std::size_t round = 0; round < rates.size(); ++round)
+    ratios.push_back(rates[round] / base[round]);
+  return median(std::move(ratios));
+}
+
+void tell(const Setting& setting, const Rates& rates, Report& report) {
+  const auto bytes = static_cast<double>(setting.bytes);
+  const auto floor = rates.find(floor_name);
+  Table table({"system", "messages/s", "MB/s", "CV", "x floor"});
+  for (const System& system : systems()) {
+    const auto found = rates.find(system.name);
+    if (found == rates.end()) continue;
+    const std::vector<double>& own = found->second;
+    const double rate = median(own);
+    nlohmann::json result = {
+        {"system", system.name},       {"cores", setting.core_count()},
+        {"size_bytes", setting.bytes}, {"receivers", setting.receivers},
+        {"rounds", own.size()},        {"messages_per_second", rate},
+        {"variation", variation(own)}, {"bytes_per_second", rate * bytes},
+    };
+    if (floor != rates.end()) result["ratio_to_floor"] = ratio(own, floor->second);
+    table.add({std::string(system.name), digits(rate), digits(rate * bytes / 1e6),
+               digits(variation(own)),
+               floor == rates.end() ? "" : digits(ratio(own, floor->second))});
+    report.add(std::move(result));
+  }
+  table.say(report);
+}
+
+/// The fastest of those whose names begin so; null: there is none.
+const Rates::value_type* fastest(const Rates& rates, std::string_view prefix) {
+  const Rates::value_type* best = nullptr;
+  for (const auto& one : rates) {
+    if (one.first.starts_with(prefix) &&
+        (best == nullptr || median(one.second) > median(best->second)))
+      best = &one;
+  }
+  return best;
+}
+
+void aim_beside_iceoryx(const Setting& setting, const Rates& rates, Aims& aims) {
+  const auto* const own = fastest(rates, "agnocast");
+  const auto* const other = fastest(rates, "iceoryx");
+  // Of large messages all are as fast as memory is.
+  if (!setting.is_small() || own == nullptr || other == nullptr) return;
+  aims.add(setting.text() + ", messages a second: " + std::string(own->first) +
+               " / fastest iceoryx, " + std::string(other->first),
+           ratio(own->second, other->second), Aims::Sense::at_least, aim);
+}
+
+/// Those that were asked for, and whose services run here.
+std::vector<const System*> chosen(const Run& run, Services& services) {
+  std::vector<const System*> all;
+  for (const System& system : systems()) {
+    const bool is_wanted =
+        run.systems.empty() || system.name == floor_name ||
+        std::find(run.systems.begin(), run.systems.end(), system.name) != run.systems.end();
+    if (is_wanted && services.has(system.service)) all.push_back(&system);
+  }
+  return all;
+}
+
+/// A picture for all settings of one size.
+struct Picture {
+  std::vector<std::string> groups;
+  std::map<std::string_view, std::vector<double>> heights;
+
+  void add(const Setting& setting, const Rates& rates) {
+    groups.push_back(setting.text());
+    const double unit = setting.is_small() ? 1e-6 : static_cast<double>(setting.bytes) * 1e-9;
+    for (const System& system : systems()) {
+      const auto rate = rates.find(system.name);
+      heights[system.name].push_back(rate == rates.end() ? 0 : median(rate->second) * unit);
+    }
+  }
+  void draw(bool is_small, Report& report) const {
+    Plot plot{.name = is_small ? "throughput-messages" : "throughput-bytes",
+              .kind = "bars",
+              .title = is_small ? "Messages of 64 bytes" : "Messages of 1 MiB",
+              .x_label = "sender : receivers",
+              .y_label = is_small ? "million messages a second" : "GB a second",
+              .log_y = true,
+              .groups = groups};
+    for (const System& system : systems()) {
+      const std::vector<double>& own = heights.at(system.name);
+      if (std::any_of(own.begin(), own.end(), [](double height) { return height > 0; }))
+        plot.series.push_back({{"label", system.name}, {"y", own}});
+    }
+    report.add(std::move(plot));
+  }
+};
+
+}  // namespace
+}  // namespace throughput
+
+void run_throughput(const Run& run, Report& report) {
+  using namespace throughput;
+  Services services;
+  Aims aims;
+  const std::vector<const System*> all = throughput::chosen(run, services);
+  const std::vector<Setting> tables = settings(run);
+  const std::size_t rounds = run.rounds.value_or(run.is_small ? 1 : 5);
+  std::map<bool, Picture> pictures;
+  std::size_t done = 0;
+  for (const Setting& setting : tables) {
+    const Plan plan = plan_of(setting, run);
+    const std::string where = setting.text() + ", messages of " + size_text(setting.bytes);
+    Rates rates;
+    for (std::size_t round = 0; round < rounds; ++round) {
+      for (const System* const system : all) {
+        report.progress(done++, tables.size() * rounds * all.size(),
+                        where + ", " + std::string(system->name));
+        if (setting.has_room_for(*system))
+          rates[system->name].push_back(rate_of(*system, plan, services));
+      }
+    }
+    report.say("\n" + where + ", at most " + std::to_string(plan.depth) + " unread, " +
+               std::to_string(rounds) + " x " + std::to_string(plan.lasting_ns / 1'000'000) +
+               " ms");
+    throughput::tell(setting, rates, report);
+    aim_beside_iceoryx(setting, rates, aims);
+    pictures[setting.is_small()].add(setting, rates);
+  }
+  report.progress(done, done, "");
+  for (const auto& [is_small, picture] : pictures) picture.draw(is_small, report);
+  aims.tell(report);
+}
+
+}  // namespace agnocast::bench

@@ -1,0 +1,200 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <bench/comparison.hpp>
+
+#include <bench/figures.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <utility>
+
+namespace agnocast::bench {
+namespace {
+
+template <class Of>
+double median_over(const std::vector<Times>& rounds, double q, Of of) {
+  std::vector<double> each;
+  for (const Times& round : rounds) each.push_back(quantile(of(round), q));
+  return median(std::move(each));
+}
+
+template <class Of>
+double median_ratio(const std::vector<Times>& rounds, const std::vector<Times>& base, Of of) {
+  std::vector<double> ratios;
+  for (std::size_t i = 0; i < std::min(rounds.size(), base.size()); ++i) {
+    const double below = median(of(base[i]));
+    if (below > 0) ratios.push_back(median(of(rounds[i])) / below);
+  }
+  return median(std::move(ratios));
+}
+
+std::vector<double> slowest_of(const Times& round) { return round.slowest_ns(); }
+std::vector<double> publish_of(const Times& round) { return round.publish_ns; }
+
+}  // namespace
+
+double Series::latency_ns(double q) const { return median_over(rounds, q, slowest_of); }
+
+double Series::publish_ns(double q) const { return median_over(rounds, q, publish_of); }
+
+std::vector<double> Series::latencies_ns() const {
+  std::vector<double> all;
+  for (const Times& round : rounds) {
+    const std::vector<double> some = round.slowest_ns();
+    all.insert(all.end(), some.begin(), some.end());
+  }
+  return all;
+}
+
+double Series::ratio_to(const Series& floor) const {
+  return median_ratio(rounds, floor.rounds, slowest_of);
+}
+
+double Series::publish_ratio_to(const Series& floor) const {
+  return median_ratio(rounds, floor.rounds, publish_of);
+}
+
+const Series* Comparison::find(std::string_view system) const {
+  for (const Series& one : series) {
+    if (one.system->name == system) return &one;
+  }
+  return nullptr;
+}
+
+std::vector<const System*> chosen(const Run& run, const std::vector<std::string_view>& names,
+                                  std::string_view floor) {
+  std::vector<const System*> all;
+  for (const System& system : systems()) {
+    const auto is_in = [&system](const auto& list) {
+      return std::find(list.begin(), list.end(), system.name) != list.end();
+    };
+    if (system.name == floor || (is_in(names) && (run.systems.empty() || is_in(run.systems))))
+      all.push_back(&system);
+  }
+  return all;
+}
+
+std::vector<std::string_view> all_names() {
+  std::vector<std::string_view> names;
+  for (const System& system : systems()) names.push_back(system.name);
+  return names;
+}
+
+Comparison compare(const std::vector<const System*>& systems, const Plan& plan, std::size_t rounds,
+                   Services& services, const std::function<void(const System&)>& step) {
+  Comparison comparison{.plan = plan, .series = {}};
+  for (const System* const system : systems) {
+    if (services.has(system->service)) comparison.series.push_back({system, {}});
+  }
+  for (std::size_t round = 0; round < rounds; ++round) {
+    for (Series& one : comparison.series) {
+      step(*one.system);
+      one.rounds.push_back(conduct(*one.system, plan, services));
+    }
+  }
+  return comparison;
+}
+
+void tell(const Comparison& comparison, std::string_view floor, const nlohmann::json& extra,
+          Report& report) {
+  const Series* const base = comparison.find(floor);
+  Table table({"system", "p50 us", "p99 us", "max us", "publish us", "CV", "x floor"});
+  for (const Series& one : comparison.series) {
+    const std::vector<double> all = one.latencies_ns();
+    const double max = quantile(all, 1), spread = variation(all);
+    const double ratio = base == nullptr ? 0 : one.ratio_to(*base);
+    table.add({std::string(one.system->name), us(one.latency_ns(0.5)), us(one.latency_ns(0.99)),
+               us(max), us(one.publish_ns(0.5)), digits(spread), digits(ratio)});
+    nlohmann::json result = {{"system", one.system->name},
+                             {"size_bytes", comparison.plan.bytes},
+                             {"receivers", comparison.plan.receivers},
+                             {"rounds", one.rounds.size()},
+                             {"period_ns", comparison.plan.period_ns},
+                             {"samples", all.size()},
+                             {"min_ns", quantile(all, 0)},
+                             {"p50_ns", one.latency_ns(0.5)},
+                             {"p99_ns", one.latency_ns(0.99)},
+                             {"max_ns", max},
+                             {"publish_p50_ns", one.publish_ns(0.5)},
+                             {"variation", spread}};
+    if (base != nullptr) result["ratio_to_floor"] = ratio;
+    if (comparison.plan.cores != Cores::anywhere)
+      result["cores"] = comparison.plan.cores == Cores::one ? 1 : 2;
+    result.update(extra);
+    report.add(std::move(result));
+  }
+  table.say(report);
+}
+
+Comparison compare_and_tell(const std::string& title, const std::vector<const System*>& systems,
+                            const Plan& plan, std::size_t rounds, std::string_view floor,
+                            const nlohmann::json& extra, Services& services, Report& report) {
+  const std::size_t all = systems.size() * rounds;
+  std::size_t done = 0;
+  const Comparison comparison = compare(systems, plan, rounds, services, [&](const System& system) {
+    report.progress(done++, all, title + ", " + std::string(system.name));
+  });
+  report.progress(all, all, "");
+  report.say("\n" + title + ", every " + digits(static_cast<double>(plan.period_ns) / 1e6) +
+             " ms, " + std::to_string(rounds) + " x " + std::to_string(plan.messages) +
+             " messages");
+  tell(comparison, floor, extra, report);
+  return comparison;
+}
+
+nlohmann::json violins(const Comparison& comparison) {
+  nlohmann::json series = nlohmann::json::array();
+  for (const Series& one : comparison.series) {
+    std::vector<double> values_us = one.latencies_ns();
+    for (double& value : values_us) value /= 1000;
+    series.push_back({{"label", one.system->name}, {"values", values_us}});
+  }
+  return series;
+}
+
+void Aims::add(const std::string& aim, double measured, Sense sense, double bound) {
+  all_.push_back({aim, measured, sense, bound});
+}
+
+void Aims::tell(Report& report) const {
+  if (all_.empty()) return;
+  report.say("\naims");
+  Table table({"aim", "measured", "bound", "reached"});
+  for (const Aim& aim : all_) {
+    table.add({aim.text, digits(aim.measured),
+               (aim.sense == Sense::at_most ? "<= " : ">= ") + digits(aim.bound),
+               aim.is_reached() ? "yes" : "no"});
+    report.add({{"aim", aim.text},
+                {"measured", aim.measured},
+                {"bound", aim.bound},
+                {"is_reached", aim.is_reached()}});
+  }
+  table.say(report);
+}
+
+void Table::say(Report& report) const {
+  std::vector<std::size_t> widths;
+  for (const auto& row : rows_) {
+    widths.resize(std::max(widths.size(), row.size()));
+    for (std::size_t i = 0; i < row.size(); ++i) widths[i] = std::max(widths[i], row[i].size());
+  }
+  for (const auto& row : rows_) {
+    std::string line = " ";
+    for (std::size_t i = 0; i < row.size(); ++i) {
+      const std::string space(widths[i] - row[i].size(), ' ');
+      line += i == 0 ? " " + row[i] + space : "  " + space + row[i];
+    }
+    report.say(line);
+  }
+}
+
+std::string digits(double value) {
+  char text[64];
+  const double size = std::fabs(value);
+  const int behind = size >= 100 ? 0 : size >= 10 ? 1 : size >= 1 ? 2 : 3;
+  std::snprintf(text, sizeof text, "%.*f", behind, value);
+  return text;
+}
+
+}  // namespace agnocast::bench

@@ -1,0 +1,99 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Comparison: several systems under one plan, interleaved: A B C, A B C, … so that whatever else the machine does meets
+// all of them. What is compared is the ratio to the floor of the same round, and the median of these over the rounds.
+#pragma once
+
+#include <bench/case.hpp>
+#include <bench/conductor.hpp>
+
+#include <cstddef>
+#include <functional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace agnocast::bench {
+
+/// What one system gave in all rounds.
+struct Series {
+  const System* system = nullptr;
+  std::vector<Times> rounds;
+
+  /// Medians over the rounds of each round's quantile: of the slowest receiver's latencies, or of the publish calls.
+  double latency_ns(double q) const;
+  double publish_ns(double q) const;
+  /// Over all rounds.
+  std::vector<double> latencies_ns() const;
+  /// Medians over the rounds of this one's p50 over the other's: of latencies, and of publish calls.
+  double ratio_to(const Series& floor) const;
+  double publish_ratio_to(const Series& floor) const;
+};
+
+struct Comparison {
+  Plan plan;
+  std::vector<Series> series;
+
+  /// Null: it did not take part.
+  const Series* find(std::string_view system) const;
+};
+
+/// Those of `names` that this build has and the run wants, in the build's order. `floor` takes part whatever the run wants.
+std::vector<const System*> chosen(const Run& run, const std::vector<std::string_view>& names,
+                                  std::string_view floor);
+/// All of systems().
+std::vector<std::string_view> all_names();
+
+/// `step` is called before each turn. Without those whose service does not run here.
+Comparison compare(const std::vector<const System*>& systems, const Plan& plan, std::size_t rounds,
+                   Services& services, const std::function<void(const System&)>& step);
+
+/// The table of a comparison, and an object of "results" for each system; `extra` is added to these.
+void tell(const Comparison& comparison, std::string_view floor, const nlohmann::json& extra,
+          Report& report);
+
+/// Both, and on the way how far it is; the table is under `title`.
+Comparison compare_and_tell(const std::string& title, const std::vector<const System*>& systems,
+                            const Plan& plan, std::size_t rounds, std::string_view floor,
+                            const nlohmann::json& extra, Services& services, Report& report);
+
+/// One violin for each system.
+nlohmann::json violins(const Comparison& comparison);
+
+/// What the project has set itself, beside what was measured.
+class Aims {
+ public:
+  enum class Sense { at_most, at_least };
+  void add(const std::string& aim, double measured, Sense sense, double bound);
+  /// The table, and an object of "results" for each.
+  void tell(Report& report) const;
+
+ private:
+  struct Aim {
+    std::string text;
+    double measured;
+    Sense sense;
+    double bound;
+    bool is_reached() const {
+      return sense == Sense::at_most ? measured <= bound : measured >= bound;
+    }
+  };
+  std::vector<Aim> all_;
+};
+
+/// Text of a table: columns as wide as their widest cell, the first one left, the others right.
+class Table {
+ public:
+  explicit Table(std::vector<std::string> head) : rows_{std::move(head)} {}
+  void add(std::vector<std::string> row) { rows_.push_back(std::move(row)); }
+  void say(Report& report) const;
+
+ private:
+  std::vector<std::vector<std::string>> rows_;
+};
+
+/// Three digits that count: "0.123", "12.3", "1234".
+std::string digits(double value);
+inline std::string us(double ns) { return digits(ns / 1000); }
+
+}  // namespace agnocast::bench

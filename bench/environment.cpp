@@ -1,0 +1,128 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <bench/environment.hpp>
+
+#include <agnocast/version.hpp>
+#include <bench/system.hpp>
+
+#include <sched.h>
+#include <sys/utsname.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cstdio>
+#include <ctime>
+#include <fstream>
+#include <optional>
+#include <thread>
+
+namespace agnocast::bench {
+namespace {
+
+std::optional<std::string> line_of(const std::string& path) {
+  std::ifstream file(path);
+  std::string line;
+  if (!std::getline(file, line)) return {};
+  return line;
+}
+
+std::optional<std::string> cpu_model() {
+  std::ifstream file("/proc/cpuinfo");
+  for (std::string line; std::getline(file, line);) {
+    const std::size_t colon = line.find(": ");
+    if (line.starts_with("model name") && colon != std::string::npos) return line.substr(colon + 2);
+  }
+  return {};
+}
+
+// "always [madvise] never" says madvise.
+std::optional<std::string> chosen_of(const std::string& path) {
+  const auto line = line_of(path);
+  if (!line) return {};
+  const std::size_t begin = line->find('['), end = line->find(']');
+  if (begin == std::string::npos || end == std::string::npos) return line;
+  return line->substr(begin + 1, end - begin - 1);
+}
+
+// Tried in a child: this process is to stay as it is.
+bool may_be_realtime() {
+  const pid_t pid = ::fork();
+  if (pid == 0) {
+    sched_param priority{};
+    priority.sched_priority = 51;
+    ::_exit(::sched_setscheduler(0, SCHED_FIFO, &priority) == 0 ? 0 : 1);
+  }
+  int status = 1;
+  return pid > 0 && ::waitpid(pid, &status, 0) == pid && status == 0;
+}
+
+std::string now_text() {
+  const std::time_t now = std::time(nullptr);
+  std::tm parts{};
+  ::gmtime_r(&now, &parts);
+  char text[32];
+  std::strftime(text, sizeof text, "%Y-%m-%dT%H:%M:%SZ", &parts);
+  return text;
+}
+
+nlohmann::json build() {
+  return {{"version", std::to_string(AGNOCAST_VERSION_MAJOR) + "." +
+                          std::to_string(AGNOCAST_VERSION_MINOR) + "." +
+                          std::to_string(AGNOCAST_VERSION_PATCH)},
+          {"revision", AGNOCAST_BENCH_REVISION},
+          {"compiler", AGNOCAST_BENCH_COMPILER},
+          {"build_type", AGNOCAST_BENCH_BUILD_TYPE},
+          {"cyclonedds", AGNOCAST_BENCH_CYCLONEDDS},
+          {"iceoryx", AGNOCAST_BENCH_ICEORYX}};
+}
+
+}  // namespace
+
+nlohmann::json environment() {
+  nlohmann::json all = build();
+  for (const char* const optional : {"revision", "cyclonedds", "iceoryx"}) {
+    if (all[optional] == "") all.erase(optional);
+  }
+  const auto keep = [&all](const char* key, const std::optional<std::string>& value) {
+    if (value) all[key] = *value;
+  };
+  all["time"] = now_text();
+  all["cores"] = std::thread::hardware_concurrency();
+  keep("cpu", cpu_model());
+  utsname system{};
+  if (::uname(&system) == 0) {
+    all["kernel"] = system.release;
+    all["machine"] = system.machine;
+  }
+  const std::string cpu = "/sys/devices/system/";
+  keep("governor", line_of(cpu + "cpu/cpu0/cpufreq/scaling_governor"));
+  keep("clock_source", line_of(cpu + "clocksource/clocksource0/current_clocksource"));
+  const std::string huge = "/sys/kernel/mm/transparent_hugepage/";
+  keep("huge_pages", chosen_of(huge + "enabled"));
+  keep("shared_huge_pages", chosen_of(huge + "shmem_enabled"));
+  double load[3];
+  if (::getloadavg(load, 3) == 3) all["load"] = load;
+  all["realtime"] = may_be_realtime();
+  all["root"] = ::geteuid() == 0;
+  all["absent"] = absent();
+  return all;
+}
+
+std::vector<std::string> doubts(const nlohmann::json& environment) {
+  std::vector<std::string> all = absent();
+  if (environment.at("build_type") != "Release")
+    all.push_back("this program was not built as Release: its figures say little");
+  if (!environment.at("realtime").get<bool>())
+    all.emplace_back(
+        "SCHED_FIFO is not permitted: tails are longer, and on one core the order of processes is "
+        "the scheduler's");
+  if (environment.at("cores").get<unsigned>() < 2)
+    all.emplace_back("there is one core: what needs two is left out");
+  if (environment.contains("load") &&
+      environment["load"][0].get<double>() > 0.5 * environment.at("cores").get<double>())
+    all.emplace_back("the machine is busy: compare ratios only");
+  return all;
+}
+
+}  // namespace agnocast::bench

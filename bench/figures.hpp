@@ -1,0 +1,76 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Figures of samples: quantiles, spread, intervals, a straight line. Header only, values in, values out.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <numeric>
+#include <random>
+#include <utility>
+#include <vector>
+
+namespace agnocast::bench {
+
+/// The q-quantile (0 … 1) by linear interpolation between order statistics (type 7 of Hyndman and Fan, 1996);
+/// 0 of no samples. The median is quantile(…, 0.5).
+inline double quantile(std::vector<double> samples, double q) {
+  if (samples.empty()) return 0;
+  std::sort(samples.begin(), samples.end());
+  const double place = q * static_cast<double>(samples.size() - 1);
+  const auto below = static_cast<std::size_t>(place);
+  const std::size_t above = std::min(below + 1, samples.size() - 1);
+  return samples[below] + (place - static_cast<double>(below)) * (samples[above] - samples[below]);
+}
+inline double median(std::vector<double> samples) { return quantile(std::move(samples), 0.5); }
+
+inline double mean(const std::vector<double>& samples) {
+  if (samples.empty()) return 0;
+  return std::accumulate(samples.begin(), samples.end(), 0.0) / static_cast<double>(samples.size());
+}
+/// Coefficient of variation: the sample's standard deviation over its mean; 0 below two samples.
+inline double variation(const std::vector<double>& samples) {
+  const double middle = mean(samples);
+  if (samples.size() < 2 || middle == 0) return 0;
+  double squares = 0;
+  for (const double sample : samples) squares += (sample - middle) * (sample - middle);
+  return std::sqrt(squares / static_cast<double>(samples.size() - 1)) / middle;
+}
+
+struct Interval {
+  double low = 0, high = 0;
+};
+/// The 95 % interval of `statistic` by the percentile bootstrap (Efron 1979), `resamples` drawings with a fixed seed.
+template <typename Statistic>
+Interval bootstrap(const std::vector<double>& samples, Statistic statistic,
+                   std::size_t resamples = 1000) {
+  if (samples.empty()) return {};
+  std::mt19937_64 random(1);
+  std::uniform_int_distribution<std::size_t> any(0, samples.size() - 1);
+  std::vector<double> drawn(samples.size()), statistics;
+  for (std::size_t i = 0; i < resamples; ++i) {
+    for (double& sample : drawn) sample = samples[any(random)];
+    statistics.push_back(statistic(drawn));
+  }
+  return {quantile(statistics, 0.025), quantile(statistics, 0.975)};
+}
+
+/// y = offset + slope · x, by least squares; a constant where there is but one x.
+struct Line {
+  double slope = 0, offset = 0;
+};
+inline Line line_through(const std::vector<double>& x, const std::vector<double>& y) {
+  const auto count = static_cast<double>(x.size());
+  double mean_x = 0, mean_y = 0, across = 0, along = 0;
+  for (std::size_t i = 0; i < x.size(); ++i) mean_x += x[i] / count, mean_y += y[i] / count;
+  for (std::size_t i = 0; i < x.size(); ++i) {
+    across += (x[i] - mean_x) * (y[i] - mean_y);
+    along += (x[i] - mean_x) * (x[i] - mean_x);
+  }
+  const double slope = along == 0 ? 0 : across / along;
+  return {slope, mean_y - slope * mean_x};
+}
+
+}  // namespace agnocast::bench

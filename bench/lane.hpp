@@ -1,0 +1,128 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Lane: the memory that the processes of one run share. It paces them and keeps the times, so that no measured message
+// meets a pipe, a file or a system call of the benchmark's own.
+//
+//   head                 what the run is, its state, the first error
+//   seen[receivers]      how far each receiver is, a cache line each
+//   sent[messages]       when the publish call began and when it returned
+//   received[receivers × messages]
+//   scratch              for floors
+//
+//   state:  waiting ──conductor: go──▶ running ──sender: all seen──▶ over
+//
+// The conductor makes it (a memfd), everybody else attaches by the inherited descriptor. All are processes of one program
+// and one run, so the layout needs no version.
+#pragma once
+
+#include <bench/system.hpp>
+
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <string_view>
+
+namespace agnocast::bench {
+
+/// CLOCK_MONOTONIC.
+std::int64_t now_ns() noexcept;
+
+/// Where and how the processes of a run run.
+enum class Cores : std::uint32_t {
+  anywhere,  ///< not pinned, ordinary scheduling
+  one,       ///< all on CPU 0
+  two,       ///< sender on CPU 0, receivers on CPU 1
+};
+
+/// What a run is.
+struct Plan {
+  std::size_t bytes = 1024;
+  std::size_t receivers = 1;
+  std::size_t messages = 1000;  ///< kept
+  std::size_t warm_up = 100;    ///< sent before them, and not kept
+  std::int64_t period_ns =
+      1'000'000;  ///< between publish calls, at least; 0: as soon as all have seen the last one
+  Cores cores = Cores::anywhere;
+  bool is_real_time = true;     ///< SCHED_FIFO where pinned
+  std::size_t depth = 10;
+  std::int64_t lasting_ns = 0;  ///< throughput: how long to send; there `messages` is 1
+  /// Of the receivers; 0: as the sender. Only root can have others.
+  std::uint32_t receiver_uid = 0;
+  std::size_t all_messages() const noexcept { return warm_up + messages; }
+};
+
+class Lane {
+ public:
+  static constexpr std::size_t scratch_bytes = std::size_t{1} << 16;
+  static constexpr std::uint64_t nothing = 0;
+  enum State : std::uint32_t { waiting, running, over };
+
+  struct alignas(64) Seen {
+    std::atomic<std::uint64_t>
+        number;  ///< of the last message that was proved intact; they count from 1
+  };
+  struct Sent {
+    std::int64_t begin_ns, end_ns;
+  };
+  struct Head {
+    Plan plan;
+    char system[64];
+    char topic[128];
+    std::atomic<std::uint32_t> state;            ///< a futex
+    std::atomic<std::uint32_t> ready;            ///< processes that have made their side
+    std::atomic<std::uint32_t> has_matched;      ///< the sender would reach all
+    std::atomic<std::uint32_t> is_without_fifo;  ///< somebody was refused SCHED_FIFO
+    std::atomic<std::uint32_t> has_error;
+    char error[512];
+  };
+
+  /// A new one. Throws std::runtime_error.
+  Lane(const Plan& plan, std::string_view system, std::string_view topic);
+  /// An inherited one.
+  explicit Lane(int descriptor);
+  ~Lane();
+  Lane(const Lane&) = delete;
+  Lane& operator=(const Lane&) = delete;
+
+  int descriptor() const noexcept { return descriptor_; }
+  Head& head() const noexcept { return *head_; }
+  const Plan& plan() const noexcept { return head_->plan; }
+  Seen& seen(std::size_t receiver) const noexcept { return seen_[receiver]; }
+  /// `number` counts from 1.
+  Sent& sent(std::uint64_t number) const noexcept { return sent_[number - 1]; }
+  std::int64_t& received_ns(std::size_t receiver, std::uint64_t number) const noexcept {
+    return received_[receiver * plan().all_messages() + number - 1];
+  }
+  void* scratch() const noexcept { return scratch_; }
+
+  bool have_all_seen(std::uint64_t number) const noexcept;
+  /// The first one stays.
+  void set_error(std::string_view text) noexcept;
+  std::string error() const;
+  void set_state(State state) noexcept;
+  /// Sleeps until the state is no longer `state`.
+  void wait_while(State state) const noexcept;
+
+ private:
+  void map(std::size_t bytes);
+  void place(const Plan& plan) noexcept;
+
+  int descriptor_ = -1;
+  void* base_ = nullptr;
+  std::size_t bytes_ = 0;
+  Head* head_ = nullptr;
+  Seen* seen_ = nullptr;
+  Sent* sent_ = nullptr;
+  std::int64_t* received_ = nullptr;
+  void* scratch_ = nullptr;
+};
+
+// --- payload: its number in front, and a byte that depends on both number and place at the beginning of each further page
+
+void mark(std::byte* payload, std::size_t bytes, std::uint64_t number) noexcept;
+std::uint64_t number_of(const std::byte* payload) noexcept;
+/// Reads a byte of every page.
+bool is_intact(const std::byte* payload, std::size_t bytes, std::uint64_t number) noexcept;
+
+}  // namespace agnocast::bench

@@ -1,0 +1,146 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// agnocast-bench: comparisons side by side. Runs the cases that are asked for, writes what they give, and has the pictures
+// drawn by agnocast-bench-plot. Its own processes come in by another door: %ROLE (process.hpp).
+//
+// Exit status: 0 done, 1 something did not work, 2 wrong usage.
+
+#include <bench/cases.hpp>
+#include <bench/environment.hpp>
+#include <bench/options.hpp>
+#include <bench/process.hpp>
+#include <bench/services.hpp>
+#include <bench/system.hpp>
+
+#include <signal.h>
+#include <sys/prctl.h>
+#include <unistd.h>
+
+#include <cstdio>
+#include <exception>
+#include <fstream>
+#include <iostream>
+#include <stdexcept>
+#include <string>
+#include <thread>
+#include <vector>
+
+namespace agnocast::bench {
+namespace {
+
+int be(const std::string& role, const std::vector<std::string>& arguments) {
+  const RoleMain main = find_role(role);
+  if (main == nullptr) {
+    std::fprintf(stderr, "agnocast-bench: no role '%s'\n", role.c_str());
+    return 2;
+  }
+  ::prctl(PR_SET_NAME, ("bench-" + role).substr(0, 15).c_str());
+  return main(arguments);
+}
+
+int refuse(const std::string& what) {
+  std::fprintf(stderr, "agnocast-bench: %s\nhint: agnocast-bench --help\n", what.c_str());
+  return 2;
+}
+
+// Ctrl-C ends a measurement of minutes: its processes die with it, and its directories are removed. The signals are blocked
+// in all threads and waited for in one, so that nothing is interrupted in the middle; Process unblocks them again.
+void clean_up_on_signals() {
+  static sigset_t signals;
+  ::sigemptyset(&signals);
+  for (const int signal : {SIGINT, SIGTERM, SIGHUP}) ::sigaddset(&signals, signal);
+  ::pthread_sigmask(SIG_BLOCK, &signals, nullptr);
+  std::thread([] {
+    int signal = 0;
+    ::sigwait(&signals, &signal);
+    remove_directories();
+    ::_exit(128 + signal);
+  }).detach();
+}
+
+void list() {
+  std::printf("cases:\n");
+  for (const Case& one : cases())
+    std::printf("  %-20.*s %.*s\n", static_cast<int>(one.name.size()), one.name.data(),
+                static_cast<int>(one.summary.size()), one.summary.data());
+  std::printf("systems:\n");
+  for (const System& system : systems())
+    std::printf("  %-20.*s %.*s\n", static_cast<int>(system.name.size()), system.name.data(),
+                static_cast<int>(system.summary.size()), system.summary.data());
+  for (const std::string& what : absent()) std::printf("  %s\n", what.c_str());
+}
+
+void write(const nlohmann::json& document, const std::string& file) {
+  const std::string text = document.dump(1) + "\n";
+  if (file == "-") {
+    std::cout << text << std::flush;
+    return;
+  }
+  std::ofstream stream(file);
+  if (!(stream << text << std::flush)) throw std::runtime_error(file + ": cannot be written");
+}
+
+void draw(const nlohmann::json& document, const std::string& directory) {
+  const Directory place;
+  const std::string file = place.path() + "/results.json";
+  write(document, file);
+  Process plot({.command = {path_of("agnocast-bench-plot"), file, directory}});
+  if (plot.wait(std::chrono::minutes(5)) != 0)
+    throw std::runtime_error("agnocast-bench-plot could not draw; the results are written");
+}
+
+void run_cases(const Options& options, Report& report) {
+  for (const std::string& name : options.cases) {
+    for (const Case& one : cases()) {
+      if (one.name != name) continue;
+      report.begin_case(name);
+      report.say("\n== " + name + ": " + std::string(one.summary));
+      try {
+        one.run(options.run, report);
+      } catch (const std::exception& error) {
+        throw std::runtime_error(name + ": " + error.what());
+      }
+    }
+  }
+}
+
+int measure(const Options& options) {
+  clean_up_on_signals();
+  Report report;
+  report.is_quiet = options.json == "-";
+  nlohmann::json document = {{"schema", "agnocast.bench/1"}, {"environment", environment()}};
+  for (const std::string& doubt : doubts(document["environment"])) report.say("note: " + doubt);
+  run_cases(options, report);
+  document["results"] = report.results;
+  document["plots"] = report.plots;
+  if (!options.json.empty()) write(document, options.json);
+  if (!options.plot.empty()) draw(document, options.plot);
+  return 0;
+}
+
+template <class Named>
+std::vector<std::string> names_of(const std::vector<Named>& all) {
+  std::vector<std::string> names;
+  for (const Named& one : all) names.emplace_back(one.name);
+  return names;
+}
+
+}  // namespace
+}  // namespace agnocast::bench
+
+int main(int argc, char** argv) {
+  using namespace agnocast::bench;
+  try {
+    const std::vector<std::string> arguments(argv + 1, argv + argc);
+    if (!arguments.empty() && arguments[0].starts_with('%'))
+      return be(arguments[0].substr(1), {arguments.begin() + 1, arguments.end()});
+    const Options options = parse(arguments, names_of(cases()), names_of(systems()));
+    if (!options.help.empty()) return std::fputs(options.help.c_str(), stdout), 0;
+    if (!options.error.empty()) return refuse(options.error);
+    if (options.is_list) return list(), 0;
+    return measure(options);
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "agnocast-bench: %s\n", error.what());
+    return 1;
+  }
+}

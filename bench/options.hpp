@@ -1,0 +1,35 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Options: the command line as values. Pure.
+#pragma once
+
+#include <bench/case.hpp>
+
+#include <cstddef>
+#include <string>
+#include <vector>
+
+namespace agnocast::bench {
+
+struct Options {
+  std::vector<std::string> cases;
+  Run run;
+  std::string json;      ///< file; "-": stdout, and nothing else there; empty: none
+  std::string plot;      ///< directory; empty: none
+  bool is_list = false;  ///< say which cases and systems there are
+  std::string help;      ///< not empty: print this instead
+  std::string error;     ///< not empty: wrong usage, and what to do
+};
+
+/// `cases` and `systems`: the names that there are.
+Options parse(const std::vector<std::string>& arguments, const std::vector<std::string>& cases,
+              const std::vector<std::string>& systems);
+
+/// "64", "10K", "1.5M" (1024 based); 0: not a size.
+std::size_t size_of(const std::string& text);
+/// "250us", "1ms", "2s"; negative: not a time.
+std::chrono::microseconds period_of(const std::string& text);
+/// 1048576 as "1 MiB".
+std::string size_text(std::size_t bytes);
+
+}  // namespace agnocast::bench

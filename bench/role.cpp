@@ -1,0 +1,160 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Roles "sender" and "receiver": what the processes of a run do.
+//
+//   sender     makes its side, waits for the match and the word, then for each message: prepare and mark (not measured),
+//              stamp, send, stamp, wait until every receiver has seen it
+//   receiver   makes its side, and for each message: stamp, then prove that all of the payload can be read
+//
+// On one core a receiver preempts the sender, so a message is in hand before the publish call returns; that is meant:
+// what is compared there is the way, without the interrupt from one core to the other.
+
+#include <bench/conductor.hpp>
+#include <bench/process.hpp>
+
+#include <grp.h>
+#include <sched.h>
+#include <sys/prctl.h>
+#include <time.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <csignal>
+#include <cstring>
+#include <exception>
+#include <functional>
+#include <stdexcept>
+#include <string>
+#include <thread>
+
+namespace agnocast::bench {
+namespace {
+
+constexpr std::int64_t patience_ns = 10'000'000'000;
+constexpr std::int64_t nap_ns = 50'000;
+
+void sleep_until(std::int64_t when_ns) noexcept {
+  const timespec when{static_cast<time_t>(when_ns / 1'000'000'000), when_ns % 1'000'000'000};
+  while (::clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &when, nullptr) == EINTR) continue;
+}
+
+// Repeats `attempt` until it says yes.
+template <class Attempt>
+void insist(const std::string& what, std::int64_t pause_ns, Attempt attempt) {
+  const std::int64_t end_ns = now_ns() + patience_ns;
+  while (!attempt()) {
+    if (now_ns() > end_ns) throw std::runtime_error(what);
+    sleep_until(now_ns() + pause_ns);
+  }
+}
+
+void send_one(const Lane& lane, Sender& sender, std::uint64_t number) {
+  const std::string name = "message " + std::to_string(number);
+  std::byte* payload = nullptr;
+  insist(name + " cannot be borrowed", nap_ns,
+         [&] { return (payload = sender.prepare()) != nullptr; });
+  mark(payload, lane.plan().bytes, number);
+  Lane::Sent& sent = lane.sent(number);
+  insist(name + " is not sent", nap_ns, [&] {
+    sent.begin_ns = now_ns();
+    const bool is_sent = sender.send();
+    sent.end_ns = now_ns();
+    return is_sent;
+  });
+}
+
+void send_all(const Lane& lane, Sender& sender) {
+  std::int64_t next_ns = now_ns();
+  for (std::uint64_t number = 1; number <= lane.plan().all_messages(); ++number) {
+    send_one(lane, sender, number);
+    next_ns = std::max(next_ns + lane.plan().period_ns, lane.sent(number).end_ns);
+    if (lane.plan().period_ns > 0) sleep_until(next_ns);
+    insist("message " + std::to_string(number) + " was not seen by all receivers", nap_ns, [&] {
+      if (lane.head().has_error != 0) throw std::runtime_error("a receiver failed");
+      return lane.have_all_seen(number);
+    });
+  }
+}
+
+int be_sender(const std::vector<std::string>& arguments) {
+  Lane lane(std::stoi(arguments.at(0)));
+  try {
+    const System& system = system_of(lane);
+    take_place(lane, system, true);
+    const auto sender = system.make_sender(carriage_of(lane, 0));
+    lane.head().ready.fetch_add(1);
+    insist("no match between sender and receivers", 2'000'000,
+           [&] { return lane.head().ready == 1 + lane.plan().receivers && sender->is_matched(); });
+    lane.head().has_matched.store(1);
+    lane.wait_while(Lane::waiting);
+    send_all(lane, *sender);
+    lane.set_state(Lane::over);
+    return 0;
+  } catch (const std::exception& error) {
+    lane.set_error(error.what());
+    lane.set_state(Lane::over);
+    return 1;
+  }
+}
+
+int be_receiver(const std::vector<std::string>& arguments) {
+  Lane lane(std::stoi(arguments.at(0)));
+  const std::size_t index = std::stoul(arguments.at(1));
+  try {
+    const System& system = system_of(lane);
+    take_place(lane, system, false);
+    become_receiver_user(lane);
+    const auto receiver = system.make_receiver(carriage_of(lane, index));
+    std::uint64_t expected = 1;
+    std::thread stopper([&] {
+      lane.wait_while(Lane::waiting);
+      lane.wait_while(Lane::running);
+      receiver->stop();
+    });
+    lane.head().ready.fetch_add(1);
+    receiver->run([&](const std::byte* payload, std::size_t bytes) {
+      const std::int64_t received_ns = now_ns();
+      if (bytes != lane.plan().bytes || !is_intact(payload, bytes, expected)) {
+        lane.set_error("message " + std::to_string(expected) + " came changed or out of turn");
+        return;
+      }
+      lane.received_ns(index, expected) = received_ns;
+      lane.seen(index).number.store(expected++, std::memory_order_release);
+    });
+    stopper.join();
+    return lane.head().has_error == 0 ? 0 : 1;
+  } catch (const std::exception& error) {
+    lane.set_error(error.what());
+    std::_Exit(1);  // the stopper may wait still
+  }
+}
+
+const RegisterRole sender_role("sender", be_sender);
+const RegisterRole receiver_role("receiver", be_receiver);
+
+}  // namespace
+
+void take_place(const Lane& lane, const System& system, bool is_sender) {
+  const Plan& plan = lane.plan();
+  if (plan.cores == Cores::anywhere) return;
+  cpu_set_t set;
+  CPU_ZERO(&set);
+  CPU_SET(is_sender || plan.cores == Cores::one ? 0 : 1, &set);
+  if (::sched_setaffinity(0, sizeof set, &set) != 0)
+    throw std::runtime_error(std::string("pinning to a CPU: ") + std::strerror(errno));
+  if (!plan.is_real_time || (!is_sender && system.is_spinning)) return;
+  // A receiver comes before the sender, so that on one core nothing is in its way.
+  sched_param priority{};
+  priority.sched_priority = is_sender ? 50 : 51;
+  if (::sched_setscheduler(0, SCHED_FIFO, &priority) != 0) lane.head().is_without_fifo.store(1);
+}
+
+void become_receiver_user(const Lane& lane) {
+  const uid_t uid = lane.plan().receiver_uid;
+  if (uid == 0) return;
+  if (::setgroups(0, nullptr) != 0 || ::setgid(uid) != 0 || ::setuid(uid) != 0)
+    throw std::runtime_error(std::string("becoming another user: ") + std::strerror(errno));
+  ::prctl(PR_SET_PDEATHSIG, SIGKILL);  // setuid has cleared it
+}
+
+}  // namespace agnocast::bench

@@ -1,0 +1,43 @@
+#!/usr/bin/python3
+# SPDX-License-Identifier: Apache-2.0
+#
+# Goal: a case of agnocast-bench works, and its results and pictures are as their schema says. Method: the shortest run there is, its JSON held
+# to the schema, every picture looked for. What it measured says nothing, and no time is asserted.
+#
+#   bench_test.py AGNOCAST_BENCH CASE SCHEMA
+import importlib.util
+import json
+import pathlib
+import subprocess
+import sys
+import tempfile
+
+import jsonschema
+
+program, case, schema = sys.argv[1:4]
+with tempfile.TemporaryDirectory() as name:
+    directory = pathlib.Path(name)
+    results = directory / "results.json"
+    command = [program, case, "--small", "--json", str(results)]
+    has_matplotlib = importlib.util.find_spec("matplotlib") is not None  # the plotter is run by the same Python
+    if has_matplotlib:
+        command += ["--plot", str(directory / "plots")]
+    subprocess.run(command, check=True)
+    document = json.loads(results.read_text())
+    rules = json.loads(pathlib.Path(schema).read_text())
+    jsonschema.Draft7Validator.check_schema(rules)
+    errors = [
+        f"/{'/'.join(map(str, error.absolute_path))}: {error.message[:300]}"
+        for error in jsonschema.Draft7Validator(rules).iter_errors(document)
+    ]
+    if not document["results"]:
+        errors.append("there are no results")
+    errors += [f"a result of another case: {result['case']}" for result in document["results"] if result["case"] != case]
+    if has_matplotlib:
+        for plot in document["plots"]:
+            for suffix in ("svg", "png"):
+                picture = directory / "plots" / f"{plot['name']}.{suffix}"
+                if not picture.is_file() or picture.stat().st_size < 1000:
+                    errors.append(f"no picture {picture.name}")
+    print("\n".join(errors))
+    sys.exit(1 if errors else 0)

@@ -1,0 +1,45 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: figures of samples are those of their definitions. Method: samples whose figures are known by hand.
+
+#include <bench/figures.hpp>
+
+#include <gtest/gtest.h>
+
+#include <vector>
+
+namespace agnocast::bench {
+namespace {
+
+TEST(Figures, QuantilesLieBetweenOrderStatistics) {
+  EXPECT_DOUBLE_EQ(median({3, 1, 2}), 2);
+  EXPECT_DOUBLE_EQ(median({4, 1, 3, 2}), 2.5);
+  EXPECT_DOUBLE_EQ(quantile({10, 20, 30, 40, 50}, 0.9), 46);
+  EXPECT_DOUBLE_EQ(quantile({10, 20, 30}, 1), 30);
+  EXPECT_DOUBLE_EQ(quantile({}, 0.5), 0);
+}
+
+TEST(Figures, VariationIsTheSamplesDeviationOverItsMean) {
+  EXPECT_DOUBLE_EQ(variation({1, 3}), std::sqrt(2.0) / 2);
+  EXPECT_DOUBLE_EQ(variation({5}), 0);
+}
+
+TEST(Figures, BootstrapOfEqualSamplesIsAPoint) {
+  const Interval interval = bootstrap({7, 7, 7}, [](const auto& drawn) { return median(drawn); });
+  EXPECT_DOUBLE_EQ(interval.low, 7);
+  EXPECT_DOUBLE_EQ(interval.high, 7);
+}
+
+TEST(Figures, LineOfLeastSquares) {
+  const Line exact = line_through({1, 2, 4}, {5, 7, 11});
+  EXPECT_DOUBLE_EQ(exact.slope, 2);
+  EXPECT_DOUBLE_EQ(exact.offset, 3);
+  // Of (0, 0), (1, 2), (2, 1): slope 1/2 through the mean (1, 1).
+  const Line between = line_through({0, 1, 2}, {0, 2, 1});
+  EXPECT_DOUBLE_EQ(between.slope, 0.5);
+  EXPECT_DOUBLE_EQ(between.offset, 0.5);
+  EXPECT_DOUBLE_EQ(line_through({3}, {8}).offset, 8);
+}
+
+}  // namespace
+}  // namespace agnocast::bench

@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: a process that the benchmark starts says how it ended, and is never left behind. Method: programs that every
+// machine has; a child that is killed with SIGKILL while it has one of its own.
+
+#include <bench/process.hpp>
+
+#include <gtest/gtest.h>
+#include <signal.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <stdexcept>
+#include <thread>
+
+namespace agnocast::bench {
+namespace {
+
+using std::chrono::seconds;
+
+bool ends_soon(pid_t pid) {
+  for (int i = 0; i < 5000 && ::kill(pid, 0) == 0; ++i)
+    std::this_thread::sleep_for(std::chrono::milliseconds(2));
+  return ::kill(pid, 0) != 0;
+}
+
+TEST(Process, SaysHowItEnded) {
+  EXPECT_EQ(Process({.command = {"sh", "-c", "exit 3"}}).wait(seconds(10)), 3);
+  EXPECT_EQ(Process({.command = {"sh", "-c", "kill -TERM $$"}}).wait(seconds(10)), 128 + SIGTERM);
+  EXPECT_EQ(Process({.command = {"/nowhere/at-all"}, .output = "/dev/null"}).wait(seconds(10)),
+            127);
+}
+
+TEST(Process, TalksByLines) {
+  Process echo({.command = {"sh", "-c", "while read line; do echo \"$GREETING $line\"; done"},
+                .environment = {"GREETING=hello"},
+                .has_pipes = true});
+  EXPECT_TRUE(echo.send("one"));
+  EXPECT_EQ(echo.line(), "hello one");
+  EXPECT_TRUE(echo.send("two"));
+  EXPECT_EQ(echo.line(), "hello two");
+  EXPECT_THROW((void)echo.line(std::chrono::milliseconds(10)), std::runtime_error);
+}
+
+TEST(Process, EndsWithItsObject) {
+  pid_t pid = -1;
+  {
+    const Process sleeping({.command = {"sleep", "1000"}});
+    pid = sleeping.pid();
+    EXPECT_EQ(::kill(pid, 0), 0);
+  }
+  EXPECT_NE(::kill(pid, 0), 0);
+}
+
+TEST(Process, EndsWithWhoStartedIt) {
+  int ends[2];
+  ASSERT_EQ(::pipe(ends), 0);
+  const pid_t child = ::fork();
+  if (child == 0) {
+    Process sleeping({.command = {"sleep", "1000"}});
+    const pid_t pid = sleeping.pid();
+    (void)!::write(ends[1], &pid, sizeof pid);
+    ::pause();
+  }
+  pid_t pid = -1;
+  ASSERT_EQ(::read(ends[0], &pid, sizeof pid), static_cast<ssize_t>(sizeof pid));
+  ::kill(child, SIGKILL);
+  ::waitpid(child, nullptr, 0);
+  EXPECT_TRUE(ends_soon(pid));
+  ::close(ends[0]);
+  ::close(ends[1]);
+}
+
+TEST(Role, IsFoundByName) {
+  EXPECT_NE(find_role("sender"), nullptr);
+  EXPECT_NE(find_role("receiver"), nullptr);
+  EXPECT_EQ(find_role("nobody"), nullptr);
+}
+
+}  // namespace
+}  // namespace agnocast::bench
