@@ -5,6 +5,9 @@
 #include <client/context.hpp>
 #include <client/heap_return.hpp>
 
+#include <pthread.h>
+#include <sched.h>
+
 #include <algorithm>
 #include <charconv>
 #include <cstdint>
@@ -78,6 +81,9 @@ void HeapReturn::look() noexcept {
 }
 
 void HeapReturn::serve() noexcept {
+  // Whoever made the first publisher may be a real-time thread, and its priority was inherited.
+  const sched_param ordinary{};
+  ::pthread_setschedparam(::pthread_self(), SCHED_OTHER, &ordinary);
   for (;;) {
     watches_.wait(false, std::memory_order_acquire);
     watch();

@@ -10,9 +10,9 @@
 //        much all the time → purge, over
 //
 // What is idle is the least of what was idle at any moment since the look before (idle of the hook), so
-// traffic that wants its memory now and then keeps it. The system takes a while for each page, and a
-// purge keeps locks that fork and usage want: so it has a thread of its own, which is made when there is
-// something to give back first, and sleeps otherwise. Neither malloc nor free ever waits for it.
+// traffic that wants its memory now and then keeps it. The system takes a while for each page: so it has
+// a thread of its own, which is made when there is something to give back first, and sleeps otherwise.
+// What waits for it, and how long: docs/heaphook.md, "Giving memory back".
 #pragma once
 
 #include <agnocast/abi/heaphook.h>

@@ -29,7 +29,6 @@
 #include <functional>
 #include <memory>
 #include <mutex>
-#include <optional>
 #include <utility>
 #include <vector>
 
@@ -147,7 +146,7 @@ struct ReceivedBlock : detail::Block {
 class Receiver {
  public:
   /// Called once there is something to take, and before it is; it may turn out to be lost. Null: there
-  /// is no memory, and it stays unread.
+  /// is no memory, and it stays unread. Under the subscription's mutex: it must not come back to it.
   virtual Received* place(Link& link) noexcept = 0;
 
  protected:

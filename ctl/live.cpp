@@ -80,6 +80,7 @@ Outcome<std::unique_ptr<Live>> Live::enter(const Arguments& arguments,
   ::setenv("ROS_DOMAIN_ID", std::to_string(arguments.domain).c_str(), 1);
   ::unsetenv("AGNOCAST");
   ::unsetenv("AGNOCAST_SCOPE");
+  ::unsetenv("AGNOCAST_HEAP_IDLE_SECONDS");
   std::unique_ptr<Live> live(new Live);
   sigset_t ends;
   ::sigemptyset(&ends);

@@ -128,17 +128,23 @@ bool set(const char* name, T value) {
 // "arena.1.purge" and the like. Arena numbers are small: narenas:1 makes our first number 1.
 struct ArenaName {
   char text[64];
-  ArenaName(const char* before, unsigned arena, const char* after) {
+  ArenaName(const char* before, unsigned arena, const char* after) { append(append(text, before), arena, after); }
+  // "stats.arenas.1.bins.12.nslabs"
+  ArenaName(const char* before, unsigned arena, const char* middle, unsigned index, const char* after) {
+    append(append(append(text, before), arena, middle), index, after);
+  }
+
+ private:
+  static char* append(char* out, const char* word) { return stpcpy(out, word); }
+  static char* append(char* out, unsigned number, const char* after) {
     char digits[12];
     int count = 0;
-    unsigned rest = arena;
     do {
-      digits[count++] = static_cast<char>('0' + rest % 10);
-      rest /= 10;
-    } while (rest != 0);
-    char* out = stpcpy(text, before);
+      digits[count++] = static_cast<char>('0' + number % 10);
+      number /= 10;
+    } while (number != 0);
     while (count > 0) *out++ = digits[--count];
-    strcpy(out, after);
+    return append(out, after);
   }
 };
 
@@ -177,6 +183,8 @@ void* or_refused(void* block, std::size_t size) {
   }
   refused_count.fetch_add(1, std::memory_order_relaxed);
   ++thread_state.spilled;
+  // What is idle is out of reach while it is given back, and there again afterwards: no reason for another window.
+  if (purging.load(std::memory_order_relaxed) != 0) return nullptr;
   auto& refused_max = windows::counters.refused_bytes_max;
   std::uint64_t seen = refused_max.load(std::memory_order_relaxed);
   while (size > seen && !refused_max.compare_exchange_weak(seen, size, std::memory_order_relaxed)) {
@@ -475,17 +483,46 @@ std::uint64_t purge() {
   return windows::counters.punched_bytes.load(std::memory_order_relaxed) - before;
 }
 
+namespace {
+
+// Classes of sizes, as the allocator counts them: the slabs that small blocks lie in, and blocks of whole pages.
+struct Classes {
+  const char *all, *description, *size, *group, *taken;
+  std::size_t size_end;
+};
+constexpr Classes slabs = {"arenas.nbins", "arenas.bin.", ".slab_size", ".bins.", ".nslabs", ~std::size_t{0}};
+// Without those that count_block() follows.
+constexpr Classes pages = {"arenas.nlextents", "arenas.lextent.", ".size", ".lextents.", ".nmalloc", counted_min};
+
+// Adds the bytes that were taken from an arena for these classes so far, each time anew. False when the allocator does not say.
+bool add_taken(unsigned arena, const Classes& classes, std::uint64_t& bytes) {
+  unsigned count = 0;
+  if (!get(classes.all, count)) return false;
+  for (unsigned i = 0; i < count; ++i) {
+    std::size_t size = 0;
+    std::uint64_t times = 0;
+    if (!get(ArenaName(classes.description, i, classes.size).text, size)) return false;
+    if (size >= classes.size_end) break;  // they grow
+    if (!get(ArenaName("stats.arenas.", arena, classes.group, i, classes.taken).text, times)) return false;
+    bytes += times * size;
+  }
+  return true;
+}
+
+}  // namespace
+
 std::uint64_t idle() {
   if (!windows::is_owner()) return 0;
   const KeepErrno keep;
   const LibcOnly inside;
   std::size_t page = 0;
   bool known = set("epoch", std::uint64_t{1}) && get("arenas.page", page);
-  std::uint64_t bytes = 0;
+  std::uint64_t bytes = 0, taken = 0;
   for (std::uint32_t i = 0; known && i < arena_count.load(std::memory_order_acquire); ++i) {
-    std::size_t pages = 0;
-    known = get(ArenaName("stats.arenas.", arenas[i], ".pdirty").text, pages);
-    bytes += pages * page;
+    std::size_t dirty_pages = 0;
+    known = get(ArenaName("stats.arenas.", arenas[i], ".pdirty").text, dirty_pages) && add_taken(arenas[i], slabs, taken) &&
+            add_taken(arenas[i], pages, taken);
+    bytes += dirty_pages * page;
   }
   if (!known) {
     note_internal_error();
@@ -493,7 +530,9 @@ std::uint64_t idle() {
   }
   const std::uint64_t now = counted_bytes.load(std::memory_order_relaxed);
   const std::uint64_t most = counted_bytes_max.exchange(now, std::memory_order_relaxed);
-  const std::uint64_t wanted = most > now ? most - now : 0;
+  static constinit std::uint64_t taken_before = 0;  // there is one caller
+  const std::uint64_t wanted = (most > now ? most - now : 0) + (taken - taken_before);
+  taken_before = taken;
   return bytes > wanted ? bytes - wanted : 0;
 }
 

@@ -150,8 +150,15 @@ HOOKED_TEST(HookMemory, IdleIsWhatNobodyHasWantedSinceTheLastLook) {
   EXPECT_GE(hook().idle(), 100 * MiB) << "blocks that grow and shrink are counted as they are";
   EXPECT_GE(hook().purge(), 100 * MiB);
   EXPECT_LT(hook().idle(), MiB);
-  use(100000, 200);
-  EXPECT_GE(hook().idle(), 15 * MiB) << "small blocks are counted where they are idle";
+  for (const std::size_t size : {std::size_t{200}, std::size_t{20} << 10, std::size_t{60} << 10}) {
+    (void)hook().purge();
+    (void)hook().idle();
+    for (int i = 0; i < 3; ++i) {
+      use((20 * MiB) / size, size);
+      EXPECT_LT(hook().idle(), 4 * MiB) << "blocks of " << size << " were wanted just now";
+    }
+    EXPECT_GE(hook().idle(), 15 * MiB) << "and not any more";
+  }
   EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
 }
 

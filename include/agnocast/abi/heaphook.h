@@ -151,14 +151,14 @@ struct agnocast_heaphook_table {
   void (*usage)(struct agnocast_heaphook_usage* usage);
 
   /** Gives the pages of all idle memory back to the kernel (they read as zero in every process) and returns how many bytes of
-   *  addresses that were. Costs a system call per idle range and the next use of these pages faults: for a thread that nobody waits
-   *  for, after idle time. Allocations and frees go on beside it; fork, usage and idle wait for its end. Nothing else in the hook
-   *  gives pages back. */
+   *  addresses that were. Costs a system call for each 2 MiB of them and the next use of these pages faults: for a thread that
+   *  nobody waits for, after idle time. Everything goes on beside it; meanwhile idle memory is out of reach, so that a large block may
+   *  lie where none was before, or not be had. Nothing else in the hook gives pages back. */
   uint64_t (*purge)(void);
 
   /** Bytes that purge would give back, and that nobody has wanted since the previous call: freed blocks count from the next call
-   *  on. Blocks of 64 KiB and more are followed all the time; of smaller ones only what is idle now is known. For a thread that
-   *  may wait: takes allocator locks, which a purge in another thread keeps until it is done. One caller at a time. */
+   *  on. Blocks of 64 KiB and more are followed all the time; of smaller ones each page that was taken for them counts as wanted.
+   *  Takes allocator locks and asks for some hundred numbers: not for the publish path. One caller at a time. */
   uint64_t (*idle)(void);
 
   /** next_window_wanted of usage, without any lock. */
