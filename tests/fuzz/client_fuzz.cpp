@@ -201,6 +201,11 @@ class Daemon {
   std::uint64_t marks_ = 0;
 };
 
+struct OneReceived final : Receiver {
+  Received* place(Link&) noexcept override { return &received; }
+  Received received;
+};
+
 class Script {
  public:
   Script(FuzzedDataProvider& input, Daemon& daemon) : input_(input), daemon_(daemon) {}
@@ -209,16 +214,18 @@ class Script {
     for (int i = input_.ConsumeIntegralInRange(1, 8); i > 0; --i) say_something();
     daemon_.await();
     for (int i = 0; i < 20; ++i) {
-      const auto received = daemon_.subscription().take();
+      OneReceived one;
+      const bool is_taken = daemon_.subscription().take(one);
       (void)daemon_.subscription().has_news();
-      if (!received) break;
-      const auto* const message = reinterpret_cast<const std::byte*>(received->taken.address);
+      if (!is_taken) break;
+      const Received& received = one.received;
+      const auto* const message = reinterpret_cast<const std::byte*>(received.taken.address);
       std::byte copy[message_bytes];
       std::memcpy(copy, message, sizeof copy);  // what is handed out can be read
       if (input_.ConsumeBool()) {
-        Context::instance().release(*received);
+        Context::instance().release(received);
       } else {
-        held_.push_back(*received);
+        held_.push_back(received);
       }
     }
     for (const Received& received : held_) Context::instance().release(received);
