@@ -49,7 +49,8 @@ class Death {
                                                    ? run.sizes.front()
                                                    : std::size_t{run.is_small ? 16u : 1024u} << 20),
                                 std::to_string(run.is_small ? 3 : 100)}),
-             .environment = {"LD_PRELOAD=" + path_of("libagnocast_heaphook.so")},
+             .environment = {"LD_PRELOAD=" + path_of("libagnocast_heaphook.so"),
+                             "TMPDIR=" + directory_.path()},
              .has_pipes = true}) {}
 
   void run() {
@@ -66,6 +67,10 @@ class Death {
       if (word == "number") add_number(name, values_of(peer_.line(patience)).at(0));
     }
     report_.progress(steps, steps, "");
+    if (const auto status = peer_.wait(std::chrono::seconds(30)); status != 0)
+      throw std::runtime_error(
+          "the peer has said all, but " +
+          (status ? "ended with status " + std::to_string(*status) : std::string("does not end")));
     for (auto& [name, plot] : plots_) report_.add(std::move(plot));
   }
 
@@ -132,6 +137,7 @@ class Death {
   }
 
   Report& report_;
+  Directory directory_;  // the peer's are below it, as it may end without removing them
   Process peer_;
   std::map<std::string, Plot> plots_;
 };

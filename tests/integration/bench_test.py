@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 #
 # Goal: a case of agnocast-bench works, and its results and pictures are as their schema says. Method: the shortest run there is, its JSON held
-# to the schema, every picture looked for. What it measured says nothing, and no time is asserted.
+# to the schema, every picture looked for, its directory for temporary files empty again. What it measured says nothing, and no time is asserted.
 #
 #   bench_test.py AGNOCAST_BENCH CASE SCHEMA
 import importlib.util
 import json
+import os
 import pathlib
 import subprocess
 import sys
@@ -22,7 +23,9 @@ with tempfile.TemporaryDirectory() as name:
     has_matplotlib = importlib.util.find_spec("matplotlib") is not None  # the plotter is run by the same Python
     if has_matplotlib:
         command += ["--plot", str(directory / "plots")]
-    subprocess.run(command, check=True)
+    temporary = directory / "temporary"
+    temporary.mkdir()
+    subprocess.run(command, check=True, env={**os.environ, "TMPDIR": str(temporary)})
     document = json.loads(results.read_text())
     rules = json.loads(pathlib.Path(schema).read_text())
     jsonschema.Draft7Validator.check_schema(rules)
@@ -30,6 +33,7 @@ with tempfile.TemporaryDirectory() as name:
         f"/{'/'.join(map(str, error.absolute_path))}: {error.message[:300]}"
         for error in jsonschema.Draft7Validator(rules).iter_errors(document)
     ]
+    errors += [f"left behind: {path.name}" for path in temporary.iterdir()]
     if not document["results"]:
         errors.append("there are no results")
     errors += [f"a result of another case: {result['case']}" for result in document["results"] if result["case"] != case]
