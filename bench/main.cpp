@@ -106,6 +106,8 @@ void run_cases(const Options& options, Report& report) {
 
 int measure(const Options& options) {
   clean_up_on_signals();
+  // A process that reads no more is an error of Process::send(), which tells who it was.
+  ::signal(SIGPIPE, SIG_IGN);
   Report report;
   report.is_quiet = options.json == "-";
   nlohmann::json document = {{"schema", "agnocast.bench/1"}, {"environment", environment()}};

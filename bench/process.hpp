@@ -50,7 +50,7 @@ class Process {
   /// SIGKILL, and waits.
   void kill() { (void)end(9); }
 
-  /// With pipes: a line to its standard input. False when it reads no more.
+  /// With pipes: a line to its standard input. False when it reads no more, to a caller who ignores SIGPIPE.
   bool send(std::string_view line);
   /// With pipes: the next line of its standard output. Throws when it ended, or after `at_most`.
   std::string line(std::chrono::milliseconds at_most = std::chrono::seconds(60));

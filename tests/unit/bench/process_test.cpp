@@ -42,6 +42,16 @@ TEST(Process, TalksByLines) {
   EXPECT_THROW((void)echo.line(std::chrono::milliseconds(10)), std::runtime_error);
 }
 
+TEST(Process, SendsToWhoHasEnded) {
+  const auto before = ::signal(SIGPIPE, SIG_IGN);
+  Process gone({.command = {"sh", "-c", "exit 0"}, .has_pipes = true});
+  EXPECT_EQ(gone.wait(seconds(10)), 0);
+  EXPECT_FALSE(gone.send("hello"));
+  // Ignoring it stays with the caller.
+  EXPECT_EQ(Process({.command = {"sh", "-c", "kill -PIPE $$"}}).wait(seconds(10)), 128 + SIGPIPE);
+  ::signal(SIGPIPE, before);
+}
+
 TEST(Process, EndsWithItsObject) {
   pid_t pid = -1;
   {
