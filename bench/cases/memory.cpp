@@ -305,7 +305,11 @@ class Memory {
         reader_({.command = as_role("memory-reader"),
                  .environment = {daemon_.variable()},
                  .has_pipes = true}) {
-    while (ask(owner_, "matched").at(0) < 1) std::this_thread::sleep_for(milliseconds(1));
+    for (const auto end = Clock::now() + seconds(10); ask(owner_, "matched").at(0) < 1;) {
+      if (Clock::now() > end)
+        throw std::runtime_error("publisher and subscription have not matched within 10 s");
+      std::this_thread::sleep_for(milliseconds(1));
+    }
     idle_bytes_ = heap_bytes_of(owner_.pid());
   }
 

@@ -114,6 +114,8 @@ Settings settings_of(const Run& run) {
   if (run.messages) settings.rounds = *run.messages;
   if (run.rounds) settings.rounds *= *run.rounds;
   if (run.period) settings.period = *run.period;
+  if (settings.period.count() <= 0)
+    throw std::runtime_error("its --period is the sensors' and has to be longer than 0");
   return settings;
 }
 
