@@ -76,9 +76,11 @@ void run_lidar(Board& board, std::size_t index, std::vector<Cloud> inputs) {
   for (const Edge& edge : edges()) senders.push_back(edge.make_sender(lidar));
   for (std::size_t i = 0; i < senders.size(); ++i) wait_for_peers(*senders[i], edges()[i].name);
   board.head().ready.fetch_add(1);
-  for (Frame& frame : board.frames()) {
+  // Not to the last frame alone: its message may still be under way, and needs its sender.
+  for (;;) {
     wait(board.head().go[index]);
     if (board.head().is_over != 0) return;
+    Frame& frame = board.frames()[board.head().under_way];
     CloudSender& sender = *senders.at(frame.edge);
     Cloud& scan = inputs.at(frame.input);
     scan.header.stamp = stamp_of(frame.released_ns);

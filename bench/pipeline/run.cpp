@@ -158,6 +158,8 @@ class Conductor {
   }
 
   void end() {
+    board_.head().is_over = 1;
+    for (sem_t& go : board_.head().go) ::sem_post(&go);
     ::sem_post(&board_.head().over);
     for (Part& part : parts_) {
       const auto status = part.process.wait(std::chrono::seconds(20));
