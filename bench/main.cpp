@@ -43,7 +43,7 @@ int refuse(const std::string& what) {
   return 2;
 }
 
-// Ctrl-C ends a measurement of minutes: its processes die with it, and its directories are removed. The signals are blocked
+// Ctrl-C ends a measurement of minutes: its processes first, then its directories are removed. The signals are blocked
 // in all threads and waited for in one, so that nothing is interrupted in the middle; Process unblocks them again.
 void clean_up_on_signals() {
   static sigset_t signals;
@@ -53,6 +53,7 @@ void clean_up_on_signals() {
   std::thread([] {
     int signal = 0;
     ::sigwait(&signals, &signal);
+    Process::end_all();
     remove_directories();
     ::_exit(128 + signal);
   }).detach();

@@ -14,6 +14,7 @@
 #include <cstdlib>
 #include <cstring>
 #include <map>
+#include <mutex>
 #include <stdexcept>
 #include <thread>
 #include <utility>
@@ -72,6 +73,17 @@ std::map<std::string_view, RoleMain>& roles() {
   return all;
 }
 
+// Never destroyed: a signal may come while the process ends. The mutex is of every Process' pid and status, too, as a pid
+// that was waited for may be somebody else's at once.
+struct Everyone {
+  std::recursive_mutex mutex;
+  std::vector<Process*> processes;
+};
+Everyone& everyone() {
+  static auto* const all = new Everyone;
+  return *all;
+}
+
 }  // namespace
 
 Process::Process(Options options)
@@ -79,31 +91,42 @@ Process::Process(Options options)
   Pipe in, out;
   if (options.has_pipes) in.make(), out.make();
   const pid_t parent = ::getpid();
+  const std::lock_guard lock(everyone().mutex);
+  everyone().processes.reserve(everyone().processes.size() + 1);
   pid_ = ::fork();
   if (pid_ < 0) throw std::runtime_error(std::string("fork: ") + std::strerror(errno));
   if (pid_ == 0) become(options, in, out, parent);
+  everyone().processes.push_back(this);
   input_ = in.take(1);
   output_ = out.take(0);
 }
 
 Process::Process(Process&& other) noexcept
-    : pid_(std::exchange(other.pid_, -1)),
-      input_(std::exchange(other.input_, -1)),
+    : input_(std::exchange(other.input_, -1)),
       output_(std::exchange(other.output_, -1)),
       end_signal_(other.end_signal_),
-      at_end_(std::exchange(other.at_end_, nullptr)),
-      status_(other.status_),
       name_(std::move(other.name_)),
-      buffer_(std::move(other.buffer_)) {}
+      buffer_(std::move(other.buffer_)) {
+  const std::lock_guard lock(everyone().mutex);
+  pid_ = std::exchange(other.pid_, -1);
+  at_end_ = std::exchange(other.at_end_, nullptr);
+  status_ = other.status_;
+  std::replace(everyone().processes.begin(), everyone().processes.end(), &other, this);
+}
 
 Process::~Process() {
   if (pid_ > 0) (void)end(end_signal_);
   if (at_end_ != nullptr) at_end_();
+  {
+    const std::lock_guard lock(everyone().mutex);
+    std::erase(everyone().processes, this);
+  }
   if (input_ >= 0) ::close(input_);
   if (output_ >= 0) ::close(output_);
 }
 
 std::optional<int> Process::status() {
+  const std::lock_guard lock(everyone().mutex);
   int wait_status = 0;
   if (!status_ && ::waitpid(pid_, &wait_status, WNOHANG) == pid_) status_ = status_of(wait_status);
   return status_;
@@ -116,13 +139,25 @@ std::optional<int> Process::wait(std::chrono::milliseconds at_most) {
 }
 
 int Process::end(int signal) {
-  if (!status()) ::kill(pid_, signal);
-  if (!wait(std::chrono::seconds(10))) ::kill(pid_, SIGKILL);
-  int wait_status = 0;
-  while (!status_) {
-    if (::waitpid(pid_, &wait_status, 0) == pid_) status_ = status_of(wait_status);
-  }
+  const auto send_signal = [this](int number) {
+    const std::lock_guard lock(everyone().mutex);
+    if (!status()) ::kill(pid_, number);
+  };
+  send_signal(signal);
+  if (!wait(std::chrono::seconds(10))) send_signal(SIGKILL);
+  while (!status()) std::this_thread::sleep_for(pause);
   return *status_;
+}
+
+void Process::end_all() noexcept {
+  everyone().mutex.lock();  // and never unlocked
+  for (const bool is_killed : {true, false}) {
+    for (Process* const process : everyone().processes) {
+      if ((process->end_signal_ == SIGKILL) != is_killed) continue;
+      (void)process->end(process->end_signal_);
+      if (process->at_end_ != nullptr) process->at_end_();
+    }
+  }
 }
 
 bool Process::send(std::string_view line) {

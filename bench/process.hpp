@@ -50,6 +50,10 @@ class Process {
   /// SIGKILL, and waits.
   void kill() { (void)end(9); }
 
+  /// What the destructors of all of them would do: for who ends without any. Those who die of SIGKILL come first, as a daemon
+  /// gives back what its clients had, and waits for those who live. From then on Process is of no use: whoever uses it blocks.
+  static void end_all() noexcept;
+
   /// With pipes: a line to its standard input. False when it reads no more, to a caller who ignores SIGPIPE.
   bool send(std::string_view line);
   /// With pipes: the next line of its standard output. Throws when it ended, or after `at_most`.

@@ -3,7 +3,7 @@
 // RouDi, the daemon of iceoryx, as a service of the benchmark. Its memory, lock and socket have names that hold for the
 // whole host, so there can be one only: where another one runs, the systems that need it are left out. It is ended
 // with SIGTERM, also when the benchmark dies, and then removes what is its own; what it leaves when it aborts meanwhile
-// (as it does when clients died) is removed here.
+// (as it does when clients died) is removed here, at its end and before its start.
 
 #include <bench/services.hpp>
 
@@ -92,6 +92,7 @@ std::unique_ptr<Process> start(const std::string& directory) {
   if (another_runs())
     throw std::runtime_error(
         "iceoryx: another RouDi (iox-roudi) runs on this host, and there can be one only");
+  remove_leftovers();  // of a benchmark that was killed
   const std::string file = directory + "/roudi.toml";
   std::ofstream(file) << configuration;
   // Monitoring is off as it costs wake-ups; --kill-delay: it waits for clients that do not end before it ends.

@@ -81,6 +81,26 @@ TEST(Process, EndsWithWhoStartedIt) {
   ::close(ends[1]);
 }
 
+// In a process of its own, as nothing can be started after it.
+TEST(Process, AllEndWhereNoDestructorRuns) {
+  static const Process* client = nullptr;
+  static bool is_over = false;
+  const auto end_all = [] {
+    Process daemon(
+        {.command = {"sh", "-c", "trap 'exit 3' TERM; echo ready; while :; do sleep 0.01; done"},
+         .has_pipes = true,
+         .end_signal = SIGTERM,
+         .at_end = [] { is_over = ::kill(client->pid(), 0) != 0; }});
+    Process made({.command = {"sleep", "1000"}});
+    Process moved(std::move(made));
+    client = &moved;
+    (void)daemon.line();
+    Process::end_all();
+    ::_exit(is_over && daemon.status() == 3 && moved.status() == 128 + SIGKILL ? 0 : 1);
+  };
+  EXPECT_EXIT(end_all(), ::testing::ExitedWithCode(0), "");
+}
+
 TEST(Role, IsFoundByName) {
   EXPECT_NE(find_role("sender"), nullptr);
   EXPECT_NE(find_role("receiver"), nullptr);
