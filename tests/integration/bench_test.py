@@ -18,6 +18,7 @@ import jsonschema
 program, case, schema = sys.argv[1:4]
 with tempfile.TemporaryDirectory() as name:
     directory = pathlib.Path(name)
+    directory.chmod(0o755)  # for what goes across users
     results = directory / "results.json"
     command = [program, case, "--small", "--json", str(results)]
     has_matplotlib = importlib.util.find_spec("matplotlib") is not None  # the plotter is run by the same Python
