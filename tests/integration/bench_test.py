@@ -4,7 +4,7 @@
 # Goal: a case of agnocast-bench works, and its results and pictures are as their schema says. Method: the shortest run there is, its JSON held
 # to the schema, every picture looked for, its directory for temporary files empty again. What it measured says nothing, and no time is asserted.
 #
-#   bench_test.py AGNOCAST_BENCH CASE SCHEMA
+#   bench_test.py AGNOCAST_BENCH CASE SCHEMA MINIMUM_OF_RESULTS
 import importlib.util
 import json
 import os
@@ -15,7 +15,15 @@ import tempfile
 
 import jsonschema
 
-program, case, schema = sys.argv[1:4]
+program, case, schema, minimum = sys.argv[1:5]
+# Numbers that say what was measured, not what came out.
+labels = {"cores", "size_bytes", "receivers", "rounds", "period_ns", "samples", "bound"}
+
+
+def has_figure(result):
+    return any(type(value) in (int, float) for key, value in result.items() if key not in labels)
+
+
 with tempfile.TemporaryDirectory() as name:
     directory = pathlib.Path(name)
     directory.chmod(0o755)  # for what goes across users
@@ -35,10 +43,13 @@ with tempfile.TemporaryDirectory() as name:
         for error in jsonschema.Draft7Validator(rules).iter_errors(document)
     ]
     errors += [f"left behind: {path.name}" for path in temporary.iterdir()]
-    if not document["results"]:
-        errors.append("there are no results")
+    count = sum(map(has_figure, document["results"]))
+    if count < int(minimum):
+        errors.append(f"{count} results with figures, at least {minimum} are wanted")
     errors += [f"a result of another case: {result['case']}" for result in document["results"] if result["case"] != case]
     if has_matplotlib:
+        if not document["plots"]:
+            errors.append("there are no plots")
         for plot in document["plots"]:
             for suffix in ("svg", "png"):
                 picture = directory / "plots" / f"{plot['name']}.{suffix}"
