@@ -122,9 +122,9 @@ void Lane::wait_while(State state) const noexcept {
 }
 
 void mark(std::byte* payload, std::size_t bytes, std::uint64_t number) noexcept {
+  for (std::size_t at = 0; at < bytes; at += page)
+    std::fill_n(payload + at, std::min(page, bytes - at), expected_byte(number, at / page));
   std::memcpy(payload, &number, sizeof number);
-  for (std::size_t at = page; at < bytes; at += page)
-    payload[at] = expected_byte(number, at / page);
 }
 
 std::uint64_t number_of(const std::byte* payload) noexcept {
@@ -135,8 +135,13 @@ std::uint64_t number_of(const std::byte* payload) noexcept {
 
 bool is_intact(const std::byte* payload, std::size_t bytes, std::uint64_t number) noexcept {
   if (number_of(payload) != number) return false;
-  for (std::size_t at = page; at < bytes; at += page) {
-    if (payload[at] != expected_byte(number, at / page)) return false;
+  for (std::size_t at = 0; at < bytes; at += page) {
+    const std::byte* const begin = payload + (at == 0 ? sizeof number : at);
+    const std::byte* const end = payload + std::min(at + page, bytes);
+    // Equal to its neighbour, each of them, is equal to the first.
+    const bool is_even =
+        std::memcmp(begin, begin + 1, static_cast<std::size_t>(end - begin) - 1) == 0;
+    if (*begin != expected_byte(number, at / page) || !is_even) return false;
   }
   return true;
 }

@@ -44,7 +44,7 @@ struct Plan {
   std::int64_t period_ns =
       1'000'000;  ///< between publish calls, at least; 0: as soon as all have seen the last one
   Cores cores = Cores::anywhere;
-  bool is_real_time = true;     ///< SCHED_FIFO where pinned
+  bool is_real_time = true;  ///< SCHED_FIFO where pinned
   std::size_t depth = 10;
   std::int64_t lasting_ns = 0;  ///< throughput: how long to send; there `messages` is 1
   /// Of the receivers; 0: as the sender. Only root can have others.
@@ -118,11 +118,12 @@ class Lane {
   void* scratch_ = nullptr;
 };
 
-// --- payload: its number in front, and a byte that depends on both number and place at the beginning of each further page
+// --- payload: its number in front, and behind it pages full of a byte that depends on both number and page. All of it is
+// written for every system, so that none has its payload in the caches where another has not.
 
 void mark(std::byte* payload, std::size_t bytes, std::uint64_t number) noexcept;
 std::uint64_t number_of(const std::byte* payload) noexcept;
-/// Reads a byte of every page.
+/// Reads every byte.
 bool is_intact(const std::byte* payload, std::size_t bytes, std::uint64_t number) noexcept;
 
 }  // namespace agnocast::bench

@@ -4,7 +4,7 @@
 //
 //   sender     makes its side, waits for the match and the word, then for each message: prepare and mark (not measured),
 //              stamp, send, stamp, wait until every receiver has seen it
-//   receiver   makes its side, and for each message: stamp, then prove that all of the payload can be read
+//   receiver   makes its side, and for each message: stamp, then prove that all of the payload is what was sent
 //
 // On one core a receiver preempts the sender, so a message is in hand before the publish call returns; that is meant:
 // what is compared there is the way, without the interrupt from one core to the other.

@@ -3,8 +3,8 @@
 // A system: one way to carry messages from a process to others of this host. What is compared, and the floors.
 //
 // A run starts one process with a Sender and some with a Receiver each; the lane (lane.hpp) paces them and keeps the
-// times. Every payload begins with its number (eight bytes) and has a known byte at the beginning of each page, so that
-// a receiver proves that it can reach all of it; both happen outside the measured span.
+// times. Every payload begins with its number (eight bytes) and is written to its last byte, and a receiver proves that it
+// has all of it; both happen outside the measured span.
 #pragma once
 
 #include <cstddef>

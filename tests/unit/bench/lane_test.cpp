@@ -78,15 +78,15 @@ TEST(Lane, KeepsTheFirstError) {
   EXPECT_EQ(lane.error(), "first");
 }
 
-TEST(Payload, IsProvedOnEveryPage) {
+TEST(Payload, IsProvedToItsLastByte) {
   std::vector<std::byte> payload(3 * 4096 + 5);
   mark(payload.data(), payload.size(), 42);
   EXPECT_EQ(number_of(payload.data()), 42u);
   EXPECT_TRUE(is_intact(payload.data(), payload.size(), 42));
   EXPECT_FALSE(is_intact(payload.data(), payload.size(), 43));
-  for (std::size_t at = 0; at < payload.size(); at += 4096) {
+  for (std::size_t at = 0; at < payload.size(); ++at) {
     payload[at] ^= std::byte{1};
-    EXPECT_FALSE(is_intact(payload.data(), payload.size(), 42)) << "byte " << at;
+    ASSERT_FALSE(is_intact(payload.data(), payload.size(), 42)) << "byte " << at;
     payload[at] ^= std::byte{1};
   }
 }
