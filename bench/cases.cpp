@@ -11,17 +11,17 @@ const std::vector<Case>& cases() {
   static const std::vector<Case> all = {
 #ifdef AGNOCAST_BENCH_HAS_LATENCY
       {"latency", "one to one: notification on one core, sizes on two, bare calls, across users",
-       seconds(900), run_latency},
+       seconds(1100), run_latency},
 #endif
 #ifdef AGNOCAST_BENCH_HAS_THROUGHPUT
-      {"throughput", "messages and bytes a second, back to back", seconds(300), run_throughput},
+      {"throughput", "messages and bytes a second, back to back", seconds(420), run_throughput},
 #endif
 #ifdef AGNOCAST_BENCH_HAS_FANOUT
-      {"fanout", "one to many: what each further receiver costs, asleep and awake", seconds(300),
+      {"fanout", "one to many: what each further receiver costs, asleep and awake", seconds(420),
        run_fanout},
 #endif
 #ifdef AGNOCAST_BENCH_HAS_LOAD
-      {"load", "latency while the machine is busy", seconds(300), run_load},
+      {"load", "latency while the machine is busy", seconds(420), run_load},
 #endif
 #ifdef AGNOCAST_BENCH_HAS_ALLOC
       {"alloc", "malloc and free in the shared heap beside private memory", seconds(60), run_alloc},

@@ -3,6 +3,7 @@
 #include <bench/comparison.hpp>
 
 #include <bench/figures.hpp>
+#include <bench/options.hpp>
 
 #include <algorithm>
 #include <cmath>
@@ -20,13 +21,14 @@ double median_over(const std::vector<Times>& rounds, double q, Of of) {
 }
 
 template <class Of>
-double median_ratio(const std::vector<Times>& rounds, const std::vector<Times>& base, Of of) {
+std::vector<double> ratios(const std::vector<Times>& rounds, const std::vector<Times>& base,
+                           Of of) {
   std::vector<double> ratios;
   for (std::size_t i = 0; i < std::min(rounds.size(), base.size()); ++i) {
     const double below = median(of(base[i]));
     if (below > 0) ratios.push_back(median(of(rounds[i])) / below);
   }
-  return median(std::move(ratios));
+  return ratios;
 }
 
 std::vector<double> slowest_of(const Times& round) { return round.slowest_ns(); }
@@ -47,12 +49,14 @@ std::vector<double> Series::latencies_ns() const {
   return all;
 }
 
-double Series::ratio_to(const Series& floor) const {
-  return median_ratio(rounds, floor.rounds, slowest_of);
-}
+double Series::ratio_to(const Series& floor) const { return median(ratios_to(floor)); }
 
 double Series::publish_ratio_to(const Series& floor) const {
-  return median_ratio(rounds, floor.rounds, publish_of);
+  return median(ratios(rounds, floor.rounds, publish_of));
+}
+
+std::vector<double> Series::ratios_to(const Series& other) const {
+  return ratios(rounds, other.rounds, slowest_of);
 }
 
 const Series* Comparison::find(std::string_view system) const {
@@ -81,19 +85,25 @@ std::vector<std::string_view> all_names() {
   return names;
 }
 
-Comparison compare(const std::vector<const System*>& systems, const Plan& plan, std::size_t rounds,
-                   Services& services, const std::function<void(const System&)>& step) {
-  Comparison comparison{.plan = plan, .series = {}};
+std::vector<Comparison> compare(const std::vector<const System*>& systems,
+                                const std::vector<Plan>& plans, std::size_t rounds,
+                                Services& services,
+                                const std::function<void(const System&, const Plan&)>& step) {
+  std::vector<Series> series;
   for (const System* const system : systems) {
-    if (services.has(system->service)) comparison.series.push_back({system, {}});
+    if (services.has(system->service)) series.push_back({system, {}});
   }
+  std::vector<Comparison> all;
+  for (const Plan& plan : plans) all.push_back({plan, series});
   for (std::size_t round = 0; round < rounds; ++round) {
-    for (Series& one : comparison.series) {
-      step(*one.system);
-      one.rounds.push_back(conduct(*one.system, plan, services));
+    for (Comparison& comparison : all) {
+      for (Series& one : comparison.series) {
+        step(*one.system, comparison.plan);
+        one.rounds.push_back(conduct(*one.system, comparison.plan, services));
+      }
     }
   }
-  return comparison;
+  return all;
 }
 
 void tell(const Comparison& comparison, std::string_view floor, const nlohmann::json& extra,
@@ -127,20 +137,27 @@ void tell(const Comparison& comparison, std::string_view floor, const nlohmann::
   table.say(report);
 }
 
-Comparison compare_and_tell(const std::string& title, const std::vector<const System*>& systems,
-                            const Plan& plan, std::size_t rounds, std::string_view floor,
-                            const nlohmann::json& extra, Services& services, Report& report) {
-  const std::size_t all = systems.size() * rounds;
+std::vector<Comparison> compare_and_tell(const std::string& title,
+                                         const std::vector<const System*>& systems,
+                                         const std::vector<Plan>& plans, std::size_t rounds,
+                                         std::string_view floor, const nlohmann::json& extra,
+                                         Services& services, Report& report) {
+  const auto title_of = [&](const Plan& plan) { return title + ", " + size_text(plan.bytes); };
+  const std::size_t all = systems.size() * plans.size() * rounds;
   std::size_t done = 0;
-  const Comparison comparison = compare(systems, plan, rounds, services, [&](const System& system) {
-    report.progress(done++, all, title + ", " + std::string(system.name));
-  });
+  std::vector<Comparison> comparisons =
+      compare(systems, plans, rounds, services, [&](const System& system, const Plan& plan) {
+        report.progress(done++, all, title_of(plan) + ", " + std::string(system.name));
+      });
   report.progress(all, all, "");
-  report.say("\n" + title + ", every " + digits(static_cast<double>(plan.period_ns) / 1e6) +
-             " ms, " + std::to_string(rounds) + " x " + std::to_string(plan.messages) +
-             " messages");
-  tell(comparison, floor, extra, report);
-  return comparison;
+  for (const Comparison& comparison : comparisons) {
+    const Plan& plan = comparison.plan;
+    report.say("\n" + title_of(plan) + ", every " +
+               digits(static_cast<double>(plan.period_ns) / 1e6) + " ms, " +
+               std::to_string(rounds) + " x " + std::to_string(plan.messages) + " messages");
+    tell(comparison, floor, extra, report);
+  }
+  return comparisons;
 }
 
 nlohmann::json violins(const Comparison& comparison) {

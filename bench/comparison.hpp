@@ -28,6 +28,8 @@ struct Series {
   /// Medians over the rounds of this one's p50 over the other's: of latencies, and of publish calls.
   double ratio_to(const Series& floor) const;
   double publish_ratio_to(const Series& floor) const;
+  /// Of each round by itself: its p50 over the other's.
+  std::vector<double> ratios_to(const Series& other) const;
 };
 
 struct Comparison {
@@ -44,18 +46,23 @@ std::vector<const System*> chosen(const Run& run, const std::vector<std::string_
 /// All of systems().
 std::vector<std::string_view> all_names();
 
-/// `step` is called before each turn. Without those whose service does not run here.
-Comparison compare(const std::vector<const System*>& systems, const Plan& plan, std::size_t rounds,
-                   Services& services, const std::function<void(const System&)>& step);
+/// Several plans in one go: in each round every plan, under each plan every system, so that what is compared between plans
+/// is not minutes apart either. `step` is called before each turn. Without those whose service does not run here.
+std::vector<Comparison> compare(const std::vector<const System*>& systems,
+                                const std::vector<Plan>& plans, std::size_t rounds,
+                                Services& services,
+                                const std::function<void(const System&, const Plan&)>& step);
 
 /// The table of a comparison, and an object of "results" for each system; `extra` is added to these.
 void tell(const Comparison& comparison, std::string_view floor, const nlohmann::json& extra,
           Report& report);
 
-/// Both, and on the way how far it is; the table is under `title`.
-Comparison compare_and_tell(const std::string& title, const std::vector<const System*>& systems,
-                            const Plan& plan, std::size_t rounds, std::string_view floor,
-                            const nlohmann::json& extra, Services& services, Report& report);
+/// Both, and on the way how far it is; the table of each plan is under `title` and its size.
+std::vector<Comparison> compare_and_tell(const std::string& title,
+                                         const std::vector<const System*>& systems,
+                                         const std::vector<Plan>& plans, std::size_t rounds,
+                                         std::string_view floor, const nlohmann::json& extra,
+                                         Services& services, Report& report);
 
 /// One violin for each system.
 nlohmann::json violins(const Comparison& comparison);

@@ -8,7 +8,6 @@
 //           core by time slices, so when the last one has it says nothing of the system.
 
 #include <bench/comparison.hpp>
-#include <bench/options.hpp>
 #include <bench/wishes.hpp>
 
 #include <map>
@@ -70,10 +69,11 @@ class Fanout {
                                       .messages = messages,
                                       .period_ns = 5'000'000,
                                       .cores = Cores::two});
-      by_count.push_back(compare_and_tell(
-          part + ", " + std::to_string(count) + (count == 1 ? " receiver, " : " receivers, ") +
-              size_text(bytes),
-          systems, plan, wishes_.rounds(5), floor, {{"part", part}}, services_, report_));
+      by_count.push_back(compare_and_tell(part + ", " + std::to_string(count) +
+                                              (count == 1 ? " receiver" : " receivers"),
+                                          systems, {plan}, wishes_.rounds(7), floor,
+                                          {{"part", part}}, services_, report_)
+                             .front());
     }
     tell_publish(part, by_count);
     draw(part + ": the publish call", "fanout-publish-" + part, by_count,

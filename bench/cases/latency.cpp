@@ -11,6 +11,7 @@
 
 #include <bench/cases/latency_bare.hpp>
 #include <bench/comparison.hpp>
+#include <bench/figures.hpp>
 #include <bench/options.hpp>
 #include <bench/wishes.hpp>
 
@@ -29,6 +30,7 @@ namespace {
 constexpr std::string_view floor_name = "floor-futex", ours = "agnocast-executor";
 constexpr std::size_t kib = 1024, mib = kib * 1024;
 constexpr std::uint32_t nobody = 65534;
+constexpr std::size_t rounds = 7;
 
 class Latency {
  public:
@@ -37,10 +39,10 @@ class Latency {
   void one_core() {
     std::vector<const System*> systems = chosen(run_, all_names(), floor_name);
     std::erase_if(systems, [](const System* one) { return one->is_spinning; });
-    for (const std::size_t bytes : wishes_.sizes({kib, 100 * kib}, {kib})) {
-      const Comparison result =
-          measure("one core", systems, {.bytes = bytes, .messages = 1000, .cores = Cores::one}, 7,
-                  {{"part", "one-core"}});
+    for (const Comparison& result :
+         measure("one core", systems, {kib, 100 * kib}, {kib},
+                 {.messages = 1000, .cores = Cores::one}, {{"part", "one-core"}})) {
+      const std::size_t bytes = result.plan.bytes;
       draw(result, "latency-one-core-" + std::to_string(bytes),
            "One core, " + size_text(bytes) + ": from publish to the message in hand");
       const std::string where = "one core, " + size_text(bytes) + ": ";
@@ -53,17 +55,16 @@ class Latency {
   void two_cores() {
     if (std::thread::hardware_concurrency() < 2) return;
     const std::vector<const System*> systems = chosen(run_, all_names(), floor_name);
-    std::vector<Comparison> by_size;
-    for (const std::size_t bytes :
-         wishes_.sizes({kib, 10 * kib, 100 * kib, mib, 8 * mib}, {kib, mib})) {
-      by_size.push_back(measure("two cores", systems,
-                                {.bytes = bytes, .messages = 400, .cores = Cores::two}, 5,
-                                {{"part", "two-cores"}}));
-      draw(by_size.back(), "latency-two-cores-" + std::to_string(bytes),
+    const std::vector<Comparison> by_size =
+        measure("two cores", systems, {kib, 10 * kib, 100 * kib, mib, 8 * mib}, {kib, mib},
+                {.messages = 400, .cores = Cores::two}, {{"part", "two-cores"}});
+    for (const Comparison& result : by_size) {
+      const std::size_t bytes = result.plan.bytes;
+      draw(result, "latency-two-cores-" + std::to_string(bytes),
            "Two cores, " + size_text(bytes) + ": from publish to the message in hand");
-      if (bytes == mib) aim_beside_peers(by_size.back());
+      if (bytes == mib) aim_beside_peers(result);
       if (bytes == kib)
-        aim_ratio(by_size.back(), "agnocast-spinning", "floor-polling", "two cores, 1 KiB: ", 1.5);
+        aim_ratio(result, "agnocast-spinning", "floor-polling", "two cores, 1 KiB: ", 1.5);
     }
     tell_quotients(by_size);
     draw_by_size(by_size);
@@ -71,7 +72,7 @@ class Latency {
 
   void bare_calls() {
     const BareCalls calls =
-        measure_bare_calls(wishes_.rounds(7), wishes_.is_small() ? 100 : 20000, services_);
+        measure_bare_calls(wishes_.rounds(rounds), wishes_.is_small() ? 100 : 20000, services_);
     report_.say("\nbare calls, nobody asleep, 1 KiB");
     Table table({"call", "p50 ns", "x (mutex + clock)"});
     table.add({"mutex lock and unlock, one clock read", digits(calls.mutex_clock_ns), "1"});
@@ -94,20 +95,28 @@ class Latency {
     if (::geteuid() != 0)
       return report_.say(
           "\nacross users: left out, only root can start a receiver as another user");
-    const Plan plan{.bytes = kib, .cores = Cores::one, .receiver_uid = nobody};
-    const Comparison result =
-        measure("one core, receiver of another user", chosen(run_, {ours}, floor_name), plan, 7,
-                {{"part", "across-users"}});
-    aim_ratio(result, ours, floor_name, "across users, one core, 1 KiB: ", 2);
+    const Plan plan = wishes_.plan({.bytes = kib, .cores = Cores::one, .receiver_uid = nobody});
+    const auto results = compare_and_tell(
+        "one core, receiver of another user", chosen(run_, {ours}, floor_name), {plan},
+        wishes_.rounds(rounds), floor_name, {{"part", "across-users"}}, services_, report_);
+    aim_ratio(results.front(), ours, floor_name, "across users, one core, 1 KiB: ", 2);
   }
 
   void tell_aims() const { aims_.tell(report_); }
 
  private:
-  Comparison measure(const std::string& where, const std::vector<const System*>& systems,
-                     const Plan& plan, std::size_t rounds, const nlohmann::json& extra) {
-    return compare_and_tell(where + ", " + size_text(plan.bytes), systems, wishes_.plan(plan),
-                            wishes_.rounds(rounds), floor_name, extra, services_, report_);
+  std::vector<Comparison> measure(const std::string& where,
+                                  const std::vector<const System*>& systems,
+                                  std::vector<std::size_t> usual_sizes,
+                                  std::vector<std::size_t> small_sizes, Plan plan,
+                                  const nlohmann::json& extra) {
+    std::vector<Plan> plans;
+    for (const std::size_t bytes : wishes_.sizes(std::move(usual_sizes), std::move(small_sizes))) {
+      plan.bytes = bytes;
+      plans.push_back(wishes_.plan(plan));
+    }
+    return compare_and_tell(where, systems, plans, wishes_.rounds(rounds), floor_name, extra,
+                            services_, report_);
   }
 
   void draw(const Comparison& result, const std::string& name, const std::string& title) {
@@ -163,20 +172,25 @@ class Latency {
     }
   }
 
-  // How much longer the largest takes than the smallest, beside what the same is for the floor: caches are the floor's too.
+  // How much longer the largest takes than the smallest, beside what the same is for the floor in the same round: caches are
+  // the floor's too.
   void tell_quotients(const std::vector<Comparison>& by_size) {
     const Comparison &smallest = by_size.front(), &largest = by_size.back();
     if (smallest.plan.bytes >= largest.plan.bytes) return;
-    const auto quotient_of = [&](std::string_view name) {
-      return largest.find(name)->latency_ns(0.5) / smallest.find(name)->latency_ns(0.5);
+    const auto quotients_of = [&](std::string_view name) {
+      return largest.find(name)->ratios_to(*smallest.find(name));
     };
+    const std::vector<double> floors = quotients_of(floor_name);
     const std::string sizes =
         size_text(largest.plan.bytes) + " / " + size_text(smallest.plan.bytes);
     report_.say("\nsize: p50 of " + sizes);
     Table table({"system", "quotient", "x floor's quotient"});
     for (const Series& one : largest.series) {
-      const double quotient = quotient_of(one.system->name),
-                   over_floor = quotient / quotient_of(floor_name);
+      const std::vector<double> quotients = quotients_of(one.system->name);
+      std::vector<double> over_floors;
+      for (std::size_t i = 0; i < std::min(quotients.size(), floors.size()); ++i)
+        over_floors.push_back(quotients[i] / floors[i]);
+      const double quotient = median(quotients), over_floor = median(over_floors);
       table.add({std::string(one.system->name), digits(quotient), digits(over_floor)});
       report_.add({{"part", "size-quotient"},
                    {"system", one.system->name},

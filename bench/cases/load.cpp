@@ -98,7 +98,7 @@ void run_load(const Run& run, Report& report) {
       run.is_small ? std::vector<unsigned>{0, 90} : std::vector<unsigned>{0, 30, 60, 90};
   const std::vector<std::size_t> sizes =
       run.sizes.empty() ? std::vector<std::size_t>{100 * 1024} : run.sizes;
-  const std::size_t rounds = run.rounds.value_or(run.is_small ? 1 : 5);
+  const std::size_t rounds = run.rounds.value_or(run.is_small ? 1 : 7);
   const std::vector<const System*> all = compared(run);
   Services services;
   Aims aims;
@@ -108,11 +108,12 @@ void run_load(const Run& run, Report& report) {
     for (const unsigned level : levels) {
       const std::string where = size_text(bytes) + ", load " + std::to_string(level) + " %";
       const Busyness busyness(level);
-      const Comparison result = compare(all, plan, rounds, services, [&](const System& system) {
+      const auto step = [&](const System& system, const Plan&) {
         busyness.check();
         report.progress(done++, sizes.size() * levels.size() * rounds * all.size(),
                         where + ", " + std::string(system.name));
-      });
+      };
+      const Comparison result = compare(all, {plan}, rounds, services, step).front();
       busyness.check();
       report.say("\n" + where + ", every " + digits(static_cast<double>(plan.period_ns) / 1e6) +
                  " ms, " + std::to_string(rounds) + " x " + std::to_string(plan.messages) +

@@ -209,7 +209,7 @@ void run_throughput(const Run& run, Report& report) {
   Aims aims;
   const std::vector<const System*> all = throughput::chosen(run, services);
   const std::vector<Setting> tables = settings(run);
-  const std::size_t rounds = run.rounds.value_or(run.is_small ? 1 : 5);
+  const std::size_t rounds = run.rounds.value_or(run.is_small ? 1 : 7);
   std::map<bool, Picture> pictures;
   std::size_t done = 0;
   for (const Setting& setting : tables) {
