@@ -97,7 +97,9 @@ std::vector<Comparison> compare(const std::vector<const System*>& systems,
   for (const Plan& plan : plans) all.push_back({plan, series});
   for (std::size_t round = 0; round < rounds; ++round) {
     for (Comparison& comparison : all) {
-      for (Series& one : comparison.series) {
+      const std::size_t count = comparison.series.size();
+      for (std::size_t turn = 0; turn < count; ++turn) {
+        Series& one = comparison.series[(round + turn) % count];
         step(*one.system, comparison.plan);
         one.rounds.push_back(conduct(*one.system, comparison.plan, services));
       }

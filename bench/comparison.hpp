@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Comparison: several systems under one plan, interleaved: A B C, A B C, … so that whatever else the machine does meets
-// all of them. What is compared is the ratio to the floor of the same round, and the median of these over the rounds.
+// Comparison: several systems under one plan, interleaved: A B C, B C A, … so that whatever else the machine does meets
+// all of them, and nobody is always the first. What is compared is the ratio to the floor of the same round, and the median of these over the rounds.
 #pragma once
 
 #include <bench/case.hpp>

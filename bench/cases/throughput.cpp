@@ -217,7 +217,8 @@ void run_throughput(const Run& run, Report& report) {
     const std::string where = setting.text() + ", messages of " + size_text(setting.bytes);
     Rates rates;
     for (std::size_t round = 0; round < rounds; ++round) {
-      for (const System* const system : all) {
+      for (std::size_t turn = 0; turn < all.size(); ++turn) {
+        const System* const system = all[(round + turn) % all.size()];
         report.progress(done++, tables.size() * rounds * all.size(),
                         where + ", " + std::string(system->name));
         if (setting.has_room_for(*system))
