@@ -118,7 +118,8 @@ Times conduct(const System& system, const Plan& plan, Services& services) {
   company.wait_for("starting and matching", std::chrono::seconds(30),
                    [&] { return head.ready == 1 + plan.receivers && head.has_matched != 0; });
   lane.set_state(Lane::running);
-  const auto longest = std::chrono::nanoseconds(plan.period_ns + 100'000'000) * plan.all_messages();
+  const auto longest =
+      std::chrono::nanoseconds(2 * plan.period_ns + 100'000'000) * plan.all_messages();
   company.wait_for(
       "the run",
       std::chrono::duration_cast<std::chrono::seconds>(longest) + std::chrono::seconds(30),

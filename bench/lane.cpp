@@ -100,6 +100,12 @@ bool Lane::have_all_seen(std::uint64_t number) const noexcept {
   return true;
 }
 
+std::int64_t Lane::all_seen_ns() const noexcept {
+  std::int64_t latest = 0;
+  for (std::size_t i = 0; i < plan().receivers; ++i) latest = std::max(latest, seen_[i].at_ns);
+  return latest;
+}
+
 void Lane::set_error(std::string_view text) noexcept {
   std::uint32_t none = 0;
   if (!head_->has_error.compare_exchange_strong(none, being_written)) return;

@@ -42,7 +42,7 @@ struct Plan {
   std::size_t messages = 1000;  ///< kept
   std::size_t warm_up = 100;    ///< sent before them, and not kept
   std::int64_t period_ns =
-      1'000'000;  ///< between publish calls, at least; 0: as soon as all have seen the last one
+      1'000'000;  ///< from when all have seen a message to the next publish call, at least
   Cores cores = Cores::anywhere;
   bool is_real_time = true;  ///< SCHED_FIFO where pinned
   std::size_t depth = 10;
@@ -60,7 +60,8 @@ class Lane {
 
   struct alignas(64) Seen {
     std::atomic<std::uint64_t>
-        number;  ///< of the last message that was proved intact; they count from 1
+        number;          ///< of the last message that was proved intact; they count from 1
+    std::int64_t at_ns;  ///< when it was
   };
   struct Sent {
     std::int64_t begin_ns, end_ns;
@@ -97,6 +98,8 @@ class Lane {
   void* scratch() const noexcept { return scratch_; }
 
   bool have_all_seen(std::uint64_t number) const noexcept;
+  /// When the last of them had seen it; of a message that all have seen.
+  std::int64_t all_seen_ns() const noexcept;
   /// The first one stays.
   void set_error(std::string_view text) noexcept;
   std::string error() const;

@@ -55,24 +55,26 @@ void send_one(const Lane& lane, Sender& sender, std::uint64_t number) {
          [&] { return (payload = sender.prepare()) != nullptr; });
   mark(payload, lane.plan().bytes, number);
   Lane::Sent& sent = lane.sent(number);
+  sent.begin_ns = now_ns();  // once: what is refused first and sent later is late
   insist(name + " is not sent", nap_ns, [&] {
-    sent.begin_ns = now_ns();
     const bool is_sent = sender.send();
     sent.end_ns = now_ns();
     return is_sent;
   });
 }
 
+// Sleeps a period before it looks whether a message was seen, so as not to disturb it on its way; and on, until a slow one
+// has been seen for a period too: the next one meets receivers that are as much at rest.
 void send_all(const Lane& lane, Sender& sender) {
-  std::int64_t next_ns = now_ns();
+  const std::int64_t period_ns = lane.plan().period_ns;
   for (std::uint64_t number = 1; number <= lane.plan().all_messages(); ++number) {
     send_one(lane, sender, number);
-    next_ns = std::max(next_ns + lane.plan().period_ns, lane.sent(number).end_ns);
-    if (lane.plan().period_ns > 0) sleep_until(next_ns);
+    if (period_ns > 0) sleep_until(lane.sent(number).end_ns + period_ns);
     insist("message " + std::to_string(number) + " was not seen by all receivers", nap_ns, [&] {
       if (lane.head().has_error != 0) throw std::runtime_error("a receiver failed");
       return lane.have_all_seen(number);
     });
+    if (period_ns > 0) sleep_until(lane.all_seen_ns() + period_ns);
   }
 }
 
@@ -119,6 +121,7 @@ int be_receiver(const std::vector<std::string>& arguments) {
         return;
       }
       lane.received_ns(index, expected) = received_ns;
+      lane.seen(index).at_ns = now_ns();
       lane.seen(index).number.store(expected++, std::memory_order_release);
     });
     stopper.join();

@@ -59,6 +59,10 @@ TEST(Lane, WaitsForTheSlowestReceiver) {
   EXPECT_FALSE(lane.have_all_seen(1));
   lane.seen(1).number = 1;
   EXPECT_TRUE(lane.have_all_seen(1));
+  lane.seen(0).at_ns = 5;
+  lane.seen(1).at_ns = 7;
+  lane.seen(2).at_ns = 6;
+  EXPECT_EQ(lane.all_seen_ns(), 7);
   EXPECT_FALSE(lane.have_all_seen(2));
 }
 
