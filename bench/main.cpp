@@ -81,16 +81,24 @@ void write(const nlohmann::json& document, const std::string& file) {
   if (!(stream << text << std::flush)) throw std::runtime_error(file + ": cannot be written");
 }
 
+// An hour of measuring is not to end with results that go nowhere.
+void check_writable(const std::string& file) {
+  if (file.empty() || file == "-") return;
+  if (!std::ofstream(file, std::ios::app)) throw std::runtime_error(file + ": cannot be written");
+}
+
 void draw(const nlohmann::json& document, const std::string& directory) {
   const Directory place;
   const std::string file = place.path() + "/results.json";
   write(document, file);
   Process plot({.command = {path_of("agnocast-bench-plot"), file, directory}});
   if (plot.wait(std::chrono::minutes(5)) != 0)
-    throw std::runtime_error("agnocast-bench-plot could not draw; the results are written");
+    throw std::runtime_error("agnocast-bench-plot could not draw");
 }
 
-void run_cases(const Options& options, Report& report) {
+// One that fails leaves what it has given so far, and the others. Returns why, by name.
+nlohmann::json run_cases(const Options& options, Report& report) {
+  nlohmann::json failed = nlohmann::json::object();
   for (const std::string& name : options.cases) {
     for (const Case& one : cases()) {
       if (one.name != name) continue;
@@ -99,26 +107,30 @@ void run_cases(const Options& options, Report& report) {
       try {
         one.run(options.run, report);
       } catch (const std::exception& error) {
-        throw std::runtime_error(name + ": " + error.what());
+        std::fprintf(stderr, "agnocast-bench: %s: %s\n", name.c_str(), error.what());
+        failed[name] = error.what();
       }
     }
   }
+  return failed;
 }
 
 int measure(const Options& options) {
   clean_up_on_signals();
   // A process that reads no more is an error of Process::send(), which tells who it was.
   ::signal(SIGPIPE, SIG_IGN);
+  check_writable(options.json);
   Report report;
   report.is_quiet = options.json == "-";
   nlohmann::json document = {{"schema", "agnocast.bench/1"}, {"environment", environment()}};
   for (const std::string& doubt : doubts(document["environment"])) report.say("note: " + doubt);
-  run_cases(options, report);
+  const nlohmann::json failed = run_cases(options, report);
   document["results"] = report.results;
   document["plots"] = report.plots;
+  if (!failed.empty()) document["failed"] = failed;
   if (!options.json.empty()) write(document, options.json);
   if (!options.plot.empty()) draw(document, options.plot);
-  return 0;
+  return failed.empty() ? 0 : 1;
 }
 
 template <class Named>
