@@ -22,12 +22,16 @@ namespace agnocast::bench {
 /// What was asked for; what is not said is the case's own default.
 struct Run {
   std::optional<std::size_t> rounds = {};
-  std::optional<std::size_t> messages = {};      ///< of a round and system
+  std::optional<std::size_t> messages = {};  ///< of a round and system
   std::optional<std::chrono::microseconds> period = {};
-  std::vector<std::size_t> sizes = {};           ///< bytes
-  std::vector<std::string> systems = {};         ///< names; empty: all that fit
-  std::string scan = {};                         ///< pipeline: a recorded scan instead of the simulator
-  bool is_small = false;                         ///< as short as works, for a test: seconds in all
+  std::vector<std::size_t> sizes = {};    ///< bytes
+  std::vector<std::string> systems = {};  ///< names; empty: all that fit
+  std::string scan = {};                  ///< pipeline: a recorded scan instead of the simulator
+  bool is_small = false;                  ///< as short as works, for a test: seconds in all
+
+  /// Whether an aim may be judged by it: the median of a few rounds is chance.
+  bool can_judge() const { return !is_small && rounds.value_or(enough_rounds) >= enough_rounds; }
+  static constexpr std::size_t enough_rounds = 7;
 };
 
 /// A picture, drawn by agnocast-bench-plot from its JSON. One of:
@@ -36,8 +40,8 @@ struct Run {
 ///   bars     series: {"label", "y": […]} and "groups": [names]   bars side by side
 /// `log_x`, `log_y` choose logarithmic axes; a table of at most 2,000 values a series is kept.
 struct Plot {
-  std::string name;     ///< file name without suffix: "latency-1-core"
-  std::string kind;     ///< violins, lines, bars
+  std::string name;  ///< file name without suffix: "latency-1-core"
+  std::string kind;  ///< violins, lines, bars
   std::string title, x_label, y_label;
   bool log_x = false, log_y = false;
   std::vector<std::string> groups = {};
@@ -56,7 +60,7 @@ class Report {
   void progress(std::size_t done, std::size_t all, std::string_view what);
 
   void begin_case(std::string_view name);
-  bool is_quiet = false;       ///< say() prints nothing
+  bool is_quiet = false;  ///< say() prints nothing
   nlohmann::json results = nlohmann::json::array();
   nlohmann::json plots = nlohmann::json::array();
 

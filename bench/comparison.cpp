@@ -59,6 +59,11 @@ std::vector<double> Series::ratios_to(const Series& other) const {
   return ratios(rounds, other.rounds, slowest_of);
 }
 
+bool Series::is_without_fifo() const {
+  return std::any_of(rounds.begin(), rounds.end(),
+                     [](const Times& round) { return round.is_without_fifo; });
+}
+
 const Series* Comparison::find(std::string_view system) const {
   for (const Series& one : series) {
     if (one.system->name == system) return &one;
@@ -111,6 +116,7 @@ std::vector<Comparison> compare(const std::vector<const System*>& systems,
 void tell(const Comparison& comparison, std::string_view floor, const nlohmann::json& extra,
           Report& report) {
   const Series* const base = comparison.find(floor);
+  std::string refused;
   Table table({"system", "p50 us", "p99 us", "max us", "publish us", "CV", "x floor"});
   for (const Series& one : comparison.series) {
     const std::vector<double> all = one.latencies_ns();
@@ -133,10 +139,15 @@ void tell(const Comparison& comparison, std::string_view floor, const nlohmann::
     if (base != nullptr) result["ratio_to_floor"] = ratio;
     if (comparison.plan.cores != Cores::anywhere)
       result["cores"] = comparison.plan.cores == Cores::one ? 1 : 2;
+    if (one.is_without_fifo()) {
+      result["is_without_fifo"] = true;
+      refused += " " + std::string(one.system->name);
+    }
     result.update(extra);
     report.add(std::move(result));
   }
   table.say(report);
+  if (!refused.empty()) report.say("  SCHED_FIFO was refused:" + refused);
 }
 
 std::vector<Comparison> compare_and_tell(const std::string& title,
@@ -172,7 +183,7 @@ nlohmann::json violins(const Comparison& comparison) {
   return series;
 }
 
-void Aims::add(const std::string& aim, double measured, Sense sense, double bound) {
+void Aims::add(const std::string& aim, std::optional<double> measured, Sense sense, double bound) {
   all_.push_back({aim, measured, sense, bound});
 }
 
@@ -181,13 +192,22 @@ void Aims::tell(Report& report) const {
   report.say("\naims");
   Table table({"aim", "measured", "bound", "reached"});
   for (const Aim& aim : all_) {
-    table.add({aim.text, digits(aim.measured),
+    const char* const not_judged = !aim.measured ? "not measured"
+                                   : can_judge_  ? nullptr
+                                                 : "not judged, too short a run";
+    nlohmann::json result = {{"aim", aim.text}, {"bound", aim.bound}};
+    if (aim.measured) result["measured"] = *aim.measured;
+    if (not_judged == nullptr) {
+      result["is_reached"] = aim.is_reached();
+    } else {
+      result["not_judged"] = not_judged;
+    }
+    table.add({aim.text, aim.measured ? digits(*aim.measured) : "-",
                (aim.sense == Sense::at_most ? "<= " : ">= ") + digits(aim.bound),
-               aim.is_reached() ? "yes" : "no"});
-    report.add({{"aim", aim.text},
-                {"measured", aim.measured},
-                {"bound", aim.bound},
-                {"is_reached", aim.is_reached()}});
+               not_judged != nullptr ? not_judged
+               : aim.is_reached()    ? "yes"
+                                     : "no"});
+    report.add(std::move(result));
   }
   table.say(report);
 }

@@ -9,6 +9,7 @@
 
 #include <cstddef>
 #include <functional>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -30,6 +31,8 @@ struct Series {
   double publish_ratio_to(const Series& floor) const;
   /// Of each round by itself: its p50 over the other's.
   std::vector<double> ratios_to(const Series& other) const;
+  /// In any round: real-time scheduling was wanted and refused.
+  bool is_without_fifo() const;
 };
 
 struct Comparison {
@@ -71,20 +74,23 @@ nlohmann::json violins(const Comparison& comparison);
 class Aims {
  public:
   enum class Sense { at_most, at_least };
-  void add(const std::string& aim, double measured, Sense sense, double bound);
+  explicit Aims(const Run& run) : can_judge_(run.can_judge()) {}
+  /// Without `measured`: what it takes did not run here.
+  void add(const std::string& aim, std::optional<double> measured, Sense sense, double bound);
   /// The table, and an object of "results" for each.
   void tell(Report& report) const;
 
  private:
   struct Aim {
     std::string text;
-    double measured;
+    std::optional<double> measured;
     Sense sense;
     double bound;
     bool is_reached() const {
-      return sense == Sense::at_most ? measured <= bound : measured >= bound;
+      return sense == Sense::at_most ? *measured <= bound : *measured >= bound;
     }
   };
+  bool can_judge_;
   std::vector<Aim> all_;
 };
 

@@ -77,10 +77,25 @@ nlohmann::json build() {
           {"iceoryx", AGNOCAST_BENCH_ICEORYX}};
 }
 
+std::vector<std::string>& left_out_here() {
+  static std::vector<std::string> all;
+  return all;
+}
+
 }  // namespace
 
-nlohmann::json environment() {
+void leave_out(const std::string& what) {
+  std::vector<std::string>& all = left_out_here();
+  if (std::find(all.begin(), all.end(), what) != all.end()) return;
+  std::fprintf(stderr, "note: %s\n", what.c_str());
+  all.push_back(what);
+}
+
+const std::vector<std::string>& left_out() { return left_out_here(); }
+
+nlohmann::json environment(const std::vector<std::string>& arguments) {
   nlohmann::json all = build();
+  all["arguments"] = arguments;
   for (const char* const optional : {"revision", "cyclonedds", "iceoryx"}) {
     if (all[optional] == "") all.erase(optional);
   }

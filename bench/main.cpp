@@ -115,16 +115,18 @@ nlohmann::json run_cases(const Options& options, Report& report) {
   return failed;
 }
 
-int measure(const Options& options) {
+int measure(const Options& options, const std::vector<std::string>& arguments) {
   clean_up_on_signals();
   // A process that reads no more is an error of Process::send(), which tells who it was.
   ::signal(SIGPIPE, SIG_IGN);
   check_writable(options.json);
   Report report;
   report.is_quiet = options.json == "-";
-  nlohmann::json document = {{"schema", "agnocast.bench/1"}, {"environment", environment()}};
+  nlohmann::json document = {{"schema", "agnocast.bench/1"},
+                             {"environment", environment(arguments)}};
   for (const std::string& doubt : doubts(document["environment"])) report.say("note: " + doubt);
   const nlohmann::json failed = run_cases(options, report);
+  document["environment"]["left_out"] = left_out();
   document["results"] = report.results;
   document["plots"] = report.plots;
   if (!failed.empty()) document["failed"] = failed;
@@ -153,7 +155,7 @@ int main(int argc, char** argv) {
     if (!options.help.empty()) return std::fputs(options.help.c_str(), stdout), 0;
     if (!options.error.empty()) return refuse(options.error);
     if (options.is_list) return list(), 0;
-    return measure(options);
+    return measure(options, arguments);
   } catch (const std::exception& error) {
     std::fprintf(stderr, "agnocast-bench: %s\n", error.what());
     return 1;

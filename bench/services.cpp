@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <bench/environment.hpp>
 #include <bench/services.hpp>
 
 #include <sys/socket.h>
@@ -158,8 +159,7 @@ bool Services::has(std::string_view service) {
     return true;
   } catch (const std::runtime_error& error) {
     if (service == "agnocastd") throw;
-    std::fprintf(stderr, "note: systems that need %s are left out: %s\n",
-                 std::string(service).c_str(), error.what());
+    leave_out("systems that need " + std::string(service) + " are left out: " + error.what());
     missing_.emplace(service);
     return false;
   }

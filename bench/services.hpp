@@ -61,7 +61,7 @@ class Services {
  public:
   /// NAME=value for processes that use it. "" needs nothing. Throws std::runtime_error.
   std::vector<std::string> variables(std::string_view service);
-  /// False: it does not run here, which is said on stderr once; what needs it is to be left out. There is always an agnocastd,
+  /// False: it does not run here, which leave_out() has been told; what needs it is to be left out. There is always an agnocastd,
   /// or this throws.
   bool has(std::string_view service);
 

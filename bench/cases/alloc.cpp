@@ -342,7 +342,7 @@ class Table {
     for (auto& [name, result] : results) report_.add(std::move(result));
   }
 
-  void finish() {
+  void finish(bool can_judge) {
     for (const auto& [of, ratios] : ratios_) {
       double logarithms = 0;
       for (const auto& [ratio, row] : ratios) logarithms += std::log(ratio);
@@ -353,13 +353,18 @@ class Table {
                        of.first.c_str(), of.second.c_str(), mean, worst, row.c_str(),
                        has_aim ? text("; aim: %.1f", aim).c_str() : ""));
       if (!has_aim) continue;
-      report_.add(nlohmann::json{
+      nlohmann::json result = {
           {"system", "heap-shared"},
           {"aim", "shared heap over the same allocator on private memory, geometric mean"},
           {"bound", aim},
           {"measured", mean},
-          {"worst", worst},
-          {"is_reached", mean <= aim}});
+          {"worst", worst}};
+      if (can_judge) {
+        result["is_reached"] = mean <= aim;
+      } else {
+        result["not_judged"] = "not judged, too short a run";
+      }
+      report_.add(std::move(result));
     }
   }
 
@@ -414,7 +419,7 @@ void run_alloc(const Run& run, Report& report) {
     }
   }
   report.progress(step, works.size(), "");
-  table.finish();
+  table.finish(run.can_judge());
   report.add(std::move(plot));
 }
 

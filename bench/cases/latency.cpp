@@ -11,6 +11,7 @@
 
 #include <bench/cases/latency_bare.hpp>
 #include <bench/comparison.hpp>
+#include <bench/environment.hpp>
 #include <bench/figures.hpp>
 #include <bench/options.hpp>
 #include <bench/wishes.hpp>
@@ -19,6 +20,7 @@
 
 #include <algorithm>
 #include <map>
+#include <optional>
 #include <string>
 #include <thread>
 #include <tuple>
@@ -34,7 +36,7 @@ constexpr std::size_t rounds = 7;
 
 class Latency {
  public:
-  Latency(const Run& run, Report& report) : run_(run), wishes_(run), report_(report) {}
+  Latency(const Run& run, Report& report) : run_(run), wishes_(run), report_(report), aims_(run) {}
 
   void one_core() {
     std::vector<const System*> systems = chosen(run_, all_names(), floor_name);
@@ -53,7 +55,8 @@ class Latency {
   }
 
   void two_cores() {
-    if (std::thread::hardware_concurrency() < 2) return;
+    if (std::thread::hardware_concurrency() < 2)
+      return leave_out("latency on two cores is left out: there is one");
     const std::vector<const System*> systems = chosen(run_, all_names(), floor_name);
     const std::vector<Comparison> by_size =
         measure("two cores", systems, {kib, 10 * kib, 100 * kib, mib, 8 * mib}, {kib, mib},
@@ -92,14 +95,16 @@ class Latency {
   }
 
   void across_users() {
-    if (::geteuid() != 0)
-      return report_.say(
-          "\nacross users: left out, only root can start a receiver as another user");
+    const std::string where = "across users, one core, 1 KiB: ";
+    if (::geteuid() != 0) {
+      leave_out("latency across users is left out: only root can start a receiver as another user");
+      return aim_at(where, ours, floor_name, {}, Aims::Sense::at_most, 2);
+    }
     const Plan plan = wishes_.plan({.bytes = kib, .cores = Cores::one, .receiver_uid = nobody});
     const auto results = compare_and_tell(
         "one core, receiver of another user", chosen(run_, {ours}, floor_name), {plan},
         wishes_.rounds(rounds), floor_name, {{"part", "across-users"}}, services_, report_);
-    aim_ratio(results.front(), ours, floor_name, "across users, one core, 1 KiB: ", 2);
+    aim_ratio(results.front(), ours, floor_name, where, 2);
   }
 
   void tell_aims() const { aims_.tell(report_); }
@@ -155,9 +160,9 @@ class Latency {
   void aim_ratio(const Comparison& result, std::string_view system, std::string_view base,
                  const std::string& where, double bound) {
     const Series *const one = result.find(system), *const other = result.find(base);
-    if (one == nullptr || other == nullptr) return;
-    aims_.add(where + std::string(system) + " / " + std::string(base), one->ratio_to(*other),
-              Aims::Sense::at_most, bound);
+    std::optional<double> ratio;
+    if (one != nullptr && other != nullptr) ratio = one->ratio_to(*other);
+    aim_at(where, system, base, ratio, Aims::Sense::at_most, bound);
   }
 
   void aim_beside_peers(const Comparison& result) {
@@ -166,10 +171,15 @@ class Latency {
          {std::pair("cyclonedds", 40.0), std::pair("cyclonedds-iceoryx", 4.0),
           std::pair("iceoryx-listener", 1.0)}) {
       const Series* const other = result.find(peer);
-      if (one == nullptr || other == nullptr) continue;
-      aims_.add("two cores, 1 MiB: " + std::string(peer) + " / " + std::string(ours),
-                other->ratio_to(*one), Aims::Sense::at_least, bound);
+      std::optional<double> ratio;
+      if (one != nullptr && other != nullptr) ratio = other->ratio_to(*one);
+      aim_at("two cores, 1 MiB: ", peer, ours, ratio, Aims::Sense::at_least, bound);
     }
+  }
+
+  void aim_at(const std::string& where, std::string_view system, std::string_view base,
+              std::optional<double> ratio, Aims::Sense sense, double bound) {
+    aims_.add(where + std::string(system) + " / " + std::string(base), ratio, sense, bound);
   }
 
   // How much longer the largest takes than the smallest, beside what the same is for the floor in the same round: caches are

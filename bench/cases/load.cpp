@@ -66,7 +66,11 @@ void aim_beside_peers(const Comparison& comparison, const std::string& where, Ai
         comparison, [&](const System& one) { return is_ours(one) && one.is_spinning == spins; });
     const Series* const other = best(
         comparison, [&](const System& one) { return is_peer(one) && one.is_spinning == spins; });
-    if (own == nullptr || other == nullptr) continue;
+    const std::string kind = spins ? "spinning" : "sleeping";
+    if (own == nullptr || other == nullptr) {
+      aims.add(where + ", p99: agnocast / best peer, " + kind, {}, Aims::Sense::at_most, 1);
+      continue;
+    }
     aims.add(where + ", p99: " + std::string(own->system->name) + " / best peer, " +
                  std::string(other->system->name),
              own->latency_ns(0.99) / other->latency_ns(0.99), Aims::Sense::at_most, 1);
@@ -101,7 +105,7 @@ void run_load(const Run& run, Report& report) {
   const std::size_t rounds = run.rounds.value_or(run.is_small ? 1 : 7);
   const std::vector<const System*> all = compared(run);
   Services services;
-  Aims aims;
+  Aims aims(run);
   std::size_t done = 0;
   for (const std::size_t bytes : sizes) {
     const Plan plan = plan_of(run, bytes);

@@ -152,7 +152,10 @@ void aim_beside_iceoryx(const Setting& setting, const Rates& rates, Aims& aims) 
   const auto* const own = fastest(rates, "agnocast");
   const auto* const other = fastest(rates, "iceoryx");
   // Of large messages all are as fast as memory is.
-  if (!setting.is_small() || own == nullptr || other == nullptr) return;
+  if (!setting.is_small()) return;
+  if (own == nullptr || other == nullptr)
+    return aims.add(setting.text() + ", messages a second: agnocast / fastest iceoryx", {},
+                    Aims::Sense::at_least, aim);
   aims.add(setting.text() + ", messages a second: " + std::string(own->first) +
                " / fastest iceoryx, " + std::string(other->first),
            ratio(own->second, other->second), Aims::Sense::at_least, aim);
@@ -206,7 +209,7 @@ struct Picture {
 void run_throughput(const Run& run, Report& report) {
   using namespace throughput;
   Services services;
-  Aims aims;
+  Aims aims(run);
   const std::vector<const System*> all = throughput::chosen(run, services);
   const std::vector<Setting> tables = settings(run);
   const std::size_t rounds = run.rounds.value_or(run.is_small ? 1 : 7);
