@@ -16,6 +16,8 @@
 #include <sys/prctl.h>
 #include <unistd.h>
 
+#include <algorithm>
+#include <chrono>
 #include <cstdio>
 #include <exception>
 #include <fstream>
@@ -87,6 +89,22 @@ void check_writable(const std::string& file) {
   if (!std::ofstream(file, std::ios::app)) throw std::runtime_error(file + ": cannot be written");
 }
 
+void check_runs(const char* program, const char* option, const std::string& what) {
+  const Directory place;
+  Process process({.command = {program, option}, .output = place.path() + "/output"});
+  if (process.wait(std::chrono::minutes(1)) != 0) throw std::runtime_error(what);
+}
+
+// What would otherwise be missed in the midst of it.
+void check_programs(const Options& options) {
+  if (std::find(options.cases.begin(), options.cases.end(), "load") != options.cases.end())
+    check_runs("stress-ng", "--version",
+               "the case load needs stress-ng, which Debian has in the package stress-ng");
+  if (!options.plot.empty())
+    check_runs(path_of("agnocast-bench-plot").c_str(), "--check",
+               "--plot needs matplotlib, which Debian has in the package python3-matplotlib");
+}
+
 void draw(const nlohmann::json& document, const std::string& directory) {
   const Directory place;
   const std::string file = place.path() + "/results.json";
@@ -120,6 +138,7 @@ int measure(const Options& options, const std::vector<std::string>& arguments) {
   // A process that reads no more is an error of Process::send(), which tells who it was.
   ::signal(SIGPIPE, SIG_IGN);
   check_writable(options.json);
+  check_programs(options);
   Report report;
   report.is_quiet = options.json == "-";
   nlohmann::json document = {{"schema", "agnocast.bench/1"},
