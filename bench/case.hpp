@@ -56,7 +56,8 @@ class Report {
   /// One object of "results"; the case's name is added.
   void add(nlohmann::json result);
   void add(Plot plot);
-  /// How far the case is: `done` of `all` steps, with the time left on stderr where that is a terminal.
+  /// How far the table or case is: `done` of `all` steps, with the time left on stderr where that is a terminal. The first call
+  /// of each is with `done` 0.
   void progress(std::size_t done, std::size_t all, std::string_view what);
 
   void begin_case(std::string_view name);
@@ -66,7 +67,7 @@ class Report {
 
  private:
   std::string case_;
-  std::chrono::steady_clock::time_point case_began_{};
+  std::chrono::steady_clock::time_point began_{};
   bool has_bar_ = false;
 };
 

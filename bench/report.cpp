@@ -58,11 +58,14 @@ void Report::add(Plot plot) {
 
 void Report::progress(std::size_t done, std::size_t all, std::string_view what) {
   if (::isatty(STDERR_FILENO) == 0) return;
-  const std::chrono::duration<double> gone = std::chrono::steady_clock::now() - case_began_;
-  const double left =
-      done == 0 ? 0 : gone.count() * static_cast<double>(all - done) / static_cast<double>(done);
-  std::fprintf(stderr, "\r\033[K%s: %zu of %zu, %.0f s left: %.*s", case_.c_str(), done, all, left,
-               static_cast<int>(what.size()), what.data());
+  const auto now = std::chrono::steady_clock::now();
+  if (done == 0) began_ = now;  // steps are counted from here, and so is time
+  const std::chrono::duration<double> gone = now - began_;
+  std::fprintf(stderr, "\r\033[K%s: %zu of %zu, ", case_.c_str(), done, all);
+  if (done > 0)
+    std::fprintf(stderr, "%.0f s left, ",
+                 gone.count() * static_cast<double>(all - done) / static_cast<double>(done));
+  std::fprintf(stderr, "%.*s", static_cast<int>(what.size()), what.data());
   has_bar_ = true;
   if (done == all) std::fputs("\r\033[K", stderr), has_bar_ = false;
   std::fflush(stderr);
@@ -70,7 +73,7 @@ void Report::progress(std::size_t done, std::size_t all, std::string_view what) 
 
 void Report::begin_case(std::string_view name) {
   case_ = name;
-  case_began_ = std::chrono::steady_clock::now();
+  began_ = std::chrono::steady_clock::now();
 }
 
 }  // namespace agnocast::bench
