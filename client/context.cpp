@@ -321,7 +321,7 @@ Result<std::shared_ptr<PublisherEndpoint>> Context::make_publisher(
                                                      made.first_sequence,
                                                      request.qos,
                                                      made.slot_count,
-                                                     0};
+                                                     PublisherEndpoint::lazy_limit};
         publisher = std::make_shared<PublisherEndpoint>(
             PublisherEndpoint::Identity{core, made.topic, end_message, waker(), continued.events,
                                         this, lineage_of(continued, made, Kind::publisher),

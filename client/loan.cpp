@@ -40,13 +40,20 @@ namespace detail {
 
 /// One per thread that ever borrowed; outlives the thread as long as one of its loans does.
 struct BorrowScope::Home {
-  std::atomic<std::uint64_t> owed{0};   // leaves that other threads could not do for it
-  std::atomic<std::uint64_t> users{1};  // the thread, and its open loans
+  static constexpr std::uint64_t thread_lives = std::uint64_t{1} << 63;
 
-  void let_go() noexcept {
-    if (users.fetch_sub(1, std::memory_order_acq_rel) == 1) delete this;
+  std::atomic<std::uint64_t> owed{0};  // leaves that other threads could not do for it
+  std::uint64_t open = 0;              // loans that the thread itself has not closed; only the thread
+  // What other threads close is taken away one by one, and what is left of thread_lives when the thread
+  // ends at once. So the thread's own loans, nearly all, need no locked instruction.
+  std::atomic<std::uint64_t> left{thread_lives};
+
+  void let_go(std::uint64_t part) noexcept {
+    if (left.fetch_sub(part, std::memory_order_acq_rel) == part) delete this;
   }
   void pay(const Heap& heap) noexcept {
+    if (owed.load(std::memory_order_relaxed) == 0) [[likely]]
+      return;
     for (std::uint64_t n = owed.exchange(0, std::memory_order_acquire); n > 0; --n) heap.leave();
   }
 };
@@ -56,7 +63,8 @@ void BorrowScope::open() noexcept {
   // borrow: they get a new home, which stays.
   struct LeavesHome {
     ~LeavesHome() {
-      if (Home* const home = std::exchange(current(), nullptr); home != nullptr) home->let_go();
+      if (Home* const home = std::exchange(current(), nullptr); home != nullptr)
+        home->let_go(Home::thread_lives - home->open);
     }
   };
   const Heap* const heap = Context::instance().heap();
@@ -69,7 +77,7 @@ void BorrowScope::open() noexcept {
   if (mine == nullptr)
     return;  // no memory: the loan is built on the ordinary heap and adopted at publish
   mine->pay(*heap);
-  mine->users.fetch_add(1, std::memory_order_relaxed);
+  ++mine->open;
   home_ = mine;
   heap->enter();
 }
@@ -86,10 +94,11 @@ void BorrowScope::close() noexcept {
     const Heap& heap = *Context::instance().heap();
     heap.leave();
     home->pay(heap);
+    --home->open;
   } else {
     home->owed.fetch_add(1, std::memory_order_release);
+    home->let_go(1);
   }
-  home->let_go();
 }
 
 }  // namespace detail

@@ -26,9 +26,11 @@ constexpr std::uint64_t armed_offset(std::uint64_t executor) noexcept {
 
 /// What one turn with the queue leaves to do outside the mutex.
 struct PublisherEndpoint::Work {
+  Work(PublisherEndpoint& of, bool destroys) noexcept : endpoint(of), may_destroy(destroys) {}
+
   PublisherEndpoint& endpoint;
   const bool may_destroy;  // otherwise messages die with the process
-  std::array<void*, destroy_at_once_max> destroy{};
+  std::array<void*, destroy_at_once_max> destroy;  // the first destroy_count
   std::size_t destroy_count = 0;
   std::uint64_t rung = 0;
   bool wake_control = false;
@@ -81,7 +83,7 @@ void PublisherEndpoint::say_lineage() noexcept {
 
 template <class Do>
 void PublisherEndpoint::with_queue(Do work, bool may_destroy) noexcept {
-  Work left{*this, may_destroy};
+  Work left(*this, may_destroy);
   {
     const std::lock_guard lock(mutex_);
     work(left);
@@ -108,14 +110,17 @@ dataplane::PublishOutcome PublisherEndpoint::publish(void* message, std::uint64_
       heir = heir_;
       return;
     }
+    // Only written under this mutex. Ahead of the commit, which goes into the same line: stored behind
+    // it, it would take the line a second time from those who look at it.
+    auto& total = identity_.core.words.counter(offsetof(abi::PublisherEndpoint, published_bytes));
+    const std::uint64_t before = total.load(std::memory_order_relaxed);
+    total.store(before + message_bytes, std::memory_order_relaxed);
     // The stamp is taken under the mutex, so that it grows with the sequence.
-    outcome = core_->publish(
-        {reinterpret_cast<std::uint64_t>(message), object_bytes, monotonic_ns()}, work);
-    if (outcome == dataplane::PublishOutcome::published) {
-      // Only written under this mutex.
-      auto& total = identity_.core.words.counter(offsetof(abi::PublisherEndpoint, published_bytes));
-      total.store(total.load(std::memory_order_relaxed) + message_bytes, std::memory_order_relaxed);
-    }
+    outcome = core_->publish({reinterpret_cast<std::uint64_t>(message), object_bytes,
+                              monotonic_ns(), message_bytes},
+                             work);
+    if (outcome != dataplane::PublishOutcome::published)
+      total.store(before, std::memory_order_relaxed);
     // Many at once, when a reader that lagged has caught up: the next publishes destroy the rest, or
     // the control thread's timer. Waking it would be a system call.
     work.destroy_doomed();

@@ -42,6 +42,10 @@ class PublisherEndpoint {
     std::uint64_t lineage = 0;
     bool says_lineage_later = false;
   };
+  /// Of small messages: most publishes look at no link, and so take no line from a reader on another core.
+  static constexpr std::uint64_t lazy_limit = 7;
+  static_assert(lazy_limit <= abi::lazy_pass_count_max);
+
   struct Subscription {
     std::uint64_t index;
     std::uint64_t generation;

@@ -17,9 +17,6 @@
 namespace agnocast::daemon {
 namespace {
 
-// A pass may be left out so many times (docs/protocol.md, lazy pass); what these publishes would
-// have freed needs a slot each.
-constexpr std::uint64_t lazy_pass_count = 32;
 // One for the message being published and one for the one being borrowed.
 constexpr std::uint64_t slots_in_hand = 2;
 // What every publisher gets: until its control thread has mapped a new subscription, it keeps all
@@ -290,7 +287,7 @@ std::uint64_t Registry::slots_needed(TopicIndex topic, const abi::Qos& offered,
     if (counts_as_member(record.state)) count(record);
   });
   if (joining != nullptr) count(*joining);
-  const std::uint64_t slots = round_up(window + quotas + lazy_pass_count + slots_in_hand, 64);
+  const std::uint64_t slots = round_up(window + quotas + abi::lazy_pass_count_max + slots_in_hand, 64);
   return std::min<std::uint64_t>(std::max(slots, slots_at_least), capacity_.slots_per_publisher);
 }
 

@@ -39,11 +39,16 @@ struct Entry {
   std::uint64_t address = 0;
   std::uint64_t size = 0;
   std::uint64_t stamp_ns = 0;
+  std::uint64_t bytes = 0;  // with all that it owns: what a lazy pass may keep back
 };
 
 template <class M>
 class PublisherCore {
  public:
+  /// What publishes without a look at links may keep back together, in bytes: so little that it stays in
+  /// the first-level cache beside what the process works with.
+  static constexpr std::uint64_t kept_back_max = 16 * 1024;
+
   struct Identity {
     TopicWords<M> topic;
     PublisherWords<M> words;
@@ -52,8 +57,7 @@ class PublisherCore {
     std::uint64_t first_sequence;  // the queue is empty while head stands here
     abi::Qos qos;
     std::uint64_t slot_count;
-    std::uint64_t
-        lazy_limit;  // passes that may be left out between two that look at links; 0 = none
+    std::uint64_t lazy_limit;  // publishes in a row that may leave out the look at links; 0 = none
   };
 
   explicit PublisherCore(const Identity& identity) noexcept
@@ -99,6 +103,7 @@ class PublisherCore {
     sequence_[slot] = sequence;
     address_[slot] = entry.address;
     set(allocated_, slot);
+    kept_back_ += entry.bytes;
     pass(environment, true);
     AGNOCAST_STEP(P11_idle) words.intent_op().store(abi::intent_idle, std::memory_order_release);
     return PublishOutcome::published;
@@ -334,12 +339,13 @@ class PublisherCore {
     refresh_members();
     if (after_commit) {
       ring_sleepers(environment);
-      if (lazy_passes_ < self_.lazy_limit) {
+      if (lazy_passes_ < self_.lazy_limit && kept_back_ <= kept_back_max) {
         ++lazy_passes_;
         return;
       }
     }
     lazy_passes_ = 0;
+    kept_back_ = 0;
 
     std::uint64_t need = minus_at_least(head_sequence_ + 1, history_, 0);
     std::uint64_t past = infinite;
@@ -442,6 +448,7 @@ class PublisherCore {
   std::uint64_t slot_count_;  // N
   std::uint64_t over_ = 0;    // 1: the daemon has freed this publisher's index
   std::uint64_t lazy_passes_ = 0;
+  std::uint64_t kept_back_ = 0;  // bytes published since the last look at links
   std::uint64_t member_high_ = 0;
   Mask allocated_{};
   Mask retired_{};

@@ -9,6 +9,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <optional>
 #include <utility>
 
 namespace agnocast {
@@ -46,12 +47,13 @@ bool is_over(Clock::time_point deadline) noexcept {
   return deadline != Clock::time_point::max() && Clock::now() >= deadline;
 }
 
-/// Until `deadline`, rounded up so that a sleep does not end just before it.
-std::chrono::milliseconds time_until(Clock::time_point deadline) noexcept {
-  if (deadline == Clock::time_point::max()) return ExecutorCore::sleep_max;
+/// Until `deadline`, rounded up so that a sleep does not end just before it; none where the executor's
+/// own tick comes first.
+std::optional<std::chrono::milliseconds> time_until(Clock::time_point deadline) noexcept {
+  if (deadline == Clock::time_point::max()) return std::nullopt;
   const Clock::time_point now = Clock::now();
   if (deadline <= now) return std::chrono::milliseconds(0);
-  if (deadline - now >= ExecutorCore::sleep_max) return ExecutorCore::sleep_max;
+  if (deadline - now >= SleepTick::period) return std::nullopt;
   return std::chrono::ceil<std::chrono::milliseconds>(deadline - now);
 }
 

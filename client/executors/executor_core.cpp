@@ -24,12 +24,15 @@ Result<std::unique_ptr<ExecutorCore>> ExecutorCore::make() {
   UniqueFd epoll(::epoll_create1(EPOLL_CLOEXEC));
   UniqueFd wake(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
   if (!epoll || !wake) return fail(Errc::os_failure, "preparing an executor", errno);
+  auto tick = SleepTick::in(epoll.get(), eventfd_tag);
+  if (!tick) return tl::unexpected<Failure>(tick.error());
   epoll_event event{};
   event.events = EPOLLIN | EPOLLET;
   event.data.u64 = eventfd_tag;
   if (::epoll_ctl(epoll.get(), EPOLL_CTL_ADD, wake.get(), &event) != 0)
     return fail(Errc::os_failure, "preparing an executor", errno);
-  return std::unique_ptr<ExecutorCore>(new ExecutorCore(std::move(epoll), std::move(wake)));
+  return std::unique_ptr<ExecutorCore>(
+      new ExecutorCore(std::move(epoll), std::move(wake), std::move(*tick)));
 }
 
 ExecutorCore::~ExecutorCore() = default;
@@ -62,22 +65,22 @@ void ExecutorCore::cancel() noexcept {
 void ExecutorCore::begin_turn() {
   next_ = 0;
   const std::lock_guard lock(mutex_);
-  if (turn_is_current_ && !has_new_list()) [[likely]]
+  if (is_turn_current()) [[likely]]
     return;
-  turn_is_current_ = false;  // should there be no memory for a whole one
+  turn_is_listed_ = false;  // should there be no memory for a whole one
   turn_.clear();
   for (Hosted& hosted : hosted_) {
     listed_.clear();
     hosted.listed = hosted.node->list(this, listed_);
     for (auto& source : listed_) turn_.push_back({hosted.node, std::move(source)});
   }
-  turn_is_current_ = true;
+  turn_is_listed_ = true;
 }
 
-bool ExecutorCore::has_new_list() const noexcept {
-  return std::any_of(hosted_.begin(), hosted_.end(), [](const Hosted& hosted) {
-    return hosted.node->list_changes() != hosted.listed;
-  });
+bool ExecutorCore::is_turn_current() const noexcept {
+  return turn_is_listed_ && std::all_of(hosted_.begin(), hosted_.end(), [](const Hosted& hosted) {
+           return hosted.node->list_changes() == hosted.listed;
+         });
 }
 
 bool ExecutorCore::run_one_of_turn() {
@@ -85,7 +88,10 @@ bool ExecutorCore::run_one_of_turn() {
     const Turn& entry = turn_[next_++];
     const auto node = entry.node.lock();
     const auto source = entry.source.lock();
-    if (node == nullptr || source == nullptr || !node->run(this, *source)) continue;
+    if (node == nullptr || source == nullptr) continue;
+    // Of one source whose node was woken it is known well enough that it has something.
+    if (turn_.size() > 1 && !source->has_work()) continue;
+    if (!node->run(this, *source)) continue;
     // The callback may have forked, and return in the child.
     if (Result<void> refused = refuse_forked_child(); !refused) throw Error(refused.error());
     return true;
@@ -128,12 +134,14 @@ bool ExecutorCore::prepare() noexcept {
   return true;
 }
 
-void ExecutorCore::sleep(std::chrono::milliseconds timeout) noexcept {
+void ExecutorCore::sleep(std::optional<std::chrono::milliseconds> timeout) noexcept {
   epoll_event events[events_max];
   const int count =
-      ::epoll_wait(epoll_.get(), events, events_max, static_cast<int>(timeout.count()));
+      ::epoll_wait(epoll_.get(), events, events_max, timeout ? static_cast<int>(timeout->count()) : -1);
   const std::lock_guard lock(mutex_);
   for (const Hosted& hosted : hosted_) hosted.node->disarm(this);
+  // Under the lock that is held anyway. A turn that was not over goes on where it was.
+  if (next_ >= turn_.size() && is_turn_current()) next_ = 0;
   for (int i = 0; i < count; ++i) {
     const std::uint64_t tag = events[i].data.u64;
     if (tag == eventfd_tag) continue;

@@ -18,6 +18,7 @@
 #include <agnocast/result.hpp>
 #include <base/unique_fd.hpp>
 #include <client/executors/node_callbacks.hpp>
+#include <client/executors/sleep_tick.hpp>
 
 #include <atomic>
 #include <chrono>
@@ -25,6 +26,7 @@
 #include <cstdint>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -34,10 +36,6 @@ namespace agnocast {
 class ExecutorCore {
  public:
   using Clock = std::chrono::steady_clock;
-
-  // A publisher that dies between commit and ring, with the daemon down as well, rings nobody; so
-  // nobody sleeps longer than this.
-  static constexpr std::chrono::milliseconds sleep_max{1000};
 
   /// Errors: os_failure.
   [[nodiscard]] static Result<std::unique_ptr<ExecutorCore>> make();
@@ -78,9 +76,9 @@ class ExecutorCore {
   bool has_work() const noexcept;
   /// Arms, then looks: true when there is work, and nothing is armed then.
   bool prepare() noexcept;
-  /// Blocks until a bell rings, a wake, or `timeout` is over; then disarms. A `timeout` of 0 takes
-  /// note of what rang and disarms.
-  void sleep(std::chrono::milliseconds timeout) noexcept;
+  /// Blocks until a bell rings, a wake, or `timeout` is over (none: the next tick); then disarms. A
+  /// `timeout` of 0 takes note of what rang and disarms.
+  void sleep(std::optional<std::chrono::milliseconds> timeout) noexcept;
 
  private:
   struct Hosted {
@@ -93,12 +91,12 @@ class ExecutorCore {
     std::weak_ptr<CallbackSource> source;
   };
 
-  ExecutorCore(UniqueFd epoll, UniqueFd wake) noexcept
-      : epoll_(std::move(epoll)), wake_(std::move(wake)) {}
+  ExecutorCore(UniqueFd epoll, UniqueFd wake, SleepTick tick) noexcept
+      : epoll_(std::move(epoll)), wake_(std::move(wake)), tick_(std::move(tick)) {}
   template <class Condition>
   void drop_if(Condition condition) noexcept {
     const std::lock_guard lock(mutex_);
-    turn_is_current_ = false;
+    turn_is_listed_ = false;
     std::erase_if(hosted_, [&](const Hosted& hosted) {
       if (!condition(*hosted.node)) return false;
       hosted.node->sleeper()->remove_from(epoll_.get());
@@ -106,16 +104,17 @@ class ExecutorCore {
     });
   }
   void begin_turn();
-  bool has_new_list() const noexcept;
+  bool is_turn_current() const noexcept;  // under the mutex
   bool run_one_of_turn();
 
   UniqueFd epoll_, wake_;
+  SleepTick tick_;
   std::atomic<bool> cancelled_{false};
   static_assert(std::atomic<bool>::is_always_lock_free, "cancel() is for signal handlers");
   mutable std::mutex mutex_;
   std::vector<Hosted> hosted_;
   std::uint64_t last_tag_ = 0;
-  bool turn_is_current_ = false;  // unless a node says otherwise
+  bool turn_is_listed_ = false;  // current, unless a node says otherwise
 
   std::vector<Turn> turn_;
   std::size_t next_ = 0;

@@ -100,7 +100,6 @@ struct NodeCallbacks::Ending {
 };
 
 bool NodeCallbacks::run(Host host, CallbackSource& source) {
-  if (!source.has_work()) return false;
   {
     const std::lock_guard lock(mutex_);
     if (host_ != host || running_ != nullptr || source.removed_ || stopped_) return false;

@@ -80,7 +80,8 @@ class NodeCallbacks {
   std::uint64_t list_changes() const noexcept { return changes_.load(std::memory_order_acquire); }
   /// False while a former host is still inside a callback.
   bool has_work(Host host) const noexcept;
-  /// At most one callback of `source`; true if there was one. Throws what it throws.
+  /// At most one callback of `source`; true if there was one. Throws what it throws. Takes locks also
+  /// where there is none: who has many sources asks each for its has_work() first.
   bool run(Host host, CallbackSource& source);
   /// Order of a sleep: arm, look, block on the bells, disarm (docs/protocol.md). True when the look
   /// finds work, and then nothing is armed.

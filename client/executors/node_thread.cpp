@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <client/executors/executor_core.hpp>
 #include <client/executors/node_thread.hpp>
 #include <client/forked_child.hpp>
 #include <client/user_code.hpp>
@@ -31,7 +30,7 @@ void run_turn(NodeCallbacks& node, NodeCallbacks::Host self, Turn& turn, bool& a
     const UserCode code;  // goes after the source, which may be what keeps the callback
     if (!code.may_run()) return;
     const auto source = listed.lock();
-    if (source == nullptr) continue;
+    if (source == nullptr || !source->has_work()) continue;
     if (is_forked_child()) return;
     try {
       any = node.run(self, *source) || any;
@@ -60,8 +59,7 @@ void serve(NodeCallbacks& node, int epoll) noexcept {
     }
     if (node.arm_or_find_work(self)) continue;
     epoll_event events[2];
-    const int count =
-        ::epoll_wait(epoll, events, 2, static_cast<int>(ExecutorCore::sleep_max.count()));
+    const int count = ::epoll_wait(epoll, events, 2, -1);
     node.disarm(self);
     for (int i = 0; i < count; ++i) {
       if (events[i].data.u64 == 1) node.drain(self);

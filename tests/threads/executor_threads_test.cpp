@@ -129,7 +129,7 @@ struct Spinner {
     thread = std::thread([this, polls] {
       while (!core->take_cancel()) {
         if (core->run_next()) continue;
-        if (!polls && !core->prepare()) core->sleep(ExecutorCore::sleep_max);
+        if (!polls && !core->prepare()) core->sleep(std::nullopt);
       }
     });
   }

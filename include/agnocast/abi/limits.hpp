@@ -25,6 +25,9 @@ static_assert(ring_count > depth_max + 1 && (ring_count & (ring_count - 1)) == 0
 // hold. 32 B each = 64 KiB.
 inline constexpr std::uint32_t slot_count_max = 2048;
 static_assert(slot_count_max <= 0x10000, "a slot index is 16 bits of the commit word");
+// Publishes in a row that may leave out the look at what may be freed (docs/protocol.md, lazy pass): what
+// they would have freed needs a slot each.
+inline constexpr std::uint32_t lazy_pass_count_max = 32;
 // Slots whose hold bits share the link line; 6 words are what one line has left beside generation
 // and cursor.
 inline constexpr std::uint32_t near_slot_count = 384;
