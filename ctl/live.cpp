@@ -108,13 +108,14 @@ bool Live::run_until(Clock::time_point deadline) {
   is_stopped_ = false;
   for (;;) {
     const bool has_work = executor_->prepare() == Executor::Readiness::work_ready;
+    // Of a far deadline a part: fd() ends each wait once a second anyway.
     auto patience = std::chrono::milliseconds(0);
-    if (!has_work) {
-      const auto left = deadline == for_ever
-                            ? Executor::poll_max
-                            : std::chrono::ceil<std::chrono::milliseconds>(deadline - Clock::now());
-      patience = std::clamp(left, patience, Executor::poll_max);
-    }
+    if (!has_work)
+      patience = deadline == for_ever
+                     ? std::chrono::milliseconds(-1)
+                     : std::clamp<std::chrono::milliseconds>(
+                           std::chrono::ceil<std::chrono::milliseconds>(deadline - Clock::now()),
+                           patience, std::chrono::hours(1));
     pollfd waited[] = {{signals_.get(), POLLIN, 0}, {executor_->fd(), POLLIN, 0}};
     if (::poll(waited, 2, static_cast<int>(patience.count())) > 0 && waited[0].revents != 0)
       return false;

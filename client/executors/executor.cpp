@@ -175,7 +175,9 @@ std::size_t Executor::dispatch() {
   const Spinning spinning(*state_);
   state_->core->sleep(std::chrono::milliseconds(0));
   if (state_->core->take_cancel()) return 0;
-  return state_->core->run_turn(Clock::time_point::max());
+  const std::size_t count = state_->core->run_turn(Clock::time_point::max());
+  state_->core->end_dispatch();
+  return count;
 }
 
 }  // namespace agnocast

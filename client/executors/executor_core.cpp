@@ -126,6 +126,7 @@ bool ExecutorCore::has_work() const noexcept {
 
 bool ExecutorCore::prepare() noexcept {
   const std::lock_guard lock(mutex_);
+  drain_rung();
   const bool work = std::any_of(hosted_.begin(), hosted_.end(), [this](const Hosted& hosted) {
     return hosted.node->arm_or_find_work(this);
   });
@@ -147,7 +148,18 @@ void ExecutorCore::sleep(std::optional<std::chrono::milliseconds> timeout) noexc
     if (tag == eventfd_tag) continue;
     const auto found = std::find_if(hosted_.begin(), hosted_.end(),
                                     [&](const Hosted& hosted) { return hosted.tag == tag; });
-    if (found != hosted_.end()) found->node->drain(this);
+    if (found != hosted_.end()) found->has_rung = true;
+  }
+}
+
+void ExecutorCore::end_dispatch() noexcept {
+  const std::lock_guard lock(mutex_);
+  drain_rung();
+}
+
+void ExecutorCore::drain_rung() noexcept {
+  for (Hosted& hosted : hosted_) {
+    if (std::exchange(hosted.has_rung, false)) hosted.node->drain(this);
   }
 }
 

@@ -74,16 +74,20 @@ class ExecutorCore {
   /// cancel. The number of callbacks. Throws what they throw.
   std::size_t run_turn(Clock::time_point deadline);
   bool has_work() const noexcept;
-  /// Arms, then looks: true when there is work, and nothing is armed then.
+  /// Empties the bells that rang, arms, then looks: true when there is work, and nothing is armed then.
   bool prepare() noexcept;
   /// Blocks until a bell rings, a wake, or `timeout` is over (none: the next tick); then disarms. A
   /// `timeout` of 0 takes note of what rang and disarms.
   void sleep(std::optional<std::chrono::milliseconds> timeout) noexcept;
+  /// For one that may not prepare() before others look at fd(): empties the bells that rang.
+  void end_dispatch() noexcept;
 
  private:
   struct Hosted {
     std::shared_ptr<NodeCallbacks> node;
     std::uint64_t tag;         // of its datagram bell in the epoll set
+    // Its datagram bell is to be emptied before the next sleep: not before the callback that it rang for.
+    bool has_rung = false;
     std::uint64_t listed = 0;  // what its list_changes() were for turn_; 0: it is not in there
   };
   struct Turn {
@@ -104,7 +108,8 @@ class ExecutorCore {
     });
   }
   void begin_turn();
-  bool is_turn_current() const noexcept;  // under the mutex
+  bool is_turn_current() const noexcept;  // under the mutex, as the next
+  void drain_rung() noexcept;
   bool run_one_of_turn();
 
   UniqueFd epoll_, wake_;

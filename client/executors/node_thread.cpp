@@ -8,6 +8,7 @@
 
 #include <cstdint>
 #include <new>
+#include <utility>
 #include <vector>
 
 namespace agnocast {
@@ -47,6 +48,7 @@ void run_turn(NodeCallbacks& node, NodeCallbacks::Host self, Turn& turn, bool& a
 void serve(NodeCallbacks& node, int epoll) noexcept {
   const NodeCallbacks::Host self = &node;
   Turn turn;
+  bool has_rung = false;  // the datagram bell, which is emptied before the next sleep
   while (node.await(self)) {
     try {
       bool any = false;
@@ -57,12 +59,13 @@ void serve(NodeCallbacks& node, int epoll) noexcept {
     } catch (const std::bad_alloc&) {
       // Of the list: what is unread stays unread until there is memory.
     }
+    if (std::exchange(has_rung, false)) node.drain(self);
     if (node.arm_or_find_work(self)) continue;
     epoll_event events[2];
     const int count = ::epoll_wait(epoll, events, 2, -1);
     node.disarm(self);
     for (int i = 0; i < count; ++i) {
-      if (events[i].data.u64 == 1) node.drain(self);
+      if (events[i].data.u64 == 1) has_rung = true;
     }
   }
 }

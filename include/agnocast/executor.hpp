@@ -84,11 +84,9 @@ class AGNOCAST_PUBLIC Executor {
   // --- a loop of one's own, instead of spinning: docs/nodes.md has the loop
 
   enum class Readiness { work_ready, armed };
-  /// A poll() on a prepared executor shall not last longer: the one case in which nobody rings is a
-  /// publisher that dies between committing and ringing while the daemon is down as well.
-  static constexpr std::chrono::milliseconds poll_max{1000};
   /// For poll(), select() or an epoll set, to be read: readable when something came after prepare()
-  /// has said `armed`. Never read from it. The same for the executor's life.
+  /// has said `armed`, and once a second (nobody rings for a publisher that dies between committing
+  /// and ringing while the daemon is down as well). Never read from it. The same for the executor's life.
   int fd() const noexcept;
   /// `work_ready`: call dispatch(). `armed`: nothing to do now; wait for fd(), then call dispatch().
   Readiness prepare() noexcept;
