@@ -94,11 +94,8 @@ bool PeerHeap::shows(std::uint64_t window) const noexcept {
 }
 
 dataplane::Place PeerHeap::place_of(std::uint64_t address, std::uint64_t size, std::uint64_t count,
-                                    Unannounced others) const noexcept {
+                                    Unannounced others, Range* open) const noexcept {
   using dataplane::Place;
-  const auto opened = [](const Window& window) {
-    return window.opened.load(std::memory_order_acquire);
-  };
   std::uint64_t found = 0;
   while (found < count && address - windows_[found].base >= windows_[found].length) ++found;
   // The message, or what it points to, may lie in the next one.
@@ -110,9 +107,10 @@ dataplane::Place PeerHeap::place_of(std::uint64_t address, std::uint64_t size, s
   for (std::uint64_t i = window.first; i < count && windows_[i].first == window.first; ++i) {
     if (windows_[i].is_closed.load(std::memory_order_acquire)) return Place::unreachable;
   }
-  const std::uint64_t offset = address - window.base;
-  return size <= opened(window) && offset <= opened(window) - size ? Place::readable
-                                                                   : Place::outside;
+  const Range range{window.base, window.opened.load(std::memory_order_acquire)};
+  if (!range.has(address, size)) return Place::outside;
+  if (open != nullptr) *open = range;
+  return Place::readable;
 }
 
 }  // namespace agnocast

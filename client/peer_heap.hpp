@@ -59,10 +59,17 @@ class PeerHeap {
   /// Makes accessible what the owner has put to use since the last call; how many windows it has
   /// looked at: one that is added meanwhile has not been opened. A system call only after growth.
   std::uint64_t open() noexcept;
+  struct Range {
+    std::uint64_t base = 0;
+    std::uint64_t bytes = 0;
+    bool has(std::uint64_t address, std::uint64_t size) const noexcept {
+      return size <= bytes && address - base <= bytes - size;
+    }
+  };
   /// Whether a message at [address, address + size) can be read, with all it points to, when `count`
-  /// windows have been opened. Any values.
+  /// windows have been opened. Any values. `open`: what of its window is, if it can.
   dataplane::Place place_of(std::uint64_t address, std::uint64_t size, std::uint64_t count,
-                            Unannounced others) const noexcept;
+                            Unannounced others, Range* open = nullptr) const noexcept;
   /// Of the first window; 0: it has none.
   std::uint64_t first_address() const noexcept {
     return window_count() != 0 ? windows_[0].base : 0;
@@ -88,21 +95,41 @@ class PeerHeap {
   std::atomic<std::uint64_t> count_{0};
 };
 
-/// One take's look at a heap (the Windows of dataplane::LinkCore). A message is handed out only when
+/// A take's look at a heap (the Windows of dataplane::LinkCore). A message is handed out only when
 /// everything that it may point to is open; until then it stays unread. A header that lies about
 /// windows delays only the liar's own messages, and those not after its end.
+///
+/// What was committed up to one head lies in what was shown and in use by then, so takes behind the
+/// same look at the head need one look here, and ask about each window once.
 class HeapLook {
  public:
-  HeapLook(PeerHeap& heap, Unannounced others) noexcept : heap_(heap), others_(others) {}
-  void open() noexcept { count_ = heap_.open(); }
-  dataplane::Place place_of(std::uint64_t address, std::uint64_t size) const noexcept {
-    return heap_.place_of(address, size, count_, others_);
+  /// `head`: where the takes have theirs. Without one it is for a single take.
+  HeapLook(PeerHeap& heap, Unannounced others, const std::uint64_t& head = no_head) noexcept
+      : heap_(heap), others_(others), head_(head) {}
+  /// For the takes that follow.
+  void expect(Unannounced others) noexcept { others_ = others; }
+  void open() noexcept {
+    if (head_ == opened_for_) return;
+    readable_ = {};
+    count_ = heap_.open();
+    opened_for_ = head_;
+  }
+  dataplane::Place place_of(std::uint64_t address, std::uint64_t size) noexcept {
+    if (readable_.has(address, size)) return dataplane::Place::readable;
+    const dataplane::Place place = heap_.place_of(address, size, count_, others_, &readable_);
+    // Otherwise the next take has to look: what is missing may be there by then.
+    if (place != dataplane::Place::readable) opened_for_ = nothing;
+    return place;
   }
 
  private:
+  static constexpr std::uint64_t no_head = 0, nothing = ~std::uint64_t{0};
   PeerHeap& heap_;
-  const Unannounced others_;
+  Unannounced others_;
+  const std::uint64_t& head_;
+  std::uint64_t opened_for_ = nothing;
   std::uint64_t count_ = 0;
+  PeerHeap::Range readable_;
 };
 
 }  // namespace agnocast

@@ -38,41 +38,53 @@ void end_block(detail::Block* last) noexcept {
   const Received received = std::move(own->received);
   own->users.store(1, std::memory_order_relaxed);
   Context::instance().release(received);
-  if (!received.link->keep(own)) delete own;
+  received.link->keep(own);
 }
 
+// Received messages, chained in order.
 class BlockReceiver final : public Receiver {
  public:
-  BlockReceiver() noexcept = default;
+  explicit BlockReceiver(std::size_t wanted) noexcept : Receiver(wanted) {}
   BlockReceiver(const BlockReceiver&) = delete;
   BlockReceiver& operator=(const BlockReceiver&) = delete;
   ~BlockReceiver() { delete block_; }
   Received* place(Link& link) noexcept override {
-    if (block_ == nullptr) block_ = link.spare();
+    finish_last();
+    if (block_ == nullptr) block_ = static_cast<ReceivedBlock*>(link.spare());
     if (block_ == nullptr) block_ = new (std::nothrow) ReceivedBlock;
     return block_ != nullptr ? &block_->received : nullptr;
   }
-  ReceivedBlock* take_out() noexcept { return std::exchange(block_, nullptr); }
+  detail::Block* take_out() noexcept {
+    finish_last();
+    return chain_;
+  }
 
  private:
-  ReceivedBlock* block_ = nullptr;
+  void finish_last() noexcept {
+    if (block_ == nullptr || block_->received.link == nullptr) return;
+    const dataplane::Taken& taken = block_->received.taken;
+    const Link& link = *block_->received.link;
+    block_->message.store(reinterpret_cast<void*>(taken.address), std::memory_order_relaxed);
+    block_->end = end_block;
+    block_->info.sequence = taken.sequence - link.first_sequence();
+    block_->info.publisher = link.generation();
+    block_->info.publish_time_ns = taken.stamp_ns;
+    block_->info.object_bytes = taken.size;
+    *end_ = block_;
+    end_ = &block_->next;
+    block_ = nullptr;
+  }
+
+  ReceivedBlock* block_ = nullptr;  // placed last
+  detail::Block* chain_ = nullptr;
+  detail::Block** end_ = &chain_;
 };
 
-/// A received message as a Block, or null when there is none (or no memory for it: then it stays
-/// unread).
-detail::Block* take_block(SubscriptionEndpoint& subscription) noexcept {
-  BlockReceiver receiver;
-  if (!subscription.take(receiver)) return nullptr;
-  ReceivedBlock* const block = receiver.take_out();
-  const dataplane::Taken& taken = block->received.taken;
-  const Link& link = *block->received.link;
-  block->message.store(reinterpret_cast<void*>(taken.address), std::memory_order_relaxed);
-  block->end = end_block;
-  block->info.sequence = taken.sequence - link.first_sequence();
-  block->info.publisher = link.generation();
-  block->info.publish_time_ns = taken.stamp_ns;
-  block->info.object_bytes = taken.size;
-  return block;
+/// Up to `wanted` (not 0) received messages as a chain of Blocks, or null when there is none (or no
+/// memory for it: then it stays unread).
+detail::Block* take_blocks(SubscriptionEndpoint& subscription, std::size_t wanted) noexcept {
+  BlockReceiver receiver(wanted);
+  return subscription.take(receiver) ? receiver.take_out() : nullptr;
 }
 
 class SubscriptionSource final : public CallbackSource {
@@ -90,7 +102,7 @@ class SubscriptionSource final : public CallbackSource {
   bool run_one() override {
     if (endpoint_->events().run_one(events_)) return true;
     if (callback_ == nullptr) return false;
-    detail::Block* const block = take_block(*endpoint_);
+    detail::Block* const block = take_blocks(*endpoint_, 1);
     if (block == nullptr) return false;
     callback_(block);
     return true;
@@ -164,8 +176,8 @@ bool UntypedSubscription::is_own() const noexcept { return is_served(); }
 bool UntypedSubscription::is_active() const noexcept {
   return endpoint_ != nullptr && !is_revoked();
 }
-Block* UntypedSubscription::take() noexcept {
-  return endpoint_ != nullptr ? take_block(*endpoint_) : nullptr;
+Block* UntypedSubscription::take(std::size_t count) noexcept {
+  return endpoint_ != nullptr && count != 0 ? take_blocks(*endpoint_, count) : nullptr;
 }
 std::uint64_t UntypedSubscription::lost() const noexcept {
   return endpoint_ != nullptr ? endpoint_->lost() : 0;

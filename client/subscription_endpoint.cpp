@@ -17,7 +17,11 @@ constexpr std::uint64_t gone_unread_max = 64;
 
 }  // namespace
 
-Link::~Link() { delete spare_.load(std::memory_order_acquire); }
+Link::~Link() {
+  for (detail::Block* chain : {kept_.load(std::memory_order_acquire), spares_}) {
+    while (chain != nullptr) delete static_cast<ReceivedBlock*>(std::exchange(chain, chain->next));
+  }
+}
 
 SubscriptionEndpoint::SubscriptionEndpoint(const Identity& identity,
                                            std::shared_ptr<Sleeper> sleeper)
@@ -139,8 +143,7 @@ const std::shared_ptr<Link>* SubscriptionEndpoint::oldest() const noexcept {
   const std::shared_ptr<Link>* best = nullptr;
   std::uint64_t best_stamp = 0;
   for (const auto& link : links_) {
-    if (!can_take(*link)) continue;
-    const auto stamp = link->core_.next_stamp();
+    const auto stamp = link->next_stamp_;
     if (!stamp || (best != nullptr && *stamp >= best_stamp)) continue;
     best = &link;
     best_stamp = *stamp;
@@ -216,48 +219,73 @@ bool SubscriptionEndpoint::can_take(const Link& link) const noexcept {
           link.peer().heap().window_count() != link.windows_seen_);
 }
 
+void SubscriptionEndpoint::look_at(Link& link) const noexcept {
+  link.head_ = link.core_.look();
+  see_next(link);
+}
+void SubscriptionEndpoint::see_next(Link& link) const noexcept {
+  link.next_stamp_ = can_take(link) ? link.core_.next_stamp(link.head_) : std::nullopt;
+}
+
 // Of one publisher nothing has to be compared, and most takes that find nothing end here.
 inline bool SubscriptionEndpoint::take_here(Receiver& receiver) noexcept {
   if (!may_take()) return false;
   if (links_.size() != 1) return take_oldest(receiver);
   const std::shared_ptr<Link>& link = links_.front();
   if (!link->core_.has_news() || !can_take(*link)) return false;
-  return take_from(link, receiver) == Attempt::taken;
+  link->head_ = link->core_.look();
+  return take_from(link, receiver, receiver.wanted()) == Attempt::taken;
 }
 
 bool SubscriptionEndpoint::take_oldest(Receiver& receiver) noexcept {
   drop_beyond_depth();
-  // A link whose candidate was gone when looked at closely is asked again; each round loses or
-  // takes something.
-  for (std::size_t round = 0; round <= links_.size(); ++round) {
+  for (const auto& link : links_) look_at(*link);
+  bool has_taken = false;
+  // A link whose candidate was gone when looked at closely is asked again.
+  for (std::size_t lost = 0; lost <= links_.size();) {
     const std::shared_ptr<Link>* const link = oldest();
-    if (link == nullptr) return false;
-    const Attempt attempt = take_from(*link, receiver);
-    if (attempt != Attempt::lost) return attempt == Attempt::taken;
+    if (link == nullptr) break;
+    const Attempt attempt = take_from(*link, receiver, 1);
+    if (attempt == Attempt::no_room) break;
+    if (attempt == Attempt::lost) {
+      ++lost;
+      look_at(**link);
+      continue;
+    }
+    has_taken = true;
+    if (receiver.wanted() == 0) break;
+    see_next(**link);
   }
-  return false;
+  return has_taken;
 }
 
+/// By the look at the link that was had. `taken`: at least one, `most` at most.
 SubscriptionEndpoint::Attempt SubscriptionEndpoint::take_from(const std::shared_ptr<Link>& link,
-                                                              Receiver& receiver) noexcept {
-  Received* const place = receiver.place(*link);
-  if (place == nullptr) return Attempt::no_room;
-  link->windows_seen_ = link->peer().heap().window_count();
-  HeapLook windows(link->peer().heap(), link->is_orphaned_ ? Unannounced::ignored
-                                        : is_alone_        ? Unannounced::lost
-                                                           : Unannounced::awaited);
-  const auto taken = link->core_.take(windows);
-  note_losses(*link);
-  if (!taken) {
-    if (link->ceased_ && !link->core_.has_news()) events_->drained();
-    return Attempt::lost;
-  }
-  link->held_.fetch_add(1, std::memory_order_relaxed);
-  // The last message of a publisher that is gone: its release is what the control thread waits for.
-  if (link->core_.drained()) link->closing_.store(true, std::memory_order_release);
-  place->taken = *taken;
-  place->link = link;
-  return Attempt::taken;
+                                                              Receiver& receiver,
+                                                              std::size_t most) noexcept {
+  Attempt attempt = Attempt::lost;
+  do {
+    Received* const place = receiver.place(*link);
+    if (place == nullptr) return attempt == Attempt::taken ? attempt : Attempt::no_room;
+    link->windows_seen_ = link->peer().heap().window_count();
+    link->windows_.expect(link->is_orphaned_ ? Unannounced::ignored
+                          : is_alone_        ? Unannounced::lost
+                                             : Unannounced::awaited);
+    const auto taken = link->core_.take(link->windows_, link->head_);
+    note_losses(*link);
+    if (!taken) {
+      if (link->ceased_ && !link->core_.has_news()) events_->drained();
+      return attempt;
+    }
+    link->held_.fetch_add(1, std::memory_order_relaxed);
+    // The last message of a publisher that is gone: its release is what the control thread waits for.
+    if (link->core_.drained()) link->closing_.store(true, std::memory_order_release);
+    place->taken = *taken;
+    place->link = link;
+    receiver.took();
+    attempt = Attempt::taken;
+  } while (--most != 0 && link->core_.has_news(link->head_) && can_take(*link));
+  return attempt;
 }
 
 bool SubscriptionEndpoint::has_news() const noexcept {
@@ -397,8 +425,8 @@ SubscriptionEndpoint::Candidate SubscriptionEndpoint::oldest_in_order() noexcept
     }
     of.drop_beyond_depth();
     for (const auto& link : of.links_) {
-      if (!of.can_take(*link)) continue;
-      const auto stamp = link->core_.next_stamp();
+      of.look_at(*link);
+      const auto stamp = link->next_stamp_;
       if (!stamp || (best.link != nullptr && *stamp > best.stamp) || is_held_back(*link, age))
         continue;
       best = {&of, &link, *stamp};
@@ -409,15 +437,17 @@ SubscriptionEndpoint::Candidate SubscriptionEndpoint::oldest_in_order() noexcept
 
 bool SubscriptionEndpoint::take_in_order(Receiver& receiver) noexcept {
   return with_successors_locked([&] {
-    // Each round takes, loses or passes over something. Were a publisher faster than that, the next
-    // call would go on.
+    bool has_taken = false;
+    // Each round takes, loses or passes over something. Were a publisher faster than that, or is more
+    // wanted, the next call goes on.
     for (std::uint64_t round = 0; round < 2 * abi::ring_count; ++round) {
       Candidate next = oldest_in_order();
-      if (next.link == nullptr) return false;
-      const Attempt attempt = next.of->take_from(*next.link, receiver);
-      if (attempt != Attempt::lost) return attempt == Attempt::taken;
+      if (next.link == nullptr) break;
+      const Attempt attempt = next.of->take_from(*next.link, receiver, 1);
+      has_taken |= attempt == Attempt::taken;
+      if (attempt == Attempt::no_room || receiver.wanted() == 0) break;
     }
-    return false;
+    return has_taken;
   });
 }
 

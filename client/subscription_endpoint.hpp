@@ -25,16 +25,16 @@
 #include <journal/announce_set.hpp>
 
 #include <atomic>
+#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <utility>
 #include <vector>
 
 namespace agnocast {
-
-struct ReceivedBlock;
 
 /// One subscription towards one publisher. Shared by the subscription and by every message it
 /// holds.
@@ -80,19 +80,24 @@ class Link {
   void wake_control() const noexcept {
     if (wake_control_) wake_control_();
   }
-  /// A control block that was kept, or null. Under the subscription's mutex: nobody else takes one out.
-  ReceivedBlock* spare() noexcept {
-    ReceivedBlock* const kept = spare_.load(std::memory_order_acquire);
-    if (kept != nullptr) spare_.store(nullptr, std::memory_order_relaxed);
-    return kept;
+  /// A ReceivedBlock that was kept, or null. Under the subscription's mutex: nobody else takes any out.
+  detail::Block* spare() noexcept {
+    if (spares_ == nullptr) {
+      // The newest stays. Behind it nobody writes but who takes out, which so needs no locked
+      // instruction.
+      detail::Block* const newest = kept_.load(std::memory_order_acquire);
+      if (newest != nullptr) spares_ = std::exchange(newest->next, nullptr);
+    }
+    if (spares_ == nullptr) return nullptr;
+    return std::exchange(spares_, std::exchange(spares_->next, nullptr));
   }
-  /// Of a message that was released: one is kept for the next, so whoever holds one at a time allocates
-  /// none. Any thread. False: there is one.
-  bool keep(ReceivedBlock* block) noexcept {
-    ReceivedBlock* none = nullptr;
-    return spare_.load(std::memory_order_relaxed) == nullptr &&
-           spare_.compare_exchange_strong(none, block, std::memory_order_release,
-                                          std::memory_order_relaxed);
+  /// Of a message that was released, for the next one. As many are kept as were held at once, and one:
+  /// whoever holds no more than before allocates none. Any thread.
+  void keep(detail::Block* block) noexcept {
+    block->next = kept_.load(std::memory_order_relaxed);
+    while (!kept_.compare_exchange_weak(block->next, block, std::memory_order_release,
+                                        std::memory_order_relaxed)) {
+    }
   }
   bool keeps_history() const noexcept { return identity_.offered.transient_local; }
   std::uint64_t held_count() const noexcept { return held_.load(std::memory_order_acquire); }
@@ -123,7 +128,12 @@ class Link {
   std::uint64_t lost_noted_ = 0, malformed_noted_ = 0, unreachable_noted_ = 0;
   std::atomic<std::uint64_t> held_{0};
   std::atomic<bool> closing_{false};
-  std::atomic<ReceivedBlock*> spare_{nullptr};
+  // Of the look by which is being taken.
+  std::uint64_t head_ = 0;
+  HeapLook windows_{peer_->heap(), Unannounced::awaited, head_};
+  std::optional<std::uint64_t> next_stamp_;  // of what would be taken next
+  std::atomic<detail::Block*> kept_{nullptr};
+  detail::Block* spares_ = nullptr;
   bool ceased_ = false;     // the publisher adds nothing any more
   bool continues_ = false;  // it had a queue of the same publisher before
   // The daemon has said so, and before that it announced each window that the publisher had by then.
@@ -145,12 +155,20 @@ struct ReceivedBlock : detail::Block {
 /// Where a take puts what it takes.
 class Receiver {
  public:
-  /// Called once there is something to take, and before it is; it may turn out to be lost. Null: there
-  /// is no memory, and it stays unread. Under the subscription's mutex: it must not come back to it.
+  /// Called once there is something to take, and before it is. If it turns out to be lost, what was
+  /// placed stays without a link. Null: there is no memory, and it stays unread. Under the
+  /// subscription's mutex: it must not come back to it.
   virtual Received* place(Link& link) noexcept = 0;
+  std::size_t wanted() const noexcept { return wanted_; }
+  /// What was placed last is taken.
+  void took() noexcept { --wanted_; }
 
  protected:
+  explicit Receiver(std::size_t wanted = 1) noexcept : wanted_(wanted) {}
   ~Receiver() = default;
+
+ private:
+  std::size_t wanted_;  // messages
 };
 
 class Context;
@@ -212,9 +230,10 @@ class SubscriptionEndpoint {
   // --- user threads
   // --------------------------------------------------------------------------------------------------------------
 
-  /// The oldest unread message over all publishers (per publisher in order; between publishers by
-  /// stamp), or nothing. Counts what falls out of the subscription's depth as lost. No system call
-  /// except after a publisher's heap has grown. True: `receiver` has it.
+  /// The oldest unread messages over all publishers (per publisher in order; between publishers by
+  /// stamp), as many as `receiver` wants. All by one look at the publishers: what comes meanwhile is for
+  /// the next call. Counts what falls out of the subscription's depth as lost. No system call except
+  /// after a publisher's heap has grown. True: `receiver` has at least one.
   bool take(Receiver& receiver) noexcept;
   /// The subscription takes no more.
   void close() noexcept;
@@ -274,11 +293,13 @@ class SubscriptionEndpoint {
   bool take_here(Receiver& receiver) noexcept;
   // Apart, so that a take that finds nothing saves no registers for them.
   [[gnu::noinline]] bool take_oldest(Receiver& receiver) noexcept;
-  [[gnu::noinline]] Attempt take_from(const std::shared_ptr<Link>& link,
-                                      Receiver& receiver) noexcept;
+  [[gnu::noinline, gnu::flatten]] Attempt take_from(const std::shared_ptr<Link>& link,
+                                                    Receiver& receiver, std::size_t most) noexcept;
   [[gnu::noinline]] bool take_in_order(Receiver& receiver) noexcept;
   bool may_take() const noexcept;
   bool can_take(const Link& link) const noexcept;
+  void look_at(Link& link) const noexcept;
+  void see_next(Link& link) const noexcept;
   bool has_news_here() const noexcept;
   bool has_news_in_order() const noexcept;
   // Memberships by age: 0 is this one, its successors follow.

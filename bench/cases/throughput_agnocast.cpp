@@ -6,6 +6,7 @@
 //   agnocast-executor   SingleThreadedExecutor: sleeps when there is nothing
 //   agnocast-spinning   SpinningExecutor of default budget: looks for a while, then sleeps
 //   agnocast-take       take() in a loop that never sleeps
+//   agnocast-batch      likewise, but take_batch() of up to 16
 
 #include <bench/cases/throughput.hpp>
 #include <bench/services.hpp>
@@ -80,16 +81,23 @@ class ExecutorReceiver final : public Receiver {
   typename Subscription<T>::SharedPtr subscription_;
 };
 
-template <class T>
-class TakeReceiver final : public Receiver {
+template <class T, std::size_t at_once>
+class PollingReceiver final : public Receiver {
  public:
-  explicit TakeReceiver(const Carriage& carriage)
+  explicit PollingReceiver(const Carriage& carriage)
       : node_(node_name("receiver")),
         subscription_(node_.create_subscription<T>(carriage.topic, QoS(carriage.depth))) {}
   void run(const OnMessage& on_message) override {
     while (!is_stopped_.load(std::memory_order_relaxed)) {
-      while (const auto message = subscription_->take())
-        on_message(message->bytes, sizeof message->bytes);
+      if constexpr (at_once == 1) {
+        while (const auto message = subscription_->take())
+          on_message(message->bytes, sizeof message->bytes);
+      } else {
+        ipc_shared_ptr<const T> messages[at_once];
+        const std::size_t count = subscription_->take_batch(messages, at_once);
+        for (std::size_t i = 0; i < count; ++i)
+          on_message(messages[i]->bytes, sizeof messages[i]->bytes);
+      }
     }
   }
   void stop() override { is_stopped_ = true; }
@@ -104,6 +112,10 @@ template <class T>
 using SingleThreaded = ExecutorReceiver<T, SingleThreadedExecutor>;
 template <class T>
 using Spinning = ExecutorReceiver<T, SpinningExecutor>;
+template <class T>
+using Taking = PollingReceiver<T, 1>;
+template <class T>
+using TakingBatches = PollingReceiver<T, 16>;
 
 // The type that is as long as the payload.
 template <class Side, template <class> class Kind>
@@ -135,7 +147,8 @@ std::vector<System> agnocast_systems() {
       agnocast_system<SingleThreaded>("agnocast-executor", "SingleThreadedExecutor", false),
       agnocast_system<Spinning>("agnocast-spinning", "SpinningExecutor, which sleeps in the end",
                                 false),
-      agnocast_system<TakeReceiver>("agnocast-take", "take() again and again", true),
+      agnocast_system<Taking>("agnocast-take", "take() again and again", true),
+      agnocast_system<TakingBatches>("agnocast-batch", "take_batch() of 16 again and again", true),
   };
 }
 

@@ -87,12 +87,25 @@ class LinkCore {
   /// whether a message there can be read.
   template <class Windows>
   std::optional<Taken> take(Windows& windows) noexcept {
+    std::uint64_t head = look();
+    return take(windows, head);
+  }
+
+  /// The look at the publisher by which several messages can be taken: its head.
+  std::uint64_t look() noexcept {
+    const std::uint64_t head = newest();
+    pass_over_history(abi::sequence_of(head));
+    return head;
+  }
+  /// take() behind a look that was had before: each is a take that was slow between T1 and T2. Where
+  /// the publisher was faster it looks again, and `head` is the newer look.
+  template <class Windows>
+  std::optional<Taken> take(Windows& windows, std::uint64_t& head) noexcept {
     const std::uint64_t stored_cursor = cursor_;
     awaiting_ = 0;
     for (std::uint64_t round = 0; round < 2 * M::ring_count(); ++round) {
-      const std::uint64_t head = newest();
+      if (round != 0) head = look();
       const std::uint64_t newest_sequence = abi::sequence_of(head);
-      pass_over_history(newest_sequence);
       if (newest_sequence < cursor_) break;
       std::uint64_t wanted = cursor_;
       AGNOCAST_STEP(T1_window)
@@ -165,8 +178,9 @@ class LinkCore {
   }
   /// Stamp of the message that take() would try next, if there is one. Orders the links of a
   /// subscription; a hint, unvalidated.
-  std::optional<std::uint64_t> next_stamp() const noexcept {
-    const std::uint64_t head = newest();
+  std::optional<std::uint64_t> next_stamp() const noexcept { return next_stamp(newest()); }
+  /// By the look that was had.
+  std::optional<std::uint64_t> next_stamp(std::uint64_t head) const noexcept {
     const std::uint64_t newest_sequence = abi::sequence_of(head);
     if (newest_sequence < cursor_) return std::nullopt;
     const std::uint64_t wanted =
@@ -212,7 +226,9 @@ class LinkCore {
   void want_history(std::uint64_t count) noexcept { history_wanted_ = count; }
 
   /// S3: is there anything to take? Called between S2 and the sleep.
-  bool has_news() const noexcept { return abi::sequence_of(newest()) >= cursor_; }
+  bool has_news() const noexcept { return has_news(newest()); }
+  /// By the look that was had.
+  bool has_news(std::uint64_t head) const noexcept { return abi::sequence_of(head) >= cursor_; }
 
   /// Something was committed here, ever.
   bool has_begun() const noexcept { return abi::sequence_of(newest()) > self_.first_sequence; }

@@ -270,6 +270,13 @@ class GenericSubscription : public SubscriptionBase {
   GenericMessage take() noexcept {
     return {ipc_shared_ptr<const std::byte>(untyped().take()), members_};
   }
+  /// See Subscription::take_batch.
+  std::size_t take_batch(GenericMessage* messages, std::size_t count) noexcept {
+    for (std::size_t i = 0; i < count; ++i) messages[i] = {};
+    return detail::hand_out(untyped().take(count), [&](std::size_t i, detail::Block* block) {
+      messages[i] = {ipc_shared_ptr<const std::byte>(block), members_};
+    });
+  }
   /// Null if it was created for a TypeIdentity alone.
   const MessageMembers* members() const noexcept { return members_; }
 

@@ -35,6 +35,7 @@ struct Block {
   std::atomic<void*> message{nullptr};           // null: published or given back
   void (*end)(Block* block) noexcept = nullptr;  // the last copy is gone; deletes the block
   const void* origin = nullptr;                  // the publisher that lent it; null: received
+  Block* next = nullptr;                         // while several are handed over, or it is unused
   MessageInfo info;
 };
 

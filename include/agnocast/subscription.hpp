@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Subscription: messages by callback, by take(), or only ever the newest (PollingSubscriber). A received message is read-only memory of its
-// publisher, valid as long as it is held: also after the subscription, its node or the publisher's
-// process are gone.
+// Subscription: messages by callback, by take() or take_batch(), or only ever the newest
+// (PollingSubscriber). A received message is read-only memory of its publisher, valid as long as it is
+// held: also after the subscription, its node or the publisher's process are gone.
 #pragma once
 
 #include <agnocast/events.hpp>
@@ -74,8 +74,8 @@ class AGNOCAST_PUBLIC UntypedSubscription {
                std::chrono::steady_clock::time_point::max()) noexcept;
   /// False in a forked child: then no lock may be taken, it may be held for ever.
   bool is_own() const noexcept;
-  /// The oldest unread message, or null.
-  Block* take() noexcept;
+  /// The oldest unread messages, at most `count`, chained in order by Block::next; null: none.
+  Block* take(std::size_t count = 1) noexcept;
   std::uint64_t lost() const noexcept;
   std::size_t publisher_count() const noexcept;
   std::uint64_t callback_exception_count() const noexcept;
@@ -140,6 +140,17 @@ UntypedSubscription::Callback erase(Callback&& callback) {
   };
 }
 
+/// Gives the messages of a chain away one by one, as give(number, block). How many.
+template <class Give>
+std::size_t hand_out(Block* chain, Give give) noexcept {
+  std::size_t count = 0;
+  while (chain != nullptr) {
+    Block* const block = std::exchange(chain, chain->next);  // afterwards it is another's
+    give(count++, block);
+  }
+  return count;
+}
+
 }  // namespace detail
 
 /// What all subscriptions can say. Any thread may call anything.
@@ -192,6 +203,26 @@ class Subscription : public SubscriptionBase {
   /// The oldest unread message, or an empty pointer. No system call, except after a publisher's
   /// heap has grown. Not for one with a callback.
   ipc_shared_ptr<const T> take() noexcept { return ipc_shared_ptr<const T>(untyped().take()); }
+
+  /// The oldest unread messages, at most `count` of them, into messages[0], messages[1] …; how many.
+  /// They are those that as many calls of take() would have given, in the same order: of each
+  /// publisher as it published them, between publishers by the time of publishing. What is published
+  /// during the call is for the next one.
+  ///
+  /// What the array holds before, all `count` of it, is let go of first, so the same array can be used
+  /// again and again; behind the last message it is empty. Each message is held by itself, like one of
+  /// take(), with its MessageInfo and as one of the hold quota: what is beyond that (64 of a publisher
+  /// by default) stays unread. 0 is no error: there is nothing, as with take().
+  ///
+  /// The subscription is locked and its publishers are looked at once for all of them, so a message
+  /// costs about half of a take(). Memory and system calls as there. Other calls of this subscription
+  /// in other threads wait meanwhile: `count` bounds that. Not for one with a callback.
+  std::size_t take_batch(ipc_shared_ptr<const T>* messages, std::size_t count) noexcept {
+    for (std::size_t i = 0; i < count; ++i) messages[i].reset();
+    return detail::hand_out(untyped().take(count), [&](std::size_t i, detail::Block* block) {
+      messages[i] = ipc_shared_ptr<const T>(block);
+    });
+  }
 };
 
 /// A subscription without a callback. Beside take() it has the habit of Autoware's polling

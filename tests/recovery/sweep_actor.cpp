@@ -11,7 +11,7 @@
 //   borrow ID · commit ID               a loan stays open; it is filled and published → as publish
 //   later ID COUNT · done ID COUNT      12 MiB each, in a thread of its own; → ok when it waits for a window or is through,
 //                                       → as publish
-//   take ID → none | PUBLISHER:NUMBER, held · drain ID → all of them, not held · heard ID → what the callback got
+//   take ID → none | PUBLISHER:NUMBER, held · drain ID → all of them, by batches, not held · heard ID → what the callback got
 //   release → ok | nothing             the oldest that is held, looked at once more
 //   drop → ok | nothing                 likewise, not looked at
 //   island → why this process is one, when it is
@@ -185,7 +185,12 @@ class Actor {
   }
   std::string drain(std::uint64_t id) {
     std::string names;
-    while (const Message message = subscriptions_.at(id)->take()) names += report(*message) + " ";
+    std::array<Message, 3> batch;
+    while (subscriptions_.at(id)->take_batch(batch.data(), batch.size()) != 0) {
+      for (const Message& message : batch) {
+        if (message) names += report(*message) + " ";
+      }
+    }
     return names;
   }
   std::string release() {

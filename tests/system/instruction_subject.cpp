@@ -14,13 +14,15 @@
 
 #include <cstdint>
 #include <cstdio>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
 namespace agnocast::test {
 namespace {
 
-constexpr int warm_turns = 300, counted_turns = 1000;  // as in instruction_test.cpp
+constexpr int warm_turns = 320, counted_turns = 1024;  // as in instruction_test.cpp
+constexpr int batch = 16;                              // turns are multiples of it
 
 struct Node {
   const char* get_name() const { return "counted"; }
@@ -41,7 +43,7 @@ class Counting {
       : topic_("/counted" + std::to_string(subscriptions)),
         publisher_(create_publisher<Sheaf>(node_, topic_, QoS(1))) {
     for (std::size_t i = 0; i < subscriptions; ++i)
-      subscriptions_.push_back(create_subscription<Sheaf>(node_, topic_, QoS(10)));
+      subscriptions_.push_back(create_subscription<Sheaf>(node_, topic_, QoS(batch)));
     while (publisher_->get_subscription_count() < subscriptions) ::usleep(1000);
     for (const auto& subscription : subscriptions_) {
       while (subscription->get_publisher_count() < 1) ::usleep(1000);
@@ -62,6 +64,22 @@ class Counting {
         counted(on && what == What::release, [&] { message.reset(); });
         counted(on && what == What::take_nothing, [&] { (void)subscription->take(); });
       }
+    }
+    CALLGRIND_DUMP_STATS_AT(name.c_str());
+  }
+
+  /// take_batch of one subscription; each message is one of the turns.
+  void count_batches(const std::string& name) {
+    for (int turn = 0; turn < warm_turns + counted_turns; turn += batch) {
+      for (int i = 0; i < batch; ++i) {
+        auto loan = publisher_->borrow_loaned_message();
+        fill(*loan, 2000);
+        (void)publisher_->publish(std::move(loan));
+      }
+      ipc_shared_ptr<const Sheaf> messages[batch];
+      std::size_t taken = 0;
+      counted(turn >= warm_turns, [&] { taken = subscriptions_[0]->take_batch(messages, batch); });
+      if (taken != batch) throw std::runtime_error("not everything was taken");
     }
     CALLGRIND_DUMP_STATS_AT(name.c_str());
   }
@@ -88,6 +106,7 @@ int main() {
     one.count(What::take, "take");
     one.count(What::release, "release");
     one.count(What::take_nothing, "take_nothing");
+    one.count_batches("take_batch_16");
   } catch (const std::exception& error) {
     std::fprintf(stderr, "%s\n", error.what());
     return 1;

@@ -168,11 +168,12 @@ class World {
       EXPECT_TRUE(link.link(false));
       std::deque<Taken> held;
       Window window{heap_.data(), heap_count};
-      std::uint64_t last = 0;
+      std::uint64_t last = 0, head = 0;
       const std::uint64_t stay = scenario_.rejoin ? 50 + random() % 200 : ~std::uint64_t{0};
       for (std::uint64_t i = 0; i < stay && !stop_; ++i) {
         if (held.size() < 5) {
-          if (const auto found = link.take(window)) {
+          if (random() % 2 == 0 || !link.has_news(head)) head = link.look();  // else by an old look
+          if (const auto found = link.take(window, head)) {
             EXPECT_GT(found->sequence, last);
             last = found->sequence;
             EXPECT_TRUE(

@@ -140,6 +140,8 @@ void expect_detached(Busy& busy) {
   EXPECT_EQ(busy.publisher->publish(std::move(message)).code, Errc::shut_down);
   EXPECT_NE(message, nullptr);
   EXPECT_FALSE(busy.subscription->take());
+  ipc_shared_ptr<const Cloud> batch[2] = {busy.held};
+  EXPECT_EQ(busy.subscription->take_batch(batch, 2), 0u);
   EXPECT_EQ(busy.publisher->get_subscription_count(), 0u);
   EXPECT_EQ(set_heap_scope(HeapScope::all).error().code, Errc::shut_down);
 }

@@ -275,6 +275,28 @@ TEST_F(Generic, AMessageOutlivesItsEndpoints) {
             std::string(100, 'f'));
 }
 
+TEST_F(Generic, ABatchIsOfMessagesWithTheirTable) {
+  auto subscription = create_generic_subscription(node, "batch", "std_msgs/Header", QoS(5));
+  auto publisher = create_publisher<std_msgs::msg::Header>(node, "batch", 5);
+  ASSERT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 1; }));
+  for (std::int32_t i = 1; i <= 3; ++i) {
+    auto loan = publisher->borrow_loaned_message();
+    loan->stamp.sec = i;
+    ASSERT_TRUE(publisher->publish(std::move(loan)));
+  }
+  GenericMessage messages[4];
+  ASSERT_EQ(subscription->take_batch(messages, 4), 3u);
+  for (std::int32_t i = 1; i <= 3; ++i) {
+    const GenericMessage& message = messages[i - 1];
+    EXPECT_EQ(static_cast<const std_msgs::msg::Header*>(message.get())->stamp.sec, i);
+    EXPECT_EQ(message.info().sequence, static_cast<std::uint64_t>(i));
+    EXPECT_EQ(message.members(), subscription->members());
+  }
+  EXPECT_FALSE(messages[3]);
+  EXPECT_EQ(subscription->take_batch(messages, 4), 0u);
+  EXPECT_FALSE(messages[0]);
+}
+
 TEST_F(Generic, ACallbackIsCalledForEachMessage) {
   std::atomic<std::uint64_t> sum{0};
   auto subscription = create_generic_subscription(

@@ -160,6 +160,42 @@ TEST_F(MemoryShortageOnce, DestroyingNeedsNoMemory) {
   EXPECT_TRUE(eventually([&] { return test::wire_dump(socket()).endpoints.empty(); }));
 }
 
+TEST_F(MemoryShortageOnce, ABatchTakesWhatItHasMemoryForAndLeavesTheRestUnread) {
+  auto subscription = node->create_subscription<Number>("/f", 40);
+  auto publisher = node->create_publisher<Number>("/f", 40);
+  ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 1; }));
+  std::uint64_t published = 0, expected = 1;
+  std::vector<ipc_shared_ptr<const Number>> batch(40);
+  const auto publish = [&](std::size_t count) {
+    while (count-- > 0) {
+      auto loan = publisher->borrow_loaned_message();
+      loan->value = ++published;
+      ASSERT_TRUE(publisher->publish(std::move(loan)));
+    }
+  };
+  const auto take = [&](std::size_t wanted) {
+    const std::size_t count = subscription->take_batch(batch.data(), wanted);
+    for (std::size_t i = 0; i < count; ++i) EXPECT_EQ(batch[i]->value, expected++);
+    return count;
+  };
+  publish(40);
+  fails_at = always;
+  failing_thread = "user";
+  const std::size_t without = take(16);
+  failing_thread = nullptr;
+  EXPECT_EQ(without, 0u) << "none was held before";
+  for (int i = 0; i < 2; ++i) EXPECT_EQ(take(16), 16u);
+  publish(32);
+  failing_thread = "user";
+  const std::size_t once = take(16), more = take(40);
+  failing_thread = nullptr;
+  EXPECT_EQ(once, 16u) << "as many were held before";
+  EXPECT_EQ(more, 16u);
+  EXPECT_EQ(take(40), 8u);
+  EXPECT_EQ(expected, published + 1);
+  EXPECT_EQ(subscription->get_lost_count(), 0u);
+}
+
 TEST_F(MemoryShortageOnce, TheControlThreadDoesNotTurnInCircles) {
   const auto publisher = node->create_publisher<Number>("/e", 10);
   allocations = 0;

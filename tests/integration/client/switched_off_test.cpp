@@ -108,6 +108,8 @@ TEST_F(SwitchedOff, EndpointsAreMadeAndDoNothing) {
             Errc::switched_off);
   EXPECT_NE(message, nullptr);
   EXPECT_FALSE(asked->take());
+  ipc_shared_ptr<const Numbers> batch[2];
+  EXPECT_EQ(asked->take_batch(batch, 2), 0u);
   EXPECT_EQ(asked->get_lost_count(), 0u);
   EXPECT_EQ(asked->get_publisher_count(), 0u);
   EXPECT_EQ(publisher->get_subscription_count(), 0u);

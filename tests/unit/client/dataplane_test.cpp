@@ -296,6 +296,53 @@ TEST(Dataplane, HistoryThatIsBroughtWhileSomebodyLooksIsNoNews) {
   }
 }
 
+// However late, they take only what is there; who comes too late looks again.
+TEST(Dataplane, TakesOfOneLookAreTakesThatWereSlow) {
+  for (std::uint64_t meanwhile = 0; meanwhile < 20; ++meanwhile) {
+    SCOPED_TRACE("published between the second take and the third: " + std::to_string(meanwhile));
+    Pair pair;  // the subscription has room for 8
+    journal::BoardSteps<M>(pair.topic()).add_subscription(0, 1, {pair.requested, 1, extent, 64, 0});
+    auto publisher = std::make_unique<PublisherCore<M>>(PublisherCore<M>::Identity{
+        pair.topic(), pair.words(), 0, generation, Pair::first(), pair.offered, 64, 0});
+    Freed environment;
+    publisher->attach(0, 1, pair.subscriber[0].base(), extent,
+                      offsetof(abi::ClientRegionHeader, executor), 0, environment);
+    LinkCore<M> link = pair.link(0);
+    ASSERT_TRUE(link.link(true));
+    NumberWindow window;
+    std::uint64_t number = 0;
+    const auto publish = [&](std::uint64_t count) {
+      while (count-- > 0) {
+        const std::uint64_t address = window.base + ++number * 16;
+        environment.live.insert(address);
+        ASSERT_EQ(publisher->publish({address, 16, number}, environment),
+                  PublishOutcome::published);
+      }
+    };
+    publish(5);
+    std::uint64_t head = link.look();
+    std::set<std::uint64_t> taken;
+    const auto take = [&](LinkCore<M>& from) {
+      const auto found = from.take(window, head);
+      if (!found) return false;
+      EXPECT_TRUE(environment.live.count(found->address)) << "it was freed";
+      EXPECT_TRUE(taken.empty() || *taken.rbegin() < found->sequence) << "out of order";
+      taken.insert(found->sequence);
+      return true;
+    };
+    EXPECT_TRUE(take(link) && take(link));
+    publish(meanwhile);
+    while (link.has_news(head)) EXPECT_TRUE(take(link)) << "there is news of the look";
+    const bool is_overrun = 3 + meanwhile > 8;
+    EXPECT_EQ(taken.size(), is_overrun ? 2u + 8 : 5u);
+    EXPECT_EQ(link.lost(), is_overrun ? 3 + meanwhile - 8 : 0);
+    EXPECT_EQ(link.has_news(), !is_overrun && meanwhile > 0);
+    head = link.look();
+    while (link.has_news(head)) EXPECT_TRUE(take(link));
+    EXPECT_EQ(taken.size() + link.lost(), number);
+  }
+}
+
 TEST(Dataplane, HoldsEverySlotOfAFullQueueAndSaysWhenThereIsNone) {
   // Publisher index 7: its link line and its far hold words are not the first ones.
   constexpr std::uint64_t index = 7;

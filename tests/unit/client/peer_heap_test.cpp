@@ -56,6 +56,30 @@ class PeerHeapTest : public testing::Test {
   Unannounced others_ = Unannounced::awaited;
 };
 
+TEST_F(PeerHeapTest, TakesBehindOneHeadLookOnceUnlessSomethingIsAwaited) {
+  std::uint64_t head = 1;
+  HeapLook look(heap_, Unannounced::awaited, head);
+  const auto place_at = [&](std::uint64_t address) {
+    look.open();
+    return look.place_of(address, 64);
+  };
+  show(0, abi::page_bytes);
+  add(0, 0);
+  EXPECT_EQ(place_at(base_of(0)), Place::readable);
+  show(0, 2 * abi::page_bytes);
+  EXPECT_EQ(place_at(base_of(0) + abi::page_bytes - 64), Place::readable);
+  head = 2;
+  EXPECT_EQ(place_at(base_of(0) + abi::page_bytes), Place::readable) << "it has looked again";
+  show(1, abi::page_bytes);
+  EXPECT_EQ(place_at(base_of(0)), Place::readable) << "what is behind that head is elsewhere";
+  head = 3;
+  EXPECT_EQ(place_at(base_of(0)), Place::awaited);
+  EXPECT_EQ(place_at(base_of(1)), Place::awaited);
+  add(1, 0);
+  EXPECT_EQ(place_at(base_of(1)), Place::readable) << "though the head is the same";
+  EXPECT_EQ(place_at(base_of(0)), Place::readable) << "of the other window";
+}
+
 TEST_F(PeerHeapTest, WhatIsInUseOfAWindowCanBeRead) {
   show(0, abi::page_bytes);
   add(0, 0);
