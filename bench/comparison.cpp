@@ -72,14 +72,15 @@ const Series* Comparison::find(std::string_view system) const {
 }
 
 std::vector<const System*> chosen(const Run& run, const std::vector<std::string_view>& names,
-                                  std::string_view floor) {
+                                  std::string_view floor, Services& services) {
   std::vector<const System*> all;
   for (const System& system : systems()) {
     const auto is_in = [&system](const auto& list) {
       return std::find(list.begin(), list.end(), system.name) != list.end();
     };
-    if (system.name == floor || (is_in(names) && (run.systems.empty() || is_in(run.systems))))
-      all.push_back(&system);
+    const bool is_wanted =
+        system.name == floor || (is_in(names) && (run.systems.empty() || is_in(run.systems)));
+    if (is_wanted && services.has(system.service)) all.push_back(&system);
   }
   return all;
 }
@@ -95,9 +96,7 @@ std::vector<Comparison> compare(const std::vector<const System*>& systems,
                                 Services& services,
                                 const std::function<void(const System&, const Plan&)>& step) {
   std::vector<Series> series;
-  for (const System* const system : systems) {
-    if (services.has(system->service)) series.push_back({system, {}});
-  }
+  for (const System* const system : systems) series.push_back({system, {}});
   std::vector<Comparison> all;
   for (const Plan& plan : plans) all.push_back({plan, series});
   for (std::size_t round = 0; round < rounds; ++round) {
@@ -150,25 +149,23 @@ void tell(const Comparison& comparison, std::string_view floor, const nlohmann::
   if (!refused.empty()) report.say("  SCHED_FIFO was refused:" + refused);
 }
 
-std::vector<Comparison> compare_and_tell(const std::string& title,
-                                         const std::vector<const System*>& systems,
-                                         const std::vector<Plan>& plans, std::size_t rounds,
-                                         std::string_view floor, const nlohmann::json& extra,
-                                         Services& services, Report& report) {
-  const auto title_of = [&](const Plan& plan) { return title + ", " + size_text(plan.bytes); };
-  const std::size_t all = systems.size() * plans.size() * rounds;
-  std::size_t done = 0;
+std::vector<Comparison> compare_and_tell(const Measurement& measurement, Services& services,
+                                         Steps& steps, Report& report) {
+  const auto title_of = [&](const Plan& plan) {
+    return measurement.title + ", " + size_text(plan.bytes);
+  };
   std::vector<Comparison> comparisons =
-      compare(systems, plans, rounds, services, [&](const System& system, const Plan& plan) {
-        report.progress(done++, all, title_of(plan) + ", " + std::string(system.name));
-      });
-  report.progress(all, all, "");
+      compare(measurement.systems, measurement.plans, measurement.rounds, services,
+              [&](const System& system, const Plan& plan) {
+                steps.next(title_of(plan) + ", " + std::string(system.name));
+              });
   for (const Comparison& comparison : comparisons) {
     const Plan& plan = comparison.plan;
     report.say("\n" + title_of(plan) + ", every " +
                digits(static_cast<double>(plan.period_ns) / 1e6) + " ms, " +
-               std::to_string(rounds) + " x " + std::to_string(plan.messages) + " messages");
-    tell(comparison, floor, extra, report);
+               std::to_string(measurement.rounds) + " x " + std::to_string(plan.messages) +
+               " messages");
+    tell(comparison, measurement.floor, measurement.extra, report);
   }
   return comparisons;
 }

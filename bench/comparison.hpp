@@ -43,14 +43,39 @@ struct Comparison {
   const Series* find(std::string_view system) const;
 };
 
-/// Those of `names` that this build has and the run wants, in the build's order. `floor` takes part whatever the run wants.
+/// Those of `names` that this build has and the run wants, and whose service runs here, in the build's order. `floor` takes
+/// part whatever the run wants.
 std::vector<const System*> chosen(const Run& run, const std::vector<std::string_view>& names,
-                                  std::string_view floor);
+                                  std::string_view floor, Services& services);
 /// All of systems().
 std::vector<std::string_view> all_names();
 
+/// What is measured under one title: all systems under all plans, so many rounds.
+struct Measurement {
+  std::string title;
+  std::vector<const System*> systems;
+  std::vector<Plan> plans;
+  std::size_t rounds = 1;
+  std::string_view floor;
+  nlohmann::json extra = {};  ///< added to each result
+
+  std::size_t steps() const { return systems.size() * plans.size() * rounds; }
+};
+
+/// How far a case is, which has more than one measurement.
+class Steps {
+ public:
+  Steps(Report& report, std::size_t all) : report_(report), all_(all) {}
+  void next(const std::string& what) { report_.progress(done_++, all_, what); }
+  void finish() { report_.progress(all_, all_, ""); }
+
+ private:
+  Report& report_;
+  std::size_t done_ = 0, all_;
+};
+
 /// Several plans in one go: in each round every plan, under each plan every system, so that what is compared between plans
-/// is not minutes apart either. `step` is called before each turn. Without those whose service does not run here.
+/// is not minutes apart either. `step` is called before each turn.
 std::vector<Comparison> compare(const std::vector<const System*>& systems,
                                 const std::vector<Plan>& plans, std::size_t rounds,
                                 Services& services,
@@ -60,12 +85,9 @@ std::vector<Comparison> compare(const std::vector<const System*>& systems,
 void tell(const Comparison& comparison, std::string_view floor, const nlohmann::json& extra,
           Report& report);
 
-/// Both, and on the way how far it is; the table of each plan is under `title` and its size.
-std::vector<Comparison> compare_and_tell(const std::string& title,
-                                         const std::vector<const System*>& systems,
-                                         const std::vector<Plan>& plans, std::size_t rounds,
-                                         std::string_view floor, const nlohmann::json& extra,
-                                         Services& services, Report& report);
+/// Both; the table of each plan is under the title and its size.
+std::vector<Comparison> compare_and_tell(const Measurement& measurement, Services& services,
+                                         Steps& steps, Report& report);
 
 /// One violin for each system.
 nlohmann::json violins(const Comparison& comparison);

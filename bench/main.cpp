@@ -61,16 +61,29 @@ void clean_up_on_signals() {
   }).detach();
 }
 
+std::string padded(std::string_view name) {
+  return "  " + std::string(name) + std::string(name.size() < 20 ? 20 - name.size() : 1, ' ');
+}
+
 void list() {
-  std::printf("cases:\n");
-  for (const Case& one : cases())
-    std::printf("  %-20.*s %.*s\n", static_cast<int>(one.name.size()), one.name.data(),
-                static_cast<int>(one.summary.size()), one.summary.data());
-  std::printf("systems:\n");
-  for (const System& system : systems())
-    std::printf("  %-20.*s %.*s\n", static_cast<int>(system.name.size()), system.name.data(),
-                static_cast<int>(system.summary.size()), system.summary.data());
-  for (const std::string& what : absent()) std::printf("  %s\n", what.c_str());
+  std::string text =
+      "cases, with about how long they take, and what each reads beside --small, --json and "
+      "--plot:\n";
+  for (const Case& one : cases()) {
+    text += padded(one.name) + std::string(one.summary) + "; " +
+            std::to_string((one.usual.count() + 59) / 60) + " min\n" + padded("") +
+            options_text(one) + "\n";
+  }
+  text += "systems, and the cases that compare them:\n";
+  for (const SystemName& system : systems_of(cases())) {
+    text += padded(system.name) + std::string(system.summary) + "\n" + padded("");
+    for (const Case& one : cases()) {
+      if (compares(one, system.name)) text += std::string(one.name) + " ";
+    }
+    text.back() = '\n';
+  }
+  for (const std::string& what : absent()) text += "  " + what + "\n";
+  std::fputs(text.c_str(), stdout);
 }
 
 void write(const nlohmann::json& document, const std::string& file) {
@@ -120,7 +133,8 @@ nlohmann::json run_cases(const Options& options, Report& report) {
   for (const std::string& name : options.cases) {
     for (const Case& one : cases()) {
       if (one.name != name) continue;
-      report.begin_case(name);
+      // What a shorter or a longer run takes shows on the way.
+      report.begin_case(name, options.is_default ? one.usual : std::chrono::seconds(0));
       report.say("\n== " + name + ": " + std::string(one.summary));
       try {
         one.run(options.run, report);
@@ -154,13 +168,6 @@ int measure(const Options& options, const std::vector<std::string>& arguments) {
   return failed.empty() ? 0 : 1;
 }
 
-template <class Named>
-std::vector<std::string> names_of(const std::vector<Named>& all) {
-  std::vector<std::string> names;
-  for (const Named& one : all) names.emplace_back(one.name);
-  return names;
-}
-
 }  // namespace
 }  // namespace agnocast::bench
 
@@ -170,7 +177,7 @@ int main(int argc, char** argv) {
     const std::vector<std::string> arguments(argv + 1, argv + argc);
     if (!arguments.empty() && arguments[0].starts_with('%'))
       return be(arguments[0].substr(1), {arguments.begin() + 1, arguments.end()});
-    const Options options = parse(arguments, names_of(cases()), names_of(systems()));
+    const Options options = parse(arguments, cases());
     if (!options.help.empty()) return std::fputs(options.help.c_str(), stdout), 0;
     if (!options.error.empty()) return refuse(options.error);
     if (options.is_list) return list(), 0;

@@ -104,11 +104,13 @@ const RegisterRole calls_role("calls", be_calls);
 
 }  // namespace
 
-BareCalls measure_bare_calls(std::size_t rounds, std::size_t batches, Services& services) {
+BareCalls measure_bare_calls(std::size_t rounds, std::size_t batches, Services& services,
+                             const std::function<void()>& step) {
   std::vector<std::string> environment = services.variables("agnocastd");
   environment.push_back("LD_PRELOAD=" + path_of("libagnocast_heaphook.so"));
   std::vector<double> mutex_clock, publish, take, publish_ratio, take_ratio;
   for (std::size_t round = 0; round < rounds; ++round) {
+    step();
     Process process({.command = as_role("calls", {std::to_string(batches)}),
                      .environment = environment,
                      .has_pipes = true});

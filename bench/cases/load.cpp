@@ -77,12 +77,12 @@ void aim_beside_peers(const Comparison& comparison, const std::string& where, Ai
   }
 }
 
-std::vector<const System*> compared(const Run& run) {
+std::vector<const System*> compared(const Run& run, Services& services) {
   std::vector<std::string_view> names;
   for (const System& system : systems()) {
     if (!run.systems.empty() || is_ours(system) || is_peer(system)) names.push_back(system.name);
   }
-  return chosen(run, names, floor_name);
+  return chosen(run, names, floor_name, services);
 }
 
 Plan plan_of(const Run& run, std::size_t bytes) {
@@ -103,10 +103,10 @@ void run_load(const Run& run, Report& report) {
   const std::vector<std::size_t> sizes =
       run.sizes.empty() ? std::vector<std::size_t>{100 * 1024} : run.sizes;
   const std::size_t rounds = run.rounds.value_or(run.is_small ? 1 : 7);
-  const std::vector<const System*> all = compared(run);
   Services services;
+  const std::vector<const System*> all = compared(run, services);
   Aims aims(run);
-  std::size_t done = 0;
+  Steps steps(report, sizes.size() * levels.size() * rounds * all.size());
   for (const std::size_t bytes : sizes) {
     const Plan plan = plan_of(run, bytes);
     for (const unsigned level : levels) {
@@ -114,8 +114,7 @@ void run_load(const Run& run, Report& report) {
       const Busyness busyness(level);
       const auto step = [&](const System& system, const Plan&) {
         busyness.check();
-        report.progress(done++, sizes.size() * levels.size() * rounds * all.size(),
-                        where + ", " + std::string(system.name));
+        steps.next(where + ", " + std::string(system.name));
       };
       const Comparison result = compare(all, {plan}, rounds, services, step).front();
       busyness.check();
@@ -133,7 +132,7 @@ void run_load(const Run& run, Report& report) {
       if (level == levels.back()) aim_beside_peers(result, where, aims);
     }
   }
-  report.progress(done, done, "");
+  steps.finish();
   aims.tell(report);
 }
 

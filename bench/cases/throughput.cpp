@@ -214,7 +214,11 @@ void run_throughput(const Run& run, Report& report) {
   const std::vector<Setting> tables = settings(run);
   const std::size_t rounds = run.rounds.value_or(run.is_small ? 1 : 7);
   std::map<bool, Picture> pictures;
-  std::size_t done = 0;
+  std::size_t steps = 0;
+  for (const Setting& setting : tables) {
+    for (const System* const system : all) steps += setting.has_room_for(*system) ? rounds : 0;
+  }
+  Steps on_the_way(report, steps);
   for (const Setting& setting : tables) {
     const Plan plan = plan_of(setting, run);
     const std::string where = setting.text() + ", messages of " + size_text(setting.bytes);
@@ -222,10 +226,9 @@ void run_throughput(const Run& run, Report& report) {
     for (std::size_t round = 0; round < rounds; ++round) {
       for (std::size_t turn = 0; turn < all.size(); ++turn) {
         const System* const system = all[(round + turn) % all.size()];
-        report.progress(done++, tables.size() * rounds * all.size(),
-                        where + ", " + std::string(system->name));
-        if (setting.has_room_for(*system))
-          rates[system->name].push_back(rate_of(*system, plan, services));
+        if (!setting.has_room_for(*system)) continue;
+        on_the_way.next(where + ", " + std::string(system->name));
+        rates[system->name].push_back(rate_of(*system, plan, services));
       }
     }
     report.say("\n" + where + ", at most " + std::to_string(plan.depth) + " unread, " +
@@ -235,7 +238,7 @@ void run_throughput(const Run& run, Report& report) {
     aim_beside_iceoryx(setting, rates, aims);
     pictures[setting.is_small()].add(setting, rates);
   }
-  report.progress(done, done, "");
+  on_the_way.finish();
   for (const auto& [is_small, picture] : pictures) picture.draw(is_small, report);
   aims.tell(report);
 }
