@@ -64,7 +64,7 @@ const std::vector<Case>& cases() {
 #ifdef AGNOCAST_BENCH_HAS_LOAD
       {"load",
        "latency while the machine is busy",
-       seconds(900),
+       seconds(1020),
        run_load,
        {"--rounds", "--messages", "--period", "--sizes", "--systems"},
        of_most},

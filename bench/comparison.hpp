@@ -6,6 +6,7 @@
 
 #include <bench/case.hpp>
 #include <bench/conductor.hpp>
+#include <bench/figures.hpp>
 
 #include <cstddef>
 #include <functional>
@@ -21,16 +22,20 @@ struct Series {
   const System* system = nullptr;
   std::vector<Times> rounds;
 
-  /// Medians over the rounds of each round's quantile: of the slowest receiver's latencies, or of the publish calls.
-  double latency_ns(double q) const;
-  double publish_ns(double q) const;
-  /// Over all rounds.
+  /// Medians over the rounds of each round's median: of the slowest receiver's latencies, or of the publish calls.
+  double p50_ns() const;
+  double publish_p50_ns() const;
+  /// Over all rounds, as a tail wants all samples that there are.
   std::vector<double> latencies_ns() const;
+  double p99_ns() const;
   /// Medians over the rounds of this one's p50 over the other's: of latencies, and of publish calls.
   double ratio_to(const Series& floor) const;
   double publish_ratio_to(const Series& floor) const;
   /// Of each round by itself: its p50 over the other's.
   std::vector<double> ratios_to(const Series& other) const;
+  /// p99_ns() over the other's, with its 95 % interval.
+  double p99_ratio_to(const Series& other) const;
+  Interval p99_ratio_interval(const Series& other) const;
   /// In any round: real-time scheduling was wanted and refused.
   bool is_without_fifo() const;
 };
@@ -97,8 +102,10 @@ class Aims {
  public:
   enum class Sense { at_most, at_least };
   explicit Aims(const Run& run) : can_judge_(run.can_judge()) {}
-  /// Without `measured`: what it takes did not run here.
-  void add(const std::string& aim, std::optional<double> measured, Sense sense, double bound);
+  /// Without `measured`: what it takes did not run here. With an interval it is reached, or missed, when all of that is on
+  /// one side of the bound, and undecided otherwise.
+  void add(const std::string& aim, std::optional<double> measured, Sense sense, double bound,
+           std::optional<Interval> interval = {});
   /// The table, and an object of "results" for each.
   void tell(Report& report) const;
 
@@ -108,10 +115,11 @@ class Aims {
     std::optional<double> measured;
     Sense sense;
     double bound;
-    bool is_reached() const {
-      return sense == Sense::at_most ? *measured <= bound : *measured >= bound;
-    }
+    std::optional<Interval> interval;
+    /// Empty: undecided. Of one that was measured.
+    std::optional<bool> is_reached() const;
   };
+  std::string not_judged(const Aim& aim) const;
   bool can_judge_;
   std::vector<Aim> all_;
 };

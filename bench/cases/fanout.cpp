@@ -96,9 +96,9 @@ class Fanout {
       by_count.push_back(compare_and_tell(one, services_, steps_, report_).front());
     tell_publish(part, by_count);
     draw(part + ": the publish call", "fanout-publish-" + part, by_count,
-         [](const Series& one) { return one.publish_ns(0.5); });
+         [](const Series& one) { return one.publish_p50_ns(); });
     draw(part + ": until the last receiver has it", "fanout-slowest-" + part, by_count,
-         [](const Series& one) { return one.latency_ns(0.5); });
+         [](const Series& one) { return one.p50_ns(); });
     return by_count;
   }
 
@@ -109,7 +109,7 @@ class Fanout {
     Table table(head);
     for (std::size_t i = 0; i < by_count.front().series.size(); ++i) {
       std::vector<std::string> row{std::string(by_count.front().series[i].system->name)};
-      for (const Comparison& one : by_count) row.push_back(us(one.series[i].publish_ns(0.5)));
+      for (const Comparison& one : by_count) row.push_back(us(one.series[i].publish_p50_ns()));
       table.add(row);
     }
     table.say(report_);

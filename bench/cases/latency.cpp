@@ -29,7 +29,8 @@
 namespace agnocast::bench {
 namespace {
 
-constexpr std::string_view floor_name = "floor-futex", ours = "agnocast-executor";
+constexpr std::string_view floor_name = "floor-futex", ours = "agnocast-executor",
+                           spinning = "agnocast-spinning";
 constexpr std::size_t kib = 1024, mib = kib * 1024;
 constexpr std::uint32_t nobody = 65534;
 constexpr std::size_t rounds = 7;
@@ -67,8 +68,7 @@ class Latency {
       draw(result, "latency-two-cores-" + std::to_string(bytes),
            "Two cores, " + size_text(bytes) + ": from publish to the message in hand");
       if (bytes == mib) aim_beside_peers(result);
-      if (bytes == kib)
-        aim_ratio(result, "agnocast-spinning", "floor-polling", "two cores, 1 KiB: ", 1.5);
+      if (bytes == kib) aim_ratio(result, spinning, "floor-polling", "two cores, 1 KiB: ", 1.5);
     }
     tell_quotients(by_size);
     draw_by_size(by_size);
@@ -166,7 +166,7 @@ class Latency {
       for (const Series& series : one.series) {
         nlohmann::json& line = lines[std::string(series.system->name)];
         line["x"].push_back(one.plan.bytes);
-        line["y"].push_back(series.latency_ns(0.5) / 1000);
+        line["y"].push_back(series.p50_ns() / 1000);
       }
     }
     Plot plot{.name = "latency-by-size",
@@ -191,15 +191,17 @@ class Latency {
     aim_at(where, system, base, ratio, Aims::Sense::at_most, bound);
   }
 
+  // Who sleeps beside who sleeps, who spins beside who spins.
   void aim_beside_peers(const Comparison& result) {
-    const Series* const one = result.find(ours);
-    for (const auto& [peer, bound] :
-         {std::pair("cyclonedds", 40.0), std::pair("cyclonedds-iceoryx", 4.0),
-          std::pair("iceoryx-listener", 1.0)}) {
-      const Series* const other = result.find(peer);
+    for (const auto& [peer, own, bound] : {std::tuple("cyclonedds", ours, 40.0),
+                                           {"cyclonedds-iceoryx", ours, 4.0},
+                                           {"iceoryx-listener", ours, 1.0},
+                                           {"iceoryx-waitset", ours, 1.0},
+                                           {"iceoryx-polling", spinning, 1.0}}) {
+      const Series *const other = result.find(peer), *const one = result.find(own);
       std::optional<double> ratio;
       if (one != nullptr && other != nullptr) ratio = other->ratio_to(*one);
-      aim_at("two cores, 1 MiB: ", peer, ours, ratio, Aims::Sense::at_least, bound);
+      aim_at("two cores, 1 MiB: ", peer, own, ratio, Aims::Sense::at_least, bound);
     }
   }
 
@@ -233,7 +235,8 @@ class Latency {
                    {"size_bytes", largest.plan.bytes},
                    {"smallest_size_bytes", smallest.plan.bytes},
                    {"quotient", quotient},
-                   {"quotient_to_floor", over_floor}});
+                   {"quotient_to_floor", over_floor},
+                   {"floor", floor_name}});
       if (one.system->name == ours)
         aims_.add("size quotient " + sizes + " / the floor's", over_floor, Aims::Sense::at_most,
                   1.10);

@@ -154,7 +154,9 @@ void tell_edge(const Settings& settings, const Measured& measured, std::size_t p
     result[std::string(name) + "_mean_ns"] = value;
     line += padded(ms_text(value), 9);
   }
-  report.say(line + padded(std::to_string(late), 9));
+  char spread[32];
+  std::snprintf(spread, sizeof spread, "%.3f", variation(response));
+  report.say(line + padded(spread, 9) + padded(std::to_string(late), 9));
   report.add(result);
 }
 
@@ -228,7 +230,8 @@ void run_pipeline(const Run& asked, Report& report) {
       "took "
       "longer than the period");
   report.say(padded("", 18) + padded("mean", 25) + padded("p99", 25) + padded("max", 25) +
-             padded("compute", 9) + padded("transfer", 9) + padded("wait", 9) + padded("late", 9));
+             padded("compute", 9) + padded("transfer", 9) + padded("wait", 9) + padded("CV", 9) +
+             padded("late", 9));
   for (std::size_t place = 0; place < settings.edges.size(); ++place)
     tell_edge(settings, measured, place, report);
   if (settings.edges.size() == 2)

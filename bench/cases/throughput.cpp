@@ -116,7 +116,7 @@ double ratio(const std::vector<double>& rates, const std::vector<double>& base) 
 void tell(const Setting& setting, const Rates& rates, Report& report) {
   const auto bytes = static_cast<double>(setting.bytes);
   const auto floor = rates.find(floor_name);
-  Table table({"system", "messages/s", "MB/s", "CV", "x floor"});
+  Table table({"system", "messages/s", "MB/s", "CV", "x " + std::string(floor_name)});
   for (const System& system : systems()) {
     const auto found = rates.find(system.name);
     if (found == rates.end()) continue;
@@ -128,7 +128,10 @@ void tell(const Setting& setting, const Rates& rates, Report& report) {
         {"rounds", own.size()},        {"messages_per_second", rate},
         {"variation", variation(own)}, {"bytes_per_second", rate * bytes},
     };
-    if (floor != rates.end()) result["ratio_to_floor"] = ratio(own, floor->second);
+    if (floor != rates.end()) {
+      result["ratio_to_floor"] = ratio(own, floor->second);
+      result["floor"] = floor_name;
+    }
     table.add({std::string(system.name), digits(rate), digits(rate * bytes / 1e6),
                digits(variation(own)),
                floor == rates.end() ? "" : digits(ratio(own, floor->second))});
