@@ -159,7 +159,7 @@ int measure(const Options& options, const std::vector<std::string>& arguments) {
                              {"environment", environment(arguments)}};
   for (const std::string& doubt : doubts(document["environment"])) report.say("note: " + doubt);
   const nlohmann::json failed = run_cases(options, report);
-  document["environment"]["left_out"] = left_out();
+  complete(document["environment"]);
   document["results"] = report.results;
   document["plots"] = report.plots;
   if (!failed.empty()) document["failed"] = failed;

@@ -10,6 +10,7 @@
 // what is compared there is the way, without the interrupt from one core to the other.
 
 #include <bench/conductor.hpp>
+#include <bench/cpus.hpp>
 #include <bench/process.hpp>
 
 #include <grp.h>
@@ -148,10 +149,7 @@ const RegisterRole receiver_role("receiver", be_receiver);
 void take_place(const Lane& lane, const System& system, bool is_sender) {
   const Plan& plan = lane.plan();
   if (plan.cores == Cores::anywhere) return;
-  cpu_set_t set;
-  CPU_ZERO(&set);
-  CPU_SET(is_sender || plan.cores == Cores::one ? 0 : 1, &set);
-  if (::sched_setaffinity(0, sizeof set, &set) != 0)
+  if (!pin_to(is_sender || plan.cores == Cores::one ? cpus().first : cpus().second))
     throw std::runtime_error(std::string("pinning to a CPU: ") + std::strerror(errno));
   if (!plan.is_real_time || (!is_sender && system.is_spinning)) return;
   // A receiver comes before the sender, so that on one core nothing is in its way.

@@ -8,13 +8,13 @@
 //           core by time slices, so when the last one has it says nothing of the system.
 
 #include <bench/comparison.hpp>
+#include <bench/cpus.hpp>
 #include <bench/environment.hpp>
 #include <bench/wishes.hpp>
 
 #include <map>
 #include <optional>
 #include <string>
-#include <thread>
 #include <utility>
 #include <vector>
 
@@ -149,8 +149,7 @@ class Fanout {
 }  // namespace
 
 void run_fanout(const Run& run, Report& report) {
-  if (std::thread::hardware_concurrency() < 2)
-    return leave_out("fanout is left out: it needs two cores");
+  if (!cpus().has_two()) return leave_out("fanout is left out: it needs two cores");
   Fanout fanout(run, report);
   fanout.asleep();
   fanout.awake();

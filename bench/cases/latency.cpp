@@ -11,6 +11,7 @@
 
 #include <bench/cases/latency_bare.hpp>
 #include <bench/comparison.hpp>
+#include <bench/cpus.hpp>
 #include <bench/environment.hpp>
 #include <bench/figures.hpp>
 #include <bench/options.hpp>
@@ -22,7 +23,6 @@
 #include <map>
 #include <optional>
 #include <string>
-#include <thread>
 #include <tuple>
 #include <utility>
 
@@ -61,7 +61,7 @@ class Latency {
   }
 
   void two_cores() {
-    if (!has_two_cores()) return leave_out("latency on two cores is left out: there is one");
+    if (!cpus().has_two()) return leave_out("latency on two cores is left out: there is one");
     const std::vector<Comparison> by_size = measure(two_cores_);
     for (const Comparison& result : by_size) {
       const std::size_t bytes = result.plan.bytes;
@@ -133,7 +133,7 @@ class Latency {
                    wishes_.sizes({kib, 100 * kib}, {kib}), {.messages = 1000, .cores = Cores::one});
   }
   Measurement planned_on_two_cores() {
-    if (!has_two_cores()) return {};
+    if (!cpus().has_two()) return {};
     return planned("two cores", "two-cores", chosen(run_, all_names(), floor_name, services_),
                    wishes_.sizes({kib, 10 * kib, 100 * kib, mib, 8 * mib}, {kib, mib}),
                    {.messages = 400, .cores = Cores::two});
@@ -144,8 +144,6 @@ class Latency {
                    chosen(run_, {ours}, floor_name, services_), {kib},
                    {.cores = Cores::one, .receiver_uid = nobody});
   }
-  static bool has_two_cores() { return std::thread::hardware_concurrency() >= 2; }
-
   std::vector<Comparison> measure(const Measurement& measurement) {
     return compare_and_tell(measurement, services_, steps_, report_);
   }

@@ -5,6 +5,7 @@
 
 #include <agnocast/agnocast.hpp>
 #include <bench/cases/latency_bare.hpp>
+#include <bench/cpus.hpp>
 #include <bench/figures.hpp>
 #include <bench/lane.hpp>
 #include <bench/process.hpp>
@@ -77,10 +78,7 @@ class Bench {
 
 int be_calls(const std::vector<std::string>& arguments) {
   try {
-    cpu_set_t first;
-    CPU_ZERO(&first);
-    CPU_SET(0, &first);
-    (void)::sched_setaffinity(0, sizeof first, &first);  // only steadier
+    (void)pin_to(cpus().first);  // only steadier
     Bench bench;
     const std::int64_t end_ns = now_ns() + 10'000'000'000;
     while (!bench.is_matched()) {
