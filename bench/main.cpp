@@ -12,16 +12,19 @@
 #include <bench/services.hpp>
 #include <bench/system.hpp>
 
+#include <fcntl.h>
 #include <signal.h>
 #include <sys/prctl.h>
 #include <unistd.h>
 
 #include <algorithm>
+#include <cerrno>
 #include <chrono>
 #include <cstdio>
+#include <cstring>
 #include <exception>
 #include <fstream>
-#include <iostream>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <thread>
@@ -86,14 +89,34 @@ void list() {
   std::fputs(text.c_str(), stdout);
 }
 
-void write(const nlohmann::json& document, const std::string& file) {
-  const std::string text = document.dump(1) + "\n";
-  if (file == "-") {
-    std::cout << text << std::flush;
-    return;
+/// Where results go with --json=-: what was standard output. From then on that is standard error, so that nothing which a
+/// process or a library may print gets between.
+class PureOutput {
+ public:
+  PureOutput() : file_(::fdopen(::fcntl(STDOUT_FILENO, F_DUPFD_CLOEXEC, 0), "w")) {
+    if (file_ == nullptr || ::dup2(STDERR_FILENO, STDOUT_FILENO) < 0) fail();
   }
+  ~PureOutput() { std::fclose(file_); }
+  PureOutput(const PureOutput&) = delete;
+  PureOutput& operator=(const PureOutput&) = delete;
+
+  void write(const std::string& text) {
+    if (std::fputs(text.c_str(), file_) == EOF || std::fflush(file_) == EOF) fail();
+  }
+
+ private:
+  [[noreturn]] static void fail() {
+    throw std::runtime_error(std::string("standard output: ") + std::strerror(errno));
+  }
+  std::FILE* file_;
+};
+
+std::string text_of(const nlohmann::json& document) { return document.dump(1) + "\n"; }
+
+void write(const nlohmann::json& document, const std::string& file) {
   std::ofstream stream(file);
-  if (!(stream << text << std::flush)) throw std::runtime_error(file + ": cannot be written");
+  if (!(stream << text_of(document) << std::flush))
+    throw std::runtime_error(file + ": cannot be written");
 }
 
 // An hour of measuring is not to end with results that go nowhere.
@@ -153,8 +176,10 @@ int measure(const Options& options, const std::vector<std::string>& arguments) {
   ::signal(SIGPIPE, SIG_IGN);
   check_writable(options.json);
   check_programs(options);
+  std::optional<PureOutput> output;
+  if (options.json == "-") output.emplace();
   Report report;
-  report.is_quiet = options.json == "-";
+  report.is_quiet = output.has_value();
   nlohmann::json document = {{"schema", "agnocast.bench/1"},
                              {"environment", environment(arguments)}};
   for (const std::string& doubt : doubts(document["environment"])) report.say("note: " + doubt);
@@ -163,7 +188,11 @@ int measure(const Options& options, const std::vector<std::string>& arguments) {
   document["results"] = report.results;
   document["plots"] = report.plots;
   if (!failed.empty()) document["failed"] = failed;
-  if (!options.json.empty()) write(document, options.json);
+  if (output) {
+    output->write(text_of(document));
+  } else if (!options.json.empty()) {
+    write(document, options.json);
+  }
   if (!options.plot.empty()) draw(document, options.plot);
   return failed.empty() ? 0 : 1;
 }
