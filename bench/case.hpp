@@ -66,13 +66,14 @@ class Report {
 
   /// `usual` is the first guess of the time left; 0: there is none.
   void begin_case(std::string_view name, std::chrono::seconds usual);
+  /// Before somebody else writes on the terminal.
+  void clear_bar();
   bool is_quiet = false;  ///< say() prints nothing
   nlohmann::json results = nlohmann::json::array();
   nlohmann::json plots = nlohmann::json::array();
 
  private:
   static std::FILE* terminal() noexcept;
-  void clear_bar();
 
   std::FILE* bar_;
   std::string case_;

@@ -55,7 +55,7 @@ const std::vector<Case>& cases() {
 #ifdef AGNOCAST_BENCH_HAS_FANOUT
       {"fanout",
        "one to many: what each further receiver costs, asleep and awake",
-       seconds(420),
+       seconds(660),
        run_fanout,
        {"--rounds", "--messages", "--period", "--sizes", "--systems"},
        of_fanout,

@@ -179,10 +179,11 @@ std::vector<Comparison> compare_and_tell(const Measurement& measurement, Service
               });
   for (const Comparison& comparison : comparisons) {
     const Plan& plan = comparison.plan;
+    const std::string whose = plan.receivers > 1 ? "; times are of the slowest receiver" : "";
     report.say("\n" + title_of(plan) + ", every " +
                digits(static_cast<double>(plan.period_ns) / 1e6) + " ms, " +
                std::to_string(measurement.rounds) + " x " + std::to_string(plan.messages) +
-               " messages");
+               " messages" + whose);
     tell(comparison, measurement.floor, measurement.extra, report);
   }
   return comparisons;

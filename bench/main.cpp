@@ -162,6 +162,7 @@ nlohmann::json run_cases(const Options& options, Report& report) {
       try {
         one.run(options.run, report);
       } catch (const std::exception& error) {
+        report.clear_bar();
         std::fprintf(stderr, "agnocast-bench: %s: %s\n", name.c_str(), error.what());
         failed[name] = error.what();
       }

@@ -74,7 +74,6 @@ void Report::progress(std::size_t done, std::size_t all, std::string_view what) 
 }
 
 void Report::begin_case(std::string_view name, std::chrono::seconds usual) {
-  clear_bar();  // of one that has failed
   case_ = name;
   usual_ = usual;
 }

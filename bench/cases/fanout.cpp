@@ -5,7 +5,7 @@
 //
 //   asleep  every receiver has to be woken: the publish call beside as many bare futex wakes
 //   awake   nobody has to be: the publish call beside the one with a single receiver. Receivers that never sleep share their
-//           core by time slices, so when the last one has it says nothing of the system.
+//           core by time slices, so when the last one has it says nothing of the system; table and picture say so.
 
 #include <bench/comparison.hpp>
 #include <bench/cpus.hpp>
@@ -48,7 +48,11 @@ class Fanout {
   }
 
   void awake() {
-    const auto by_count = measure("awake", awake_);
+    const auto by_count = measure("awake", awake_, ", by turns on one core");
+    report_.say(
+        "  those who never sleep share a core by time slices: when the slowest has a message is "
+        "the "
+        "scheduler's doing,\n  what the publish call takes is the system's");
     for (const std::string name : {"agnocast-spinning", "agnocast-take"}) {
       std::optional<double> ratio;
       if (const Series* const ours = by_count.back().find(name))
@@ -90,14 +94,15 @@ class Fanout {
   }
 
   std::vector<Comparison> measure(const std::string& part,
-                                  const std::vector<Measurement>& measurements) {
+                                  const std::vector<Measurement>& measurements,
+                                  const std::string& how = "") {
     std::vector<Comparison> by_count;
     for (const Measurement& one : measurements)
       by_count.push_back(compare_and_tell(one, services_, steps_, report_).front());
     tell_publish(part, by_count);
     draw(part + ": the publish call", "fanout-publish-" + part, by_count,
          [](const Series& one) { return one.publish_p50_ns(); });
-    draw(part + ": until the last receiver has it", "fanout-slowest-" + part, by_count,
+    draw(part + how + ": until the slowest has it", "fanout-slowest-" + part, by_count,
          [](const Series& one) { return one.p50_ns(); });
     return by_count;
   }

@@ -102,7 +102,8 @@ std::vector<std::uint32_t> chosen_edges(const Run& run) {
       chosen.push_back(i);
   }
   if (chosen.empty())
-    throw std::runtime_error("it has cyclonedds and agnocast-executor; say one of them, or both");
+    throw std::runtime_error(
+        "it has cyclonedds-tuned and agnocast-executor; say one of them, or both");
   return chosen;
 }
 
