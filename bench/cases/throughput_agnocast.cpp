@@ -3,9 +3,9 @@
 // Agnocast in the case throughput. Messages are plain bytes, as those of iceoryx are, and as there uninitialised: the case
 // itself writes every byte. What differs is who waits for them, and how:
 //
-//   agnocast-executor    SingleThreadedExecutor: sleeps when there is nothing
-//   agnocast-spin-sleep  SpinningExecutor of default budget: looks for a while, then sleeps
-//   agnocast-take        take() in a loop that never sleeps
+//   agnocast-executor   SingleThreadedExecutor: sleeps when there is nothing
+//   agnocast-spin-sleep SpinningExecutor of default budget: looks for a while, then sleeps
+//   agnocast-take       take() in a loop that never sleeps
 
 #include <bench/cases/throughput.hpp>
 #include <bench/services.hpp>
@@ -133,8 +133,7 @@ System agnocast_system(std::string_view name, std::string_view summary, bool is_
 std::vector<System> agnocast_systems() {
   return {
       agnocast_system<SingleThreaded>("agnocast-executor", "SingleThreadedExecutor", false),
-      agnocast_system<Spinning>("agnocast-spin-sleep",
-                                "agnocast, a callback of an executor that spins 50 us, then sleeps",
+      agnocast_system<Spinning>("agnocast-spin-sleep", "SpinningExecutor, spins 50 us, then sleeps",
                                 false),
       agnocast_system<TakeReceiver>("agnocast-take", "take() again and again", true),
   };
