@@ -11,7 +11,10 @@
 
 #include <chrono>
 #include <cstddef>
+#include <cstdint>
+#include <cstdio>
 #include <optional>
+#include <set>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -51,24 +54,37 @@ struct Plot {
 /// Gathers what cases give. Not thread-safe.
 class Report {
  public:
+  /// Where progress is told; null: nowhere. By default stderr, where that is a terminal.
+  explicit Report(std::FILE* bar = terminal()) noexcept : bar_(bar) {}
   /// A line for people, to stdout (not with --json=-).
   void say(const std::string& line);
   /// One object of "results"; the case's name is added.
   void add(nlohmann::json result);
   void add(Plot plot);
-  /// How far the table or case is: `done` of `all` steps, with the time left on stderr where that is a terminal. The first call
-  /// of each is with `done` 0.
+  /// How far the case is: `done` of `all` its steps, with the time left. The first call is with `done` 0.
   void progress(std::size_t done, std::size_t all, std::string_view what);
 
-  void begin_case(std::string_view name);
+  /// `usual` is the first guess of the time left; 0: there is none.
+  void begin_case(std::string_view name, std::chrono::seconds usual);
+  /// Before somebody else writes on the terminal.
+  void clear_bar();
   bool is_quiet = false;  ///< say() prints nothing
   nlohmann::json results = nlohmann::json::array();
   nlohmann::json plots = nlohmann::json::array();
 
  private:
+  static std::FILE* terminal() noexcept;
+
+  std::FILE* bar_;
   std::string case_;
   std::chrono::steady_clock::time_point began_{};
+  std::chrono::seconds usual_{0};
   bool has_bar_ = false;
+};
+
+/// A system as --list has it.
+struct SystemName {
+  std::string_view name, summary;
 };
 
 struct Case {
@@ -77,6 +93,11 @@ struct Case {
   /// What its default run takes here, about.
   std::chrono::seconds usual;
   void (*run)(const Run&, Report&);
+  /// Which of the options that not every case has it reads: "--rounds", … What no case reads that was asked for is refused.
+  std::set<std::string_view> reads = {};
+  /// What --systems may name; null where that is not read.
+  std::vector<SystemName> (*systems)() = nullptr;
+  std::size_t sizes_max = SIZE_MAX;  ///< so many --sizes at once
 };
 
 // cases/*.cpp

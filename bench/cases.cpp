@@ -1,47 +1,118 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Which cases this build has, in the order in which `agnocast-bench all` runs them.
+// Which cases this build has, in the order in which `agnocast-bench all` runs them, and what each of them reads of the
+// command line.
 
 #include <bench/cases.hpp>
+#include <bench/cases/throughput.hpp>
+#include <bench/pipeline/edge.hpp>
+#include <bench/system.hpp>
 
 namespace agnocast::bench {
+namespace {
+
+std::vector<SystemName> named(const std::vector<System>& all) {
+  std::vector<SystemName> names;
+  for (const System& one : all) names.push_back({one.name, one.summary});
+  return names;
+}
+
+std::vector<SystemName> of_most() { return named(systems()); }
+// That a copy for all of them is slower than none is known.
+std::vector<SystemName> of_fanout() {
+  std::vector<SystemName> names = of_most();
+  std::erase_if(names, [](const SystemName& one) { return one.name == "floor-memcpy"; });
+  return names;
+}
+std::vector<SystemName> of_throughput() { return named(throughput::systems()); }
+std::vector<SystemName> of_pipeline() {
+  std::vector<SystemName> names;
+  for (const pipeline::Edge& edge : pipeline::edges()) names.push_back({edge.name, {}});
+  return names;
+}
+
+}  // namespace
 
 const std::vector<Case>& cases() {
   using std::chrono::seconds;
   static const std::vector<Case> all = {
 #ifdef AGNOCAST_BENCH_HAS_LATENCY
-      {"latency", "one to one: notification on one core, sizes on two, bare calls, across users",
-       seconds(1100), run_latency},
+      {"latency",
+       "one to one: notification on one core, sizes on two, bare calls, across users",
+       seconds(1200),
+       run_latency,
+       {"--rounds", "--messages", "--period", "--sizes", "--systems"},
+       of_most},
 #endif
 #ifdef AGNOCAST_BENCH_HAS_THROUGHPUT
-      {"throughput", "messages and bytes a second, back to back", seconds(420), run_throughput},
+      {"throughput",
+       "messages and bytes a second, back to back",
+       seconds(420),
+       run_throughput,
+       {"--rounds", "--sizes", "--systems"},
+       of_throughput},
 #endif
 #ifdef AGNOCAST_BENCH_HAS_FANOUT
-      {"fanout", "one to many: what each further receiver costs, asleep and awake", seconds(420),
-       run_fanout},
+      {"fanout",
+       "one to many: what each further receiver costs, asleep and awake",
+       seconds(660),
+       run_fanout,
+       {"--rounds", "--messages", "--period", "--sizes", "--systems"},
+       of_fanout,
+       1},
 #endif
 #ifdef AGNOCAST_BENCH_HAS_LOAD
-      {"load", "latency while the machine is busy", seconds(420), run_load},
+      {"load",
+       "latency while the machine is busy",
+       seconds(1020),
+       run_load,
+       {"--rounds", "--messages", "--period", "--sizes", "--systems"},
+       of_most},
 #endif
 #ifdef AGNOCAST_BENCH_HAS_ALLOC
-      {"alloc", "malloc and free in the shared heap beside private memory", seconds(60), run_alloc},
+      {"alloc",
+       "malloc and free in the shared heap beside private memory",
+       seconds(60),
+       run_alloc,
+       {"--rounds"}},
 #endif
 #ifdef AGNOCAST_BENCH_HAS_MEMORY
-      {"memory", "what pages cost, and what comes back after a spike", seconds(60), run_memory},
+      {"memory",
+       "what pages cost, and what comes back after a spike",
+       seconds(60),
+       run_memory,
+       {"--rounds"}},
 #endif
 #ifdef AGNOCAST_BENCH_HAS_SCALE
-      {"scale", "what more subscribers, publishers, topics and processes cost", seconds(120),
-       run_scale},
+      {"scale",
+       "what more subscribers, publishers, topics and processes cost",
+       seconds(120),
+       run_scale,
+       {"--rounds", "--messages"}},
 #endif
 #ifdef AGNOCAST_BENCH_HAS_DEATH
-      {"death", "what deaths cost those who live", seconds(240), run_death},
+      {"death",
+       "what deaths cost those who live",
+       seconds(240),
+       run_death,
+       {"--rounds", "--sizes"},
+       nullptr,
+       1},
 #endif
 #ifdef AGNOCAST_BENCH_HAS_BRIDGE
-      {"bridge", "what the bridge to DDS costs beside Cyclone DDS alone", seconds(120), run_bridge},
+      {"bridge",
+       "what the bridge to DDS costs beside Cyclone DDS alone",
+       seconds(120),
+       run_bridge,
+       {"--rounds", "--messages", "--sizes"}},
 #endif
 #ifdef AGNOCAST_BENCH_HAS_PIPELINE
-      {"pipeline", "Autoware's LiDAR preprocessing, over Cyclone DDS and agnocast", seconds(185),
-       run_pipeline},
+      {"pipeline",
+       "Autoware's LiDAR preprocessing, over Cyclone DDS and agnocast",
+       seconds(185),
+       run_pipeline,
+       {"--rounds", "--messages", "--period", "--systems", "--scan"},
+       of_pipeline},
 #endif
   };
   return all;

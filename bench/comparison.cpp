@@ -2,7 +2,6 @@
 
 #include <bench/comparison.hpp>
 
-#include <bench/figures.hpp>
 #include <bench/options.hpp>
 
 #include <algorithm>
@@ -14,9 +13,9 @@ namespace agnocast::bench {
 namespace {
 
 template <class Of>
-double median_over(const std::vector<Times>& rounds, double q, Of of) {
+double median_of_medians(const std::vector<Times>& rounds, Of of) {
   std::vector<double> each;
-  for (const Times& round : rounds) each.push_back(quantile(of(round), q));
+  for (const Times& round : rounds) each.push_back(median(of(round)));
   return median(std::move(each));
 }
 
@@ -34,11 +33,15 @@ std::vector<double> ratios(const std::vector<Times>& rounds, const std::vector<T
 std::vector<double> slowest_of(const Times& round) { return round.slowest_ns(); }
 std::vector<double> publish_of(const Times& round) { return round.publish_ns; }
 
+double p99_of(const std::vector<double>& samples) { return quantile(samples, 0.99); }
+
 }  // namespace
 
-double Series::latency_ns(double q) const { return median_over(rounds, q, slowest_of); }
+double Series::p50_ns() const { return median_of_medians(rounds, slowest_of); }
 
-double Series::publish_ns(double q) const { return median_over(rounds, q, publish_of); }
+double Series::publish_p50_ns() const { return median_of_medians(rounds, publish_of); }
+
+double Series::p99_ns() const { return p99_of(latencies_ns()); }
 
 std::vector<double> Series::latencies_ns() const {
   std::vector<double> all;
@@ -59,6 +62,17 @@ std::vector<double> Series::ratios_to(const Series& other) const {
   return ratios(rounds, other.rounds, slowest_of);
 }
 
+double Series::p99_ratio_to(const Series& other) const { return p99_ns() / other.p99_ns(); }
+
+Interval Series::p99_ratio_interval(const Series& other) const {
+  const auto by_round = [](const Series& series) {
+    std::vector<std::vector<double>> all;
+    for (const Times& round : series.rounds) all.push_back(round.slowest_ns());
+    return all;
+  };
+  return bootstrap_ratio(by_round(*this), by_round(other), p99_of);
+}
+
 bool Series::is_without_fifo() const {
   return std::any_of(rounds.begin(), rounds.end(),
                      [](const Times& round) { return round.is_without_fifo; });
@@ -72,14 +86,15 @@ const Series* Comparison::find(std::string_view system) const {
 }
 
 std::vector<const System*> chosen(const Run& run, const std::vector<std::string_view>& names,
-                                  std::string_view floor) {
+                                  std::string_view floor, Services& services) {
   std::vector<const System*> all;
   for (const System& system : systems()) {
     const auto is_in = [&system](const auto& list) {
       return std::find(list.begin(), list.end(), system.name) != list.end();
     };
-    if (system.name == floor || (is_in(names) && (run.systems.empty() || is_in(run.systems))))
-      all.push_back(&system);
+    const bool is_wanted =
+        system.name == floor || (is_in(names) && (run.systems.empty() || is_in(run.systems)));
+    if (is_wanted && services.has(system.service)) all.push_back(&system);
   }
   return all;
 }
@@ -95,9 +110,7 @@ std::vector<Comparison> compare(const std::vector<const System*>& systems,
                                 Services& services,
                                 const std::function<void(const System&, const Plan&)>& step) {
   std::vector<Series> series;
-  for (const System* const system : systems) {
-    if (services.has(system->service)) series.push_back({system, {}});
-  }
+  for (const System* const system : systems) series.push_back({system, {}});
   std::vector<Comparison> all;
   for (const Plan& plan : plans) all.push_back({plan, series});
   for (std::size_t round = 0; round < rounds; ++round) {
@@ -117,13 +130,14 @@ void tell(const Comparison& comparison, std::string_view floor, const nlohmann::
           Report& report) {
   const Series* const base = comparison.find(floor);
   std::string refused;
-  Table table({"system", "p50 us", "p99 us", "max us", "publish us", "CV", "x floor"});
+  Table table(
+      {"system", "p50 us", "p99 us", "max us", "publish us", "CV", "x " + std::string(floor)});
   for (const Series& one : comparison.series) {
     const std::vector<double> all = one.latencies_ns();
     const double max = quantile(all, 1), spread = variation(all);
     const double ratio = base == nullptr ? 0 : one.ratio_to(*base);
-    table.add({std::string(one.system->name), us(one.latency_ns(0.5)), us(one.latency_ns(0.99)),
-               us(max), us(one.publish_ns(0.5)), digits(spread), digits(ratio)});
+    table.add({std::string(one.system->name), us(one.p50_ns()), us(one.p99_ns()), us(max),
+               us(one.publish_p50_ns()), digits(spread), digits(ratio)});
     nlohmann::json result = {{"system", one.system->name},
                              {"size_bytes", comparison.plan.bytes},
                              {"receivers", comparison.plan.receivers},
@@ -131,12 +145,15 @@ void tell(const Comparison& comparison, std::string_view floor, const nlohmann::
                              {"period_ns", comparison.plan.period_ns},
                              {"samples", all.size()},
                              {"min_ns", quantile(all, 0)},
-                             {"p50_ns", one.latency_ns(0.5)},
-                             {"p99_ns", one.latency_ns(0.99)},
+                             {"p50_ns", one.p50_ns()},
+                             {"p99_ns", one.p99_ns()},
                              {"max_ns", max},
-                             {"publish_p50_ns", one.publish_ns(0.5)},
+                             {"publish_p50_ns", one.publish_p50_ns()},
                              {"variation", spread}};
-    if (base != nullptr) result["ratio_to_floor"] = ratio;
+    if (base != nullptr) {
+      result["ratio_to_floor"] = ratio;
+      result["floor"] = floor;
+    }
     if (comparison.plan.cores != Cores::anywhere)
       result["cores"] = comparison.plan.cores == Cores::one ? 1 : 2;
     if (one.is_without_fifo()) {
@@ -150,25 +167,24 @@ void tell(const Comparison& comparison, std::string_view floor, const nlohmann::
   if (!refused.empty()) report.say("  SCHED_FIFO was refused:" + refused);
 }
 
-std::vector<Comparison> compare_and_tell(const std::string& title,
-                                         const std::vector<const System*>& systems,
-                                         const std::vector<Plan>& plans, std::size_t rounds,
-                                         std::string_view floor, const nlohmann::json& extra,
-                                         Services& services, Report& report) {
-  const auto title_of = [&](const Plan& plan) { return title + ", " + size_text(plan.bytes); };
-  const std::size_t all = systems.size() * plans.size() * rounds;
-  std::size_t done = 0;
+std::vector<Comparison> compare_and_tell(const Measurement& measurement, Services& services,
+                                         Steps& steps, Report& report) {
+  const auto title_of = [&](const Plan& plan) {
+    return measurement.title + ", " + size_text(plan.bytes);
+  };
   std::vector<Comparison> comparisons =
-      compare(systems, plans, rounds, services, [&](const System& system, const Plan& plan) {
-        report.progress(done++, all, title_of(plan) + ", " + std::string(system.name));
-      });
-  report.progress(all, all, "");
+      compare(measurement.systems, measurement.plans, measurement.rounds, services,
+              [&](const System& system, const Plan& plan) {
+                steps.next(title_of(plan) + ", " + std::string(system.name));
+              });
   for (const Comparison& comparison : comparisons) {
     const Plan& plan = comparison.plan;
+    const std::string whose = plan.receivers > 1 ? "; times are of the slowest receiver" : "";
     report.say("\n" + title_of(plan) + ", every " +
                digits(static_cast<double>(plan.period_ns) / 1e6) + " ms, " +
-               std::to_string(rounds) + " x " + std::to_string(plan.messages) + " messages");
-    tell(comparison, floor, extra, report);
+               std::to_string(measurement.rounds) + " x " + std::to_string(plan.messages) +
+               " messages" + whose);
+    tell(comparison, measurement.floor, measurement.extra, report);
   }
   return comparisons;
 }
@@ -183,8 +199,23 @@ nlohmann::json violins(const Comparison& comparison) {
   return series;
 }
 
-void Aims::add(const std::string& aim, std::optional<double> measured, Sense sense, double bound) {
-  all_.push_back({aim, measured, sense, bound});
+void Aims::add(const std::string& aim, std::optional<double> measured, Sense sense, double bound,
+               std::optional<Interval> interval) {
+  all_.push_back({aim, measured, sense, bound, interval});
+}
+
+std::optional<bool> Aims::Aim::is_reached() const {
+  const bool is_at_most = sense == Sense::at_most;
+  if (!interval) return is_at_most ? *measured <= bound : *measured >= bound;
+  if (interval->high < bound) return is_at_most;
+  if (interval->low > bound) return !is_at_most;
+  return {};
+}
+
+std::string Aims::not_judged(const Aim& aim) const {
+  if (!aim.measured) return "not measured";
+  if (!can_judge_) return "not judged, too short a run";
+  return aim.is_reached() ? "" : "undecided, the bound is within the interval";
 }
 
 void Aims::tell(Report& report) const {
@@ -192,21 +223,26 @@ void Aims::tell(Report& report) const {
   report.say("\naims");
   Table table({"aim", "measured", "bound", "reached"});
   for (const Aim& aim : all_) {
-    const char* const not_judged = !aim.measured ? "not measured"
-                                   : can_judge_  ? nullptr
-                                                 : "not judged, too short a run";
     nlohmann::json result = {{"aim", aim.text}, {"bound", aim.bound}};
-    if (aim.measured) result["measured"] = *aim.measured;
-    if (not_judged == nullptr) {
-      result["is_reached"] = aim.is_reached();
-    } else {
-      result["not_judged"] = not_judged;
+    std::string measured = "-", verdict = not_judged(aim);
+    if (aim.measured) {
+      result["measured"] = *aim.measured;
+      measured = digits(*aim.measured);
     }
-    table.add({aim.text, aim.measured ? digits(*aim.measured) : "-",
-               (aim.sense == Sense::at_most ? "<= " : ">= ") + digits(aim.bound),
-               not_judged != nullptr ? not_judged
-               : aim.is_reached()    ? "yes"
-                                     : "no"});
+    if (aim.interval) {
+      result["measured_low"] = aim.interval->low;
+      result["measured_high"] = aim.interval->high;
+      measured += " [" + digits(aim.interval->low) + ", " + digits(aim.interval->high) + "]";
+    }
+    if (verdict.empty()) {
+      const bool is_reached = *aim.is_reached();
+      result["is_reached"] = is_reached;
+      verdict = is_reached ? "yes" : "no";
+    } else {
+      result["not_judged"] = verdict;
+    }
+    table.add({aim.text, measured,
+               (aim.sense == Sense::at_most ? "<= " : ">= ") + digits(aim.bound), verdict});
     report.add(std::move(result));
   }
   table.say(report);

@@ -6,6 +6,7 @@
 
 #include <bench/case.hpp>
 #include <bench/conductor.hpp>
+#include <bench/figures.hpp>
 
 #include <cstddef>
 #include <functional>
@@ -21,16 +22,20 @@ struct Series {
   const System* system = nullptr;
   std::vector<Times> rounds;
 
-  /// Medians over the rounds of each round's quantile: of the slowest receiver's latencies, or of the publish calls.
-  double latency_ns(double q) const;
-  double publish_ns(double q) const;
-  /// Over all rounds.
+  /// Medians over the rounds of each round's median: of the slowest receiver's latencies, or of the publish calls.
+  double p50_ns() const;
+  double publish_p50_ns() const;
+  /// Over all rounds, as a tail wants all samples that there are.
   std::vector<double> latencies_ns() const;
+  double p99_ns() const;
   /// Medians over the rounds of this one's p50 over the other's: of latencies, and of publish calls.
   double ratio_to(const Series& floor) const;
   double publish_ratio_to(const Series& floor) const;
   /// Of each round by itself: its p50 over the other's.
   std::vector<double> ratios_to(const Series& other) const;
+  /// p99_ns() over the other's, with its 95 % interval.
+  double p99_ratio_to(const Series& other) const;
+  Interval p99_ratio_interval(const Series& other) const;
   /// In any round: real-time scheduling was wanted and refused.
   bool is_without_fifo() const;
 };
@@ -43,14 +48,39 @@ struct Comparison {
   const Series* find(std::string_view system) const;
 };
 
-/// Those of `names` that this build has and the run wants, in the build's order. `floor` takes part whatever the run wants.
+/// Those of `names` that this build has and the run wants, and whose service runs here, in the build's order. `floor` takes
+/// part whatever the run wants.
 std::vector<const System*> chosen(const Run& run, const std::vector<std::string_view>& names,
-                                  std::string_view floor);
+                                  std::string_view floor, Services& services);
 /// All of systems().
 std::vector<std::string_view> all_names();
 
+/// What is measured under one title: all systems under all plans, so many rounds.
+struct Measurement {
+  std::string title;
+  std::vector<const System*> systems;
+  std::vector<Plan> plans;
+  std::size_t rounds = 1;
+  std::string_view floor;
+  nlohmann::json extra = {};  ///< added to each result
+
+  std::size_t steps() const { return systems.size() * plans.size() * rounds; }
+};
+
+/// How far a case is, which has more than one measurement.
+class Steps {
+ public:
+  Steps(Report& report, std::size_t all) : report_(report), all_(all) {}
+  void next(const std::string& what) { report_.progress(done_++, all_, what); }
+  void finish() { report_.progress(all_, all_, ""); }
+
+ private:
+  Report& report_;
+  std::size_t done_ = 0, all_;
+};
+
 /// Several plans in one go: in each round every plan, under each plan every system, so that what is compared between plans
-/// is not minutes apart either. `step` is called before each turn. Without those whose service does not run here.
+/// is not minutes apart either. `step` is called before each turn.
 std::vector<Comparison> compare(const std::vector<const System*>& systems,
                                 const std::vector<Plan>& plans, std::size_t rounds,
                                 Services& services,
@@ -60,12 +90,9 @@ std::vector<Comparison> compare(const std::vector<const System*>& systems,
 void tell(const Comparison& comparison, std::string_view floor, const nlohmann::json& extra,
           Report& report);
 
-/// Both, and on the way how far it is; the table of each plan is under `title` and its size.
-std::vector<Comparison> compare_and_tell(const std::string& title,
-                                         const std::vector<const System*>& systems,
-                                         const std::vector<Plan>& plans, std::size_t rounds,
-                                         std::string_view floor, const nlohmann::json& extra,
-                                         Services& services, Report& report);
+/// Both; the table of each plan is under the title and its size.
+std::vector<Comparison> compare_and_tell(const Measurement& measurement, Services& services,
+                                         Steps& steps, Report& report);
 
 /// One violin for each system.
 nlohmann::json violins(const Comparison& comparison);
@@ -75,8 +102,10 @@ class Aims {
  public:
   enum class Sense { at_most, at_least };
   explicit Aims(const Run& run) : can_judge_(run.can_judge()) {}
-  /// Without `measured`: what it takes did not run here.
-  void add(const std::string& aim, std::optional<double> measured, Sense sense, double bound);
+  /// Without `measured`: what it takes did not run here. With an interval it is reached, or missed, when all of that is on
+  /// one side of the bound, and undecided otherwise.
+  void add(const std::string& aim, std::optional<double> measured, Sense sense, double bound,
+           std::optional<Interval> interval = {});
   /// The table, and an object of "results" for each.
   void tell(Report& report) const;
 
@@ -86,10 +115,11 @@ class Aims {
     std::optional<double> measured;
     Sense sense;
     double bound;
-    bool is_reached() const {
-      return sense == Sense::at_most ? *measured <= bound : *measured >= bound;
-    }
+    std::optional<Interval> interval;
+    /// Empty: undecided. Of one that was measured.
+    std::optional<bool> is_reached() const;
   };
+  std::string not_judged(const Aim& aim) const;
   bool can_judge_;
   std::vector<Aim> all_;
 };

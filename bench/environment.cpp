@@ -3,6 +3,7 @@
 #include <bench/environment.hpp>
 
 #include <agnocast/version.hpp>
+#include <bench/cpus.hpp>
 #include <bench/system.hpp>
 
 #include <sched.h>
@@ -11,11 +12,11 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <cstdint>
 #include <cstdio>
 #include <ctime>
 #include <fstream>
 #include <optional>
-#include <thread>
 
 namespace agnocast::bench {
 namespace {
@@ -45,6 +46,31 @@ std::optional<std::string> chosen_of(const std::string& path) {
   return line->substr(begin + 1, end - begin - 1);
 }
 
+std::optional<std::int64_t> number_of(const std::string& path) {
+  std::ifstream file(path);
+  std::int64_t number = 0;
+  if (!(file >> number)) return {};
+  return number;
+}
+
+std::optional<std::int64_t> memory_bytes() {
+  const std::int64_t pages = ::sysconf(_SC_PHYS_PAGES), page = ::sysconf(_SC_PAGESIZE);
+  if (pages <= 0 || page <= 0) return {};
+  return pages * page;
+}
+
+void keep_cpus(nlohmann::json& all) {
+  all["cores"] = cpus().usable.size();
+  all["cpus"] = {cpus().first};
+  if (cpus().has_two()) all["cpus"].push_back(cpus().second);
+  if (cpus().are_siblings) all["cpus_are_siblings"] = *cpus().are_siblings;
+}
+
+void keep_load(nlohmann::json& all, const char* key) {
+  double load[3];
+  if (::getloadavg(load, 3) == 3) all[key] = load;
+}
+
 // Tried in a child: this process is to stay as it is.
 bool may_be_realtime() {
   const pid_t pid = ::fork();
@@ -70,7 +96,7 @@ nlohmann::json build() {
   return {{"version", std::to_string(AGNOCAST_VERSION_MAJOR) + "." +
                           std::to_string(AGNOCAST_VERSION_MINOR) + "." +
                           std::to_string(AGNOCAST_VERSION_PATCH)},
-          {"revision", AGNOCAST_BENCH_REVISION},
+          {"revision", revision},
           {"compiler", AGNOCAST_BENCH_COMPILER},
           {"build_type", AGNOCAST_BENCH_BUILD_TYPE},
           {"cyclonedds", AGNOCAST_BENCH_CYCLONEDDS},
@@ -91,8 +117,6 @@ void leave_out(const std::string& what) {
   all.push_back(what);
 }
 
-const std::vector<std::string>& left_out() { return left_out_here(); }
-
 nlohmann::json environment(const std::vector<std::string>& arguments) {
   nlohmann::json all = build();
   all["arguments"] = arguments;
@@ -102,8 +126,11 @@ nlohmann::json environment(const std::vector<std::string>& arguments) {
   const auto keep = [&all](const char* key, const std::optional<std::string>& value) {
     if (value) all[key] = *value;
   };
+  const auto keep_number = [&all](const char* key, std::optional<std::int64_t> value) {
+    if (value) all[key] = *value;
+  };
   all["time"] = now_text();
-  all["cores"] = std::thread::hardware_concurrency();
+  keep_cpus(all);
   keep("cpu", cpu_model());
   utsname system{};
   if (::uname(&system) == 0) {
@@ -111,17 +138,25 @@ nlohmann::json environment(const std::vector<std::string>& arguments) {
     all["machine"] = system.machine;
   }
   const std::string cpu = "/sys/devices/system/";
+  keep("smt", line_of(cpu + "cpu/smt/control"));
   keep("governor", line_of(cpu + "cpu/cpu0/cpufreq/scaling_governor"));
   keep("clock_source", line_of(cpu + "clocksource/clocksource0/current_clocksource"));
   const std::string huge = "/sys/kernel/mm/transparent_hugepage/";
   keep("huge_pages", chosen_of(huge + "enabled"));
   keep("shared_huge_pages", chosen_of(huge + "shmem_enabled"));
-  double load[3];
-  if (::getloadavg(load, 3) == 3) all["load"] = load;
+  keep_number("memory_bytes", memory_bytes());
+  keep_number("rmem_max_bytes", number_of("/proc/sys/net/core/rmem_max"));
+  keep_number("sched_rt_runtime_us", number_of("/proc/sys/kernel/sched_rt_runtime_us"));
+  keep_load(all, "load");
   all["realtime"] = may_be_realtime();
   all["root"] = ::geteuid() == 0;
   all["absent"] = absent();
   return all;
+}
+
+void complete(nlohmann::json& environment) {
+  keep_load(environment, "load_end");
+  environment["left_out"] = left_out_here();
 }
 
 std::vector<std::string> doubts(const nlohmann::json& environment) {
@@ -134,6 +169,8 @@ std::vector<std::string> doubts(const nlohmann::json& environment) {
         "the scheduler's");
   if (environment.at("cores").get<unsigned>() < 2)
     all.emplace_back("there is one core: what needs two is left out");
+  if (environment.value("cpus_are_siblings", false))
+    all.emplace_back("the two CPUs are threads of one core, and slow each other down");
   if (environment.contains("load") &&
       environment["load"][0].get<double>() > 0.5 * environment.at("cores").get<double>())
     all.emplace_back("the machine is busy: compare ratios only");

@@ -10,12 +10,16 @@
 
 namespace agnocast::bench {
 
-/// `arguments`: of the command line.
+/// At the beginning. `arguments`: of the command line.
 nlohmann::json environment(const std::vector<std::string>& arguments);
+/// What is known at the end: the load then, and what was left out.
+void complete(nlohmann::json& environment);
 
-/// What cannot be measured here, and why: said on stderr, once, and kept for "left_out" of the environment.
+/// Of the sources when this was built, "1a2b3c4-dirty"; empty: not known.
+extern const char* const revision;
+
+/// What cannot be measured here, and why: said on stderr, once, and kept for complete().
 void leave_out(const std::string& what);
-const std::vector<std::string>& left_out();
 
 /// What of it makes figures doubtful, as sentences for people: a build that is not optimised, a busy machine, …
 std::vector<std::string> doubts(const nlohmann::json& environment);

@@ -57,6 +57,35 @@ Interval bootstrap(const std::vector<double>& samples, Statistic statistic,
   return {quantile(statistics, 0.025), quantile(statistics, 0.975)};
 }
 
+/// The 95 % interval of statistic(one) / statistic(other) of samples that were taken in rounds, each round of both under the
+/// same conditions. Samples of a round are alike, so rounds are drawn, the same of both, and then samples within each; what
+/// was drawn is put together before it is looked at.
+template <typename Statistic>
+Interval bootstrap_ratio(const std::vector<std::vector<double>>& one,
+                         const std::vector<std::vector<double>>& other, Statistic statistic,
+                         std::size_t resamples = 1000) {
+  const std::size_t rounds = std::min(one.size(), other.size());
+  if (rounds == 0) return {};
+  std::mt19937_64 random(1);
+  const auto any_below = [&](std::size_t end) {
+    return std::uniform_int_distribution<std::size_t>(0, end - 1)(random);
+  };
+  const auto draw = [&](const std::vector<double>& from, std::vector<double>& to) {
+    for (std::size_t i = 0; i < from.size(); ++i) to.push_back(from[any_below(from.size())]);
+  };
+  std::vector<double> ratios;
+  for (std::size_t i = 0; i < resamples; ++i) {
+    std::vector<double> of_one, of_other;
+    for (std::size_t j = 0; j < rounds; ++j) {
+      const std::size_t round = any_below(rounds);
+      draw(one[round], of_one);
+      draw(other[round], of_other);
+    }
+    ratios.push_back(statistic(of_one) / statistic(of_other));
+  }
+  return {quantile(ratios, 0.025), quantile(ratios, 0.975)};
+}
+
 /// y = offset + slope · x, by least squares; a constant where there is but one x.
 struct Line {
   double slope = 0, offset = 0;

@@ -31,8 +31,8 @@ std::int64_t now_ns() noexcept;
 /// Where and how the processes of a run run.
 enum class Cores : std::uint32_t {
   anywhere,  ///< not pinned, ordinary scheduling
-  one,       ///< all on CPU 0
-  two,       ///< sender on CPU 0, receivers on CPU 1
+  one,       ///< all on the first of cpus()
+  two,       ///< sender on the first, receivers on the second
 };
 
 /// What a run is.

@@ -12,16 +12,19 @@
 #include <bench/services.hpp>
 #include <bench/system.hpp>
 
+#include <fcntl.h>
 #include <signal.h>
 #include <sys/prctl.h>
 #include <unistd.h>
 
 #include <algorithm>
+#include <cerrno>
 #include <chrono>
 #include <cstdio>
+#include <cstring>
 #include <exception>
 #include <fstream>
-#include <iostream>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <thread>
@@ -61,26 +64,59 @@ void clean_up_on_signals() {
   }).detach();
 }
 
-void list() {
-  std::printf("cases:\n");
-  for (const Case& one : cases())
-    std::printf("  %-20.*s %.*s\n", static_cast<int>(one.name.size()), one.name.data(),
-                static_cast<int>(one.summary.size()), one.summary.data());
-  std::printf("systems:\n");
-  for (const System& system : systems())
-    std::printf("  %-20.*s %.*s\n", static_cast<int>(system.name.size()), system.name.data(),
-                static_cast<int>(system.summary.size()), system.summary.data());
-  for (const std::string& what : absent()) std::printf("  %s\n", what.c_str());
+std::string padded(std::string_view name) {
+  return "  " + std::string(name) + std::string(name.size() < 20 ? 20 - name.size() : 1, ' ');
 }
 
-void write(const nlohmann::json& document, const std::string& file) {
-  const std::string text = document.dump(1) + "\n";
-  if (file == "-") {
-    std::cout << text << std::flush;
-    return;
+void list() {
+  std::string text =
+      "cases, with about how long they take, and what each reads beside --small, --json and "
+      "--plot:\n";
+  for (const Case& one : cases()) {
+    text += padded(one.name) + std::string(one.summary) + "; " +
+            std::to_string((one.usual.count() + 59) / 60) + " min\n" + padded("") +
+            options_text(one) + "\n";
   }
+  text += "systems, and the cases that compare them:\n";
+  for (const SystemName& system : systems_of(cases())) {
+    text += padded(system.name) + std::string(system.summary) + "\n" + padded("");
+    for (const Case& one : cases()) {
+      if (compares(one, system.name)) text += std::string(one.name) + " ";
+    }
+    text.back() = '\n';
+  }
+  for (const std::string& what : absent()) text += "  " + what + "\n";
+  std::fputs(text.c_str(), stdout);
+}
+
+/// Where results go with --json=-: what was standard output. From then on that is standard error, so that nothing which a
+/// process or a library may print gets between.
+class PureOutput {
+ public:
+  PureOutput() : file_(::fdopen(::fcntl(STDOUT_FILENO, F_DUPFD_CLOEXEC, 0), "w")) {
+    if (file_ == nullptr || ::dup2(STDERR_FILENO, STDOUT_FILENO) < 0) fail();
+  }
+  ~PureOutput() { std::fclose(file_); }
+  PureOutput(const PureOutput&) = delete;
+  PureOutput& operator=(const PureOutput&) = delete;
+
+  void write(const std::string& text) {
+    if (std::fputs(text.c_str(), file_) == EOF || std::fflush(file_) == EOF) fail();
+  }
+
+ private:
+  [[noreturn]] static void fail() {
+    throw std::runtime_error(std::string("standard output: ") + std::strerror(errno));
+  }
+  std::FILE* file_;
+};
+
+std::string text_of(const nlohmann::json& document) { return document.dump(1) + "\n"; }
+
+void write(const nlohmann::json& document, const std::string& file) {
   std::ofstream stream(file);
-  if (!(stream << text << std::flush)) throw std::runtime_error(file + ": cannot be written");
+  if (!(stream << text_of(document) << std::flush))
+    throw std::runtime_error(file + ": cannot be written");
 }
 
 // An hour of measuring is not to end with results that go nowhere.
@@ -120,11 +156,13 @@ nlohmann::json run_cases(const Options& options, Report& report) {
   for (const std::string& name : options.cases) {
     for (const Case& one : cases()) {
       if (one.name != name) continue;
-      report.begin_case(name);
+      // What a shorter or a longer run takes shows on the way.
+      report.begin_case(name, options.is_default ? one.usual : std::chrono::seconds(0));
       report.say("\n== " + name + ": " + std::string(one.summary));
       try {
         one.run(options.run, report);
       } catch (const std::exception& error) {
+        report.clear_bar();
         std::fprintf(stderr, "agnocast-bench: %s: %s\n", name.c_str(), error.what());
         failed[name] = error.what();
       }
@@ -139,26 +177,25 @@ int measure(const Options& options, const std::vector<std::string>& arguments) {
   ::signal(SIGPIPE, SIG_IGN);
   check_writable(options.json);
   check_programs(options);
+  std::optional<PureOutput> output;
+  if (options.json == "-") output.emplace();
   Report report;
-  report.is_quiet = options.json == "-";
+  report.is_quiet = output.has_value();
   nlohmann::json document = {{"schema", "agnocast.bench/1"},
                              {"environment", environment(arguments)}};
   for (const std::string& doubt : doubts(document["environment"])) report.say("note: " + doubt);
   const nlohmann::json failed = run_cases(options, report);
-  document["environment"]["left_out"] = left_out();
+  complete(document["environment"]);
   document["results"] = report.results;
   document["plots"] = report.plots;
   if (!failed.empty()) document["failed"] = failed;
-  if (!options.json.empty()) write(document, options.json);
+  if (output) {
+    output->write(text_of(document));
+  } else if (!options.json.empty()) {
+    write(document, options.json);
+  }
   if (!options.plot.empty()) draw(document, options.plot);
   return failed.empty() ? 0 : 1;
-}
-
-template <class Named>
-std::vector<std::string> names_of(const std::vector<Named>& all) {
-  std::vector<std::string> names;
-  for (const Named& one : all) names.emplace_back(one.name);
-  return names;
 }
 
 }  // namespace
@@ -170,7 +207,7 @@ int main(int argc, char** argv) {
     const std::vector<std::string> arguments(argv + 1, argv + argc);
     if (!arguments.empty() && arguments[0].starts_with('%'))
       return be(arguments[0].substr(1), {arguments.begin() + 1, arguments.end()});
-    const Options options = parse(arguments, names_of(cases()), names_of(systems()));
+    const Options options = parse(arguments, cases());
     if (!options.help.empty()) return std::fputs(options.help.c_str(), stdout), 0;
     if (!options.error.empty()) return refuse(options.error);
     if (options.is_list) return list(), 0;

@@ -41,7 +41,78 @@ CLI::Validator one_of(const std::vector<std::string>& names, const char* kind) {
       "");
 }
 
+// Those that not every case reads.
+constexpr std::string_view of_some_cases[] = {"--rounds", "--messages", "--period",
+                                              "--sizes",  "--systems",  "--scan"};
+
+/// What is wrong with `what` unless one of the cases that were asked for `takes` it; empty: nothing is.
+template <class Takes>
+std::string refusal(const std::string& what, const std::vector<std::string>& asked,
+                    const std::vector<Case>& cases, Takes takes) {
+  std::string those, others;
+  for (const Case& one : cases) {
+    const bool is_asked = std::find(asked.begin(), asked.end(), one.name) != asked.end();
+    if (is_asked && takes(one)) return "";
+    std::string& list = is_asked ? those : others;
+    if (is_asked || takes(one)) list += (list.empty() ? "" : ", ") + std::string(one.name);
+  }
+  const std::string nobody =
+      asked.size() == 1 ? those + " does not take " : "none of " + those + " takes ";
+  return nobody + what + "; leave it out" + (others.empty() ? "" : ", or ask for " + others);
+}
+
+std::string first_refusal(const Options& options, const CLI::App& app,
+                          const std::vector<Case>& cases) {
+  std::string why;
+  for (const std::string_view option : of_some_cases) {
+    if (app.get_option(std::string(option))->count() == 0) continue;
+    why = refusal(std::string(option), options.cases, cases,
+                  [&](const Case& one) { return one.reads.count(option) != 0; });
+    if (!why.empty()) return why;
+  }
+  for (const std::string& system : options.run.systems) {
+    why = refusal("--systems " + system, options.cases, cases,
+                  [&](const Case& one) { return compares(one, system); });
+    if (!why.empty()) return why;
+  }
+  const std::size_t sizes = options.run.sizes.size();
+  if (sizes < 2) return "";
+  return refusal("more than one of --sizes", options.cases, cases, [&](const Case& one) {
+    return one.reads.count("--sizes") != 0 && sizes <= one.sizes_max;
+  });
+}
+
 }  // namespace
+
+std::string options_text(const Case& one) {
+  std::string text;
+  for (const std::string_view option : of_some_cases) {
+    if (one.reads.count(option) == 0) continue;
+    text += (text.empty() ? "" : " ") + std::string(option);
+    if (option == "--sizes" && one.sizes_max == 1) text += " (one)";
+  }
+  return text;
+}
+
+bool compares(const Case& one, std::string_view system) {
+  if (one.systems == nullptr) return false;
+  const std::vector<SystemName> all = one.systems();
+  return std::any_of(all.begin(), all.end(),
+                     [&](const SystemName& name) { return name.name == system; });
+}
+
+std::vector<SystemName> systems_of(const std::vector<Case>& cases) {
+  std::vector<SystemName> all;
+  for (const Case& one : cases) {
+    if (one.systems == nullptr) continue;
+    for (const SystemName& name : one.systems()) {
+      const bool is_known = std::any_of(
+          all.begin(), all.end(), [&](const SystemName& known) { return known.name == name.name; });
+      if (!is_known) all.push_back(name);
+    }
+  }
+  return all;
+}
 
 std::size_t size_of(const std::string& text) {
   double number = 0;
@@ -78,14 +149,20 @@ std::string size_text(std::size_t bytes) {
   return text;
 }
 
-Options parse(const std::vector<std::string>& arguments, const std::vector<std::string>& cases,
-              const std::vector<std::string>& systems) {
+Options parse(const std::vector<std::string>& arguments, const std::vector<Case>& cases) {
   Options options;
+  std::vector<std::string> names, systems;
+  std::string which = "Which case reads which, beside --small, --json and --plot:\n";
+  for (const Case& one : cases) {
+    names.emplace_back(one.name);
+    which += "  " + names.back() + ": " + options_text(one) + "\n";
+  }
+  for (const SystemName& name : systems_of(cases)) systems.emplace_back(name.name);
   Run& run = options.run;
   std::vector<std::string> sizes;
   std::string period;
   std::size_t rounds = 0, messages = 0;
-  std::vector<std::string> with_all = cases;
+  std::vector<std::string> with_all = names;
   with_all.emplace_back("all");
   CLI::App app{
       "Compares agnocast with other ways to carry messages on this host. The systems run "
@@ -93,9 +170,11 @@ Options parse(const std::vector<std::string>& arguments, const std::vector<std::
       "in one run; ratios are to the floor of the same round, medians over the rounds."};
   app.name("agnocast-bench");
   app.get_formatter()->column_width(30);
+  app.footer(which);
   app.add_option("CASE", options.cases, "what to measure (--list names them); all: everything")
       ->check(one_of(with_all, "case"));
-  app.add_flag("--list", options.is_list, "say which cases and systems this build has");
+  app.add_flag("--list", options.is_list,
+               "say which cases and systems this build has, and how long they take");
   auto* const rounds_option =
       app.add_option("--rounds", rounds, "how often each system has its turn")
           ->check(CLI::Range(1, 1000))
@@ -134,11 +213,18 @@ Options parse(const std::vector<std::string>& arguments, const std::vector<std::
   }
   if (options.cases.empty() && !options.is_list) options.error = "which case?";
   if (std::find(options.cases.begin(), options.cases.end(), "all") != options.cases.end())
-    options.cases = cases;
+    options.cases = names;
   if (rounds_option->count() > 0) run.rounds = rounds;
   if (messages_option->count() > 0) run.messages = messages;
   if (!period.empty()) run.period = period_of(period);
   for (const std::string& size : sizes) run.sizes.push_back(size_of(size));
+  options.is_default =
+      !run.is_small &&
+      std::all_of(std::begin(of_some_cases), std::end(of_some_cases), [&](std::string_view option) {
+        return app.get_option(std::string(option))->count() == 0;
+      });
+  if (options.error.empty() && !options.cases.empty())
+    options.error = first_refusal(options, app, cases);
   return options;
 }
 

@@ -14,16 +14,23 @@ namespace agnocast::bench {
 struct Options {
   std::vector<std::string> cases;
   Run run;
-  std::string json;      ///< file; "-": stdout, and nothing else there; empty: none
-  std::string plot;      ///< directory; empty: none
-  bool is_list = false;  ///< say which cases and systems there are
-  std::string help;      ///< not empty: print this instead
-  std::string error;     ///< not empty: wrong usage, and what to do
+  bool is_default = true;  ///< a run as the cases have it
+  std::string json;        ///< file; "-": stdout, and nothing else there; empty: none
+  std::string plot;        ///< directory; empty: none
+  bool is_list = false;    ///< say which cases and systems there are
+  std::string help;        ///< not empty: print this instead
+  std::string error;       ///< not empty: wrong usage, and what to do
 };
 
-/// `cases` and `systems`: the names that there are.
-Options parse(const std::vector<std::string>& arguments, const std::vector<std::string>& cases,
-              const std::vector<std::string>& systems);
+/// Of a command line for these cases. An option, or a system, that none of those which are asked for reads is wrong usage:
+/// who says --period is not to take figures for an answer that are of another period.
+Options parse(const std::vector<std::string>& arguments, const std::vector<Case>& cases);
+
+/// "--rounds --sizes", the options that it reads beside those of every case.
+std::string options_text(const Case& one);
+bool compares(const Case& one, std::string_view system);
+/// All that these cases compare, each name once.
+std::vector<SystemName> systems_of(const std::vector<Case>& cases);
 
 /// "64", "10K", "1.5M" (1024 based); 0: not a size.
 std::size_t size_of(const std::string& text);

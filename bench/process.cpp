@@ -16,6 +16,7 @@
 #include <map>
 #include <mutex>
 #include <stdexcept>
+#include <system_error>
 #include <thread>
 #include <utility>
 
@@ -29,7 +30,7 @@ struct Pipe {
   int ends[2] = {-1, -1};
   void make() {
     if (::pipe2(ends, O_CLOEXEC) != 0)
-      throw std::runtime_error(std::string("pipe: ") + std::strerror(errno));
+      throw std::system_error(errno, std::generic_category(), "pipe");
   }
   ~Pipe() {
     for (const int end : ends) {
@@ -94,7 +95,7 @@ Process::Process(Options options)
   const std::lock_guard lock(everyone().mutex);
   everyone().processes.reserve(everyone().processes.size() + 1);
   pid_ = ::fork();
-  if (pid_ < 0) throw std::runtime_error(std::string("fork: ") + std::strerror(errno));
+  if (pid_ < 0) throw std::system_error(errno, std::generic_category(), "fork");
   if (pid_ == 0) become(options, in, out, parent);
   everyone().processes.push_back(this);
   input_ = in.take(1);

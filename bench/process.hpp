@@ -32,7 +32,7 @@ class Process {
     int end_signal = 9;                 ///< what the destructor sends, and the kernel when we die
     void (*at_end)() = nullptr;         ///< after its end, for what it may have left
   };
-  /// Throws std::runtime_error when there is no process; that the program is missing shows as status 127. It dies with
+  /// Throws std::system_error when there is no process; that the program is missing shows as status 127. It dies with
   /// the thread that calls this.
   explicit Process(Options options);
   /// end(end_signal), if it still runs.

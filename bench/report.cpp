@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Report: what cases say to people goes to stdout line by line, what they say to machines is kept until the end.
+// Report: what cases say to people goes to stdout line by line, what they say to machines is kept until the end. How far
+// they are is a line on the terminal that the next one of either kind replaces.
 
 #include <bench/case.hpp>
 
@@ -28,8 +29,7 @@ nlohmann::json thinned(const nlohmann::json& values) {
 }  // namespace
 
 void Report::say(const std::string& line) {
-  if (has_bar_) std::fputs("\r\033[K", stderr);
-  has_bar_ = false;
+  clear_bar();
   if (is_quiet) return;
   std::printf("%s\n", line.c_str());
   std::fflush(stdout);
@@ -57,23 +57,34 @@ void Report::add(Plot plot) {
 }
 
 void Report::progress(std::size_t done, std::size_t all, std::string_view what) {
-  if (::isatty(STDERR_FILENO) == 0) return;
+  if (bar_ == nullptr) return;
   const auto now = std::chrono::steady_clock::now();
   if (done == 0) began_ = now;  // steps are counted from here, and so is time
+  clear_bar();
+  if (done >= all) return;
   const std::chrono::duration<double> gone = now - began_;
-  std::fprintf(stderr, "\r\033[K%s: %zu of %zu, ", case_.c_str(), done, all);
-  if (done > 0)
-    std::fprintf(stderr, "%.0f s left, ",
-                 gone.count() * static_cast<double>(all - done) / static_cast<double>(done));
-  std::fprintf(stderr, "%.*s", static_cast<int>(what.size()), what.data());
+  const double left_s =
+      done == 0 ? static_cast<double>(usual_.count())
+                : gone.count() * static_cast<double>(all - done) / static_cast<double>(done);
+  std::fprintf(bar_, "%s: %zu of %zu, ", case_.c_str(), done, all);
+  if (done > 0 || usual_.count() > 0) std::fprintf(bar_, "%.0f s left, ", left_s);
+  std::fprintf(bar_, "%.*s", static_cast<int>(what.size()), what.data());
+  std::fflush(bar_);
   has_bar_ = true;
-  if (done == all) std::fputs("\r\033[K", stderr), has_bar_ = false;
-  std::fflush(stderr);
 }
 
-void Report::begin_case(std::string_view name) {
+void Report::begin_case(std::string_view name, std::chrono::seconds usual) {
   case_ = name;
-  began_ = std::chrono::steady_clock::now();
+  usual_ = usual;
 }
+
+void Report::clear_bar() {
+  if (!has_bar_) return;
+  std::fputs("\r\033[K", bar_);
+  std::fflush(bar_);
+  has_bar_ = false;
+}
+
+std::FILE* Report::terminal() noexcept { return ::isatty(STDERR_FILENO) == 0 ? nullptr : stderr; }
 
 }  // namespace agnocast::bench

@@ -10,6 +10,7 @@
 // what is compared there is the way, without the interrupt from one core to the other.
 
 #include <bench/conductor.hpp>
+#include <bench/cpus.hpp>
 #include <bench/process.hpp>
 
 #include <grp.h>
@@ -31,32 +32,39 @@ namespace agnocast::bench {
 namespace {
 
 constexpr std::int64_t patience_ns = 10'000'000'000;
-constexpr std::int64_t nap_ns = 50'000;
 
 void sleep_until(std::int64_t when_ns) noexcept {
   const timespec when{static_cast<time_t>(when_ns / 1'000'000'000), when_ns % 1'000'000'000};
   while (::clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &when, nullptr) == EINTR) continue;
 }
 
-// Repeats `attempt` until it says yes.
+// Repeats `attempt` until it says yes. Without a pause it only lets those go first who share its core.
 template <class Attempt>
 void insist(const std::string& what, std::int64_t pause_ns, Attempt attempt) {
   const std::int64_t end_ns = now_ns() + patience_ns;
   while (!attempt()) {
-    if (now_ns() > end_ns) throw std::runtime_error(what);
-    sleep_until(now_ns() + pause_ns);
+    const std::int64_t time_ns = now_ns();
+    if (time_ns > end_ns) throw std::runtime_error(what);
+    if (pause_ns > 0) {
+      sleep_until(time_ns + pause_ns);
+    } else {
+      ::sched_yield();
+    }
   }
 }
+
+// Back to back, the next message does not wait for a nap to end.
+std::int64_t nap_ns(const Plan& plan) noexcept { return plan.period_ns > 0 ? 50'000 : 0; }
 
 void send_one(const Lane& lane, Sender& sender, std::uint64_t number) {
   const std::string name = "message " + std::to_string(number);
   std::byte* payload = nullptr;
-  insist(name + " cannot be borrowed", nap_ns,
+  insist(name + " cannot be borrowed", nap_ns(lane.plan()),
          [&] { return (payload = sender.prepare()) != nullptr; });
   mark(payload, lane.plan().bytes, number);
   Lane::Sent& sent = lane.sent(number);
   sent.begin_ns = now_ns();  // once: what is refused first and sent later is late
-  insist(name + " is not sent", nap_ns, [&] {
+  insist(name + " is not sent", nap_ns(lane.plan()), [&] {
     const bool is_sent = sender.send();
     sent.end_ns = now_ns();
     return is_sent;
@@ -64,16 +72,17 @@ void send_one(const Lane& lane, Sender& sender, std::uint64_t number) {
 }
 
 // Sleeps a period before it looks whether a message was seen, so as not to disturb it on its way; and on, until a slow one
-// has been seen for a period too: the next one meets receivers that are as much at rest.
+// has been seen for a period too: the next one meets receivers that are as much at rest. A period of 0 is none of this.
 void send_all(const Lane& lane, Sender& sender) {
   const std::int64_t period_ns = lane.plan().period_ns;
   for (std::uint64_t number = 1; number <= lane.plan().all_messages(); ++number) {
     send_one(lane, sender, number);
     if (period_ns > 0) sleep_until(lane.sent(number).end_ns + period_ns);
-    insist("message " + std::to_string(number) + " was not seen by all receivers", nap_ns, [&] {
-      if (lane.head().has_error != 0) throw std::runtime_error("a receiver failed");
-      return lane.have_all_seen(number);
-    });
+    insist("message " + std::to_string(number) + " was not seen by all receivers",
+           nap_ns(lane.plan()), [&] {
+             if (lane.head().has_error != 0) throw std::runtime_error("a receiver failed");
+             return lane.have_all_seen(number);
+           });
     if (period_ns > 0) sleep_until(lane.all_seen_ns() + period_ns);
   }
 }
@@ -140,10 +149,7 @@ const RegisterRole receiver_role("receiver", be_receiver);
 void take_place(const Lane& lane, const System& system, bool is_sender) {
   const Plan& plan = lane.plan();
   if (plan.cores == Cores::anywhere) return;
-  cpu_set_t set;
-  CPU_ZERO(&set);
-  CPU_SET(is_sender || plan.cores == Cores::one ? 0 : 1, &set);
-  if (::sched_setaffinity(0, sizeof set, &set) != 0)
+  if (!pin_to(is_sender || plan.cores == Cores::one ? cpus().first : cpus().second))
     throw std::runtime_error(std::string("pinning to a CPU: ") + std::strerror(errno));
   if (!plan.is_real_time || (!is_sender && system.is_spinning)) return;
   // A receiver comes before the sender, so that on one core nothing is in its way.

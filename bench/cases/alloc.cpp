@@ -306,7 +306,7 @@ class Table {
   Table(const std::vector<Heap>& heaps, Report& report, std::size_t rounds)
       : heaps_(heaps), report_(report), rounds_(rounds) {
     std::string head = text("\n%-31s %7s", "ns each", "threads");
-    for (const Heap& heap : heaps_) head += text(" %9s", heap.name.c_str());
+    for (const Heap& heap : heaps_) head += text(" %9s %5s", heap.name.c_str(), "CV");
     for (const auto& [one, other] : compared) {
       if (has(other)) head += text(" %16s", (std::string(one) + "/" + other).c_str());
     }
@@ -318,7 +318,7 @@ class Table {
     std::map<std::string, nlohmann::json> results;
     for (const Heap& heap : heaps_) {
       const std::vector<double>& ns = times.at(heap.name);
-      row += text(" %9.1f", median(ns));
+      row += text(" %9.1f %5.2f", median(ns), variation(ns));
       results[heap.name] = {{"system", "heap-" + heap.name},
                             {"part", work.name()},
                             {"size_bytes", work.bytes},

@@ -10,8 +10,9 @@
 // PointCloud2, reliable, keep-last 1; sender and receiver are the same two processes on all roads (bridge_ends.cpp), and
 // the native ones use idlc's type. Time is from before the sender's call until the receiver has the whole message in its
 // hands; its content is checked after that. The ratio of a size is the median over rounds of median / median. Beside it,
-// the processor time of the bridge for each message (a process clock, so Cyclone's threads count). All of it is done
-// once as Cyclone DDS is by default, and once with large packets, as many configure it for large messages.
+// the processor time of the bridge for each message (a process clock, so Cyclone's threads count): until the receiver has
+// it, and what it does after that, such as giving the message back, until the next one. All of it is done once as Cyclone
+// DDS is by default, and once with large packets, as many configure it for large messages.
 //
 // No time is asserted: it fails only for a message that was changed or does not come.
 
@@ -109,20 +110,25 @@ class Roads {
   /// Of one size and round, by road.
   struct Turn {
     std::map<std::string, std::vector<double>> ns;
-    std::map<std::string, double> bridge_ns;  // of the processor, each message
+    // Of the processor, each message: until it is there, and between that and the next one.
+    std::map<std::string, double> bridge_ns, bridge_after_ns;
   };
   Turn turn(std::size_t size, std::size_t messages) {
     Turn turn;
+    std::this_thread::sleep_for(between_messages);
     for (std::size_t i = 0; i < messages; ++i) {
       for (std::size_t j = 0; j < roads.size(); ++j) {
         const char* const road = roads[(i + j) % roads.size()];
-        std::this_thread::sleep_for(between_messages);
         const double before = cpu_ns_of(bridge_.pid());
         const auto ns = send(road, size, patience);
+        const double end = cpu_ns_of(bridge_.pid());
         if (!ns)
           throw std::runtime_error(std::string("a message did not come on the road ") + road);
+        std::this_thread::sleep_for(between_messages);
         turn.ns[road].push_back(*ns);
-        turn.bridge_ns[road] += (cpu_ns_of(bridge_.pid()) - before) / static_cast<double>(messages);
+        turn.bridge_ns[road] += (end - before) / static_cast<double>(messages);
+        turn.bridge_after_ns[road] +=
+            (cpu_ns_of(bridge_.pid()) - end) / static_cast<double>(messages);
       }
     }
     return turn;
@@ -167,8 +173,8 @@ class Bridge {
     roads_here.warm_up(sizes_);
     report_.say(text("microseconds, median of %zu rounds of %zu messages; %s", rounds_, messages_,
                      how.c_str()));
-    report_.say(text("%10s %10s %10s %10s %11s %11s %13s %13s", "bytes", "native", "out", "in",
-                     "out/native", "in/native", "bridge, out", "bridge, in"));
+    report_.say(text("%10s %10s %10s %10s %11s %11s %16s %16s %16s", "bytes", "native", "out", "in",
+                     "out/native", "in/native", "bridge, out", "bridge, in", "CV"));
     for (const std::size_t size : sizes_) {
       report_.progress(step_, 2 * sizes_.size(), how + ", " + std::to_string(size) + " bytes");
       measure(roads_here, size, is_large_packets);
@@ -179,7 +185,7 @@ class Bridge {
 
  private:
   void measure(Roads& roads_here, std::size_t size, bool is_large_packets) {
-    std::map<std::string, std::vector<double>> all, medians, ratio, cpu;
+    std::map<std::string, std::vector<double>> all, medians, ratio, cpu, cpu_after;
     for (std::size_t round = 0; round < rounds_; ++round) {
       const Roads::Turn turn = roads_here.turn(size, messages_);
       for (const char* const road : roads) {
@@ -188,12 +194,19 @@ class Bridge {
         medians[road].push_back(median(ns));
         ratio[road].push_back(median(ns) / median(turn.ns.at("native")));
         cpu[road].push_back(turn.bridge_ns.at(road));
+        cpu_after[road].push_back(turn.bridge_after_ns.at(road));
       }
     }
-    report_.say(text("%10zu %10.0f %10.0f %10.0f %11.2f %11.2f %13.0f %13.0f", size,
+    const auto cpu_text = [&](const char* road) {
+      return text("%.0f + %.0f", median(cpu[road]) / 1e3, median(cpu_after[road]) / 1e3);
+    };
+    report_.say(text("%10zu %10.0f %10.0f %10.0f %11.2f %11.2f %16s %16s %16s", size,
                      median(medians["native"]) / 1e3, median(medians["out"]) / 1e3,
                      median(medians["in"]) / 1e3, median(ratio["out"]), median(ratio["in"]),
-                     median(cpu["out"]) / 1e3, median(cpu["in"]) / 1e3));
+                     cpu_text("out").c_str(), cpu_text("in").c_str(),
+                     text("%.2f %.2f %.2f", variation(all["native"]), variation(all["out"]),
+                          variation(all["in"]))
+                         .c_str()));
     Plot plot{.name = text("bridge-%zu%s", size, is_large_packets ? "-large-packets" : ""),
               .kind = "violins",
               .title = text("PointCloud2 of %zu bytes%s", size,
@@ -215,7 +228,8 @@ class Bridge {
           {"max_ns", quantile(all[road], 1)},
           {"variation", variation(all[road])},
           {"ratio_to_native", median(ratio[road])},
-          {"bridge_cpu_ns", median(cpu[road])}});
+          {"bridge_cpu_ns", median(cpu[road])},
+          {"bridge_cpu_after_ns", median(cpu_after[road])}});
       nlohmann::json values = nlohmann::json::array();
       for (const double ns : all[road]) values.push_back(ns / 1e3);
       plot.series.push_back({{"label", road}, {"values", std::move(values)}});

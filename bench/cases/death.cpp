@@ -54,7 +54,8 @@ class Death {
              .has_pipes = true}) {}
 
   void run() {
-    report_.say(text("%-66s %8s %9s %9s %9s", "milliseconds", "samples", "p50", "p99", "max"));
+    report_.say(
+        text("%-66s %8s %9s %9s %9s %6s", "milliseconds", "samples", "p50", "p99", "max", "CV"));
     for (std::size_t step = 0;;) {
       std::istringstream line(peer_.line(patience));
       std::string word, name;
@@ -83,8 +84,9 @@ class Death {
   }
 
   void add_series(const std::string& name, const std::vector<double>& ns) {
-    report_.say(text("%-66s %8zu %9.2f %9.2f %9.2f", name.c_str(), ns.size(), median(ns) / 1e6,
-                     quantile(ns, 0.99) / 1e6, quantile(ns, 1) / 1e6));
+    report_.say(text("%-66s %8zu %9.2f %9.2f %9.2f %6.2f", name.c_str(), ns.size(),
+                     median(ns) / 1e6, quantile(ns, 0.99) / 1e6, quantile(ns, 1) / 1e6,
+                     variation(ns)));
     report_.add(nlohmann::json{{"system", "agnocast-executor"},
                                {"part", name},
                                {"samples", ns.size()},

@@ -5,16 +5,16 @@
 //
 //   asleep  every receiver has to be woken: the publish call beside as many bare futex wakes
 //   awake   nobody has to be: the publish call beside the one with a single receiver. Receivers that never sleep share their
-//           core by time slices, so when the last one has it says nothing of the system.
+//           core by time slices, so when the last one has it says nothing of the system; table and picture say so.
 
 #include <bench/comparison.hpp>
+#include <bench/cpus.hpp>
 #include <bench/environment.hpp>
 #include <bench/wishes.hpp>
 
 #include <map>
 #include <optional>
 #include <string>
-#include <thread>
 #include <utility>
 #include <vector>
 
@@ -31,13 +31,13 @@ class Fanout {
         report_(report),
         counts_(run.is_small ? std::vector<std::size_t>{1, 4}
                              : std::vector<std::size_t>{1, 2, 4, 8, 16}),
+        asleep_(planned("asleep", false, "floor-futex", 200)),
+        awake_(planned("awake", true, "floor-polling", 100)),
+        steps_(report, counts_.size() * (asleep_.front().steps() + awake_.front().steps())),
         aims_(run) {}
 
   void asleep() {
-    std::vector<const System*> systems = chosen(run_, all_names(), "floor-futex");
-    std::erase_if(
-        systems, [](const System* one) { return one->is_spinning || one->name == "floor-memcpy"; });
-    const auto by_count = measure("asleep", systems, "floor-futex", 200);
+    const auto by_count = measure("asleep", asleep_);
     const Comparison& most = by_count.back();
     std::optional<double> ratio;
     if (const Series* const ours = most.find("agnocast-executor"))
@@ -48,9 +48,11 @@ class Fanout {
   }
 
   void awake() {
-    std::vector<const System*> systems = chosen(run_, all_names(), "floor-polling");
-    std::erase_if(systems, [](const System* one) { return !one->is_spinning; });
-    const auto by_count = measure("awake", systems, "floor-polling", 100);
+    const auto by_count = measure("awake", awake_, ", by turns on one core");
+    report_.say(
+        "  those who never sleep share a core by time slices: when the slowest has a message is "
+        "the "
+        "scheduler's doing,\n  what the publish call takes is the system's");
     for (const std::string name : {"agnocast-spinning", "agnocast-take"}) {
       std::optional<double> ratio;
       if (const Series* const ours = by_count.back().find(name))
@@ -60,31 +62,48 @@ class Fanout {
     }
   }
 
-  void tell_aims() const { aims_.tell(report_); }
+  void tell_aims() {
+    steps_.finish();
+    aims_.tell(report_);
+  }
 
  private:
-  std::vector<Comparison> measure(const std::string& part,
-                                  const std::vector<const System*>& systems, std::string_view floor,
-                                  std::size_t messages) {
-    const std::size_t bytes = wishes_.sizes({100 * kib}, {kib}).front();
-    std::vector<Comparison> by_count;
+  /// One for each number of receivers.
+  std::vector<Measurement> planned(const std::string& part, bool are_spinning,
+                                   std::string_view floor, std::size_t messages) {
+    std::vector<const System*> systems = chosen(run_, all_names(), floor, services_);
+    std::erase_if(systems, [&](const System* one) {
+      return one->is_spinning != are_spinning || one->name == "floor-memcpy";
+    });
+    std::vector<Measurement> by_count;
     for (const std::size_t count : counts_) {
-      const Plan plan = wishes_.plan({.bytes = bytes,
+      const Plan plan = wishes_.plan({.bytes = wishes_.sizes({100 * kib}, {kib}).front(),
                                       .receivers = count,
                                       .messages = messages,
                                       .period_ns = 5'000'000,
                                       .cores = Cores::two});
-      by_count.push_back(compare_and_tell(part + ", " + std::to_string(count) +
-                                              (count == 1 ? " receiver" : " receivers"),
-                                          systems, {plan}, wishes_.rounds(7), floor,
-                                          {{"part", part}}, services_, report_)
-                             .front());
+      by_count.push_back(
+          {.title = part + ", " + std::to_string(count) + (count == 1 ? " receiver" : " receivers"),
+           .systems = systems,
+           .plans = {plan},
+           .rounds = wishes_.rounds(7),
+           .floor = floor,
+           .extra = {{"part", part}}});
     }
+    return by_count;
+  }
+
+  std::vector<Comparison> measure(const std::string& part,
+                                  const std::vector<Measurement>& measurements,
+                                  const std::string& how = "") {
+    std::vector<Comparison> by_count;
+    for (const Measurement& one : measurements)
+      by_count.push_back(compare_and_tell(one, services_, steps_, report_).front());
     tell_publish(part, by_count);
     draw(part + ": the publish call", "fanout-publish-" + part, by_count,
-         [](const Series& one) { return one.publish_ns(0.5); });
-    draw(part + ": until the last receiver has it", "fanout-slowest-" + part, by_count,
-         [](const Series& one) { return one.latency_ns(0.5); });
+         [](const Series& one) { return one.publish_p50_ns(); });
+    draw(part + how + ": until the slowest has it", "fanout-slowest-" + part, by_count,
+         [](const Series& one) { return one.p50_ns(); });
     return by_count;
   }
 
@@ -95,7 +114,7 @@ class Fanout {
     Table table(head);
     for (std::size_t i = 0; i < by_count.front().series.size(); ++i) {
       std::vector<std::string> row{std::string(by_count.front().series[i].system->name)};
-      for (const Comparison& one : by_count) row.push_back(us(one.series[i].publish_ns(0.5)));
+      for (const Comparison& one : by_count) row.push_back(us(one.series[i].publish_p50_ns()));
       table.add(row);
     }
     table.say(report_);
@@ -125,16 +144,17 @@ class Fanout {
   const Run& run_;
   Wishes wishes_;
   Report& report_;
-  std::vector<std::size_t> counts_;
+  const std::vector<std::size_t> counts_;
   Services services_;
+  const std::vector<Measurement> asleep_, awake_;
+  Steps steps_;
   Aims aims_;
 };
 
 }  // namespace
 
 void run_fanout(const Run& run, Report& report) {
-  if (std::thread::hardware_concurrency() < 2)
-    return leave_out("fanout is left out: it needs two cores");
+  if (!cpus().has_two()) return leave_out("fanout is left out: it needs two cores");
   Fanout fanout(run, report);
   fanout.asleep();
   fanout.awake();

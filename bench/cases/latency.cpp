@@ -11,6 +11,7 @@
 
 #include <bench/cases/latency_bare.hpp>
 #include <bench/comparison.hpp>
+#include <bench/cpus.hpp>
 #include <bench/environment.hpp>
 #include <bench/figures.hpp>
 #include <bench/options.hpp>
@@ -22,28 +23,33 @@
 #include <map>
 #include <optional>
 #include <string>
-#include <thread>
 #include <tuple>
 #include <utility>
 
 namespace agnocast::bench {
 namespace {
 
-constexpr std::string_view floor_name = "floor-futex", ours = "agnocast-executor";
+constexpr std::string_view floor_name = "floor-futex", ours = "agnocast-executor",
+                           spinning = "agnocast-spinning";
 constexpr std::size_t kib = 1024, mib = kib * 1024;
 constexpr std::uint32_t nobody = 65534;
 constexpr std::size_t rounds = 7;
 
 class Latency {
  public:
-  Latency(const Run& run, Report& report) : run_(run), wishes_(run), report_(report), aims_(run) {}
+  Latency(const Run& run, Report& report)
+      : run_(run),
+        wishes_(run),
+        report_(report),
+        one_core_(planned_on_one_core()),
+        two_cores_(planned_on_two_cores()),
+        across_users_(planned_across_users()),
+        steps_(report, one_core_.steps() + two_cores_.steps() + across_users_.steps() +
+                           wishes_.rounds(rounds)),
+        aims_(run) {}
 
   void one_core() {
-    std::vector<const System*> systems = chosen(run_, all_names(), floor_name);
-    std::erase_if(systems, [](const System* one) { return one->is_spinning; });
-    for (const Comparison& result :
-         measure("one core", systems, {kib, 100 * kib}, {kib},
-                 {.messages = 1000, .cores = Cores::one}, {{"part", "one-core"}})) {
+    for (const Comparison& result : measure(one_core_)) {
       const std::size_t bytes = result.plan.bytes;
       draw(result, "latency-one-core-" + std::to_string(bytes),
            "One core, " + size_text(bytes) + ": from publish to the message in hand");
@@ -55,19 +61,14 @@ class Latency {
   }
 
   void two_cores() {
-    if (std::thread::hardware_concurrency() < 2)
-      return leave_out("latency on two cores is left out: there is one");
-    const std::vector<const System*> systems = chosen(run_, all_names(), floor_name);
-    const std::vector<Comparison> by_size =
-        measure("two cores", systems, {kib, 10 * kib, 100 * kib, mib, 8 * mib}, {kib, mib},
-                {.messages = 400, .cores = Cores::two}, {{"part", "two-cores"}});
+    if (!cpus().has_two()) return leave_out("latency on two cores is left out: there is one");
+    const std::vector<Comparison> by_size = measure(two_cores_);
     for (const Comparison& result : by_size) {
       const std::size_t bytes = result.plan.bytes;
       draw(result, "latency-two-cores-" + std::to_string(bytes),
            "Two cores, " + size_text(bytes) + ": from publish to the message in hand");
       if (bytes == mib) aim_beside_peers(result);
-      if (bytes == kib)
-        aim_ratio(result, "agnocast-spinning", "floor-polling", "two cores, 1 KiB: ", 1.5);
+      if (bytes == kib) aim_ratio(result, spinning, "floor-polling", "two cores, 1 KiB: ", 1.5);
     }
     tell_quotients(by_size);
     draw_by_size(by_size);
@@ -75,7 +76,8 @@ class Latency {
 
   void bare_calls() {
     const BareCalls calls =
-        measure_bare_calls(wishes_.rounds(rounds), wishes_.is_small() ? 100 : 20000, services_);
+        measure_bare_calls(wishes_.rounds(rounds), wishes_.is_small() ? 100 : 20000, services_,
+                           [this] { steps_.next("bare calls"); });
     report_.say("\nbare calls, nobody asleep, 1 KiB");
     Table table({"call", "p50 ns", "x (mutex + clock)"});
     table.add({"mutex lock and unlock, one clock read", digits(calls.mutex_clock_ns), "1"});
@@ -100,28 +102,50 @@ class Latency {
       leave_out("latency across users is left out: only root can start a receiver as another user");
       return aim_at(where, ours, floor_name, {}, Aims::Sense::at_most, 2);
     }
-    const Plan plan = wishes_.plan({.bytes = kib, .cores = Cores::one, .receiver_uid = nobody});
-    const auto results = compare_and_tell(
-        "one core, receiver of another user", chosen(run_, {ours}, floor_name), {plan},
-        wishes_.rounds(rounds), floor_name, {{"part", "across-users"}}, services_, report_);
-    aim_ratio(results.front(), ours, floor_name, where, 2);
+    aim_ratio(measure(across_users_).front(), ours, floor_name, where, 2);
   }
 
-  void tell_aims() const { aims_.tell(report_); }
+  void tell_aims() {
+    steps_.finish();
+    aims_.tell(report_);
+  }
 
  private:
-  std::vector<Comparison> measure(const std::string& where,
-                                  const std::vector<const System*>& systems,
-                                  std::vector<std::size_t> usual_sizes,
-                                  std::vector<std::size_t> small_sizes, Plan plan,
-                                  const nlohmann::json& extra) {
-    std::vector<Plan> plans;
-    for (const std::size_t bytes : wishes_.sizes(std::move(usual_sizes), std::move(small_sizes))) {
+  Measurement planned(const std::string& title, const std::string& part,
+                      std::vector<const System*> systems, const std::vector<std::size_t>& sizes,
+                      Plan plan) {
+    Measurement measurement{.title = title,
+                            .systems = std::move(systems),
+                            .plans = {},
+                            .rounds = wishes_.rounds(rounds),
+                            .floor = floor_name,
+                            .extra = {{"part", part}}};
+    for (const std::size_t bytes : sizes) {
       plan.bytes = bytes;
-      plans.push_back(wishes_.plan(plan));
+      measurement.plans.push_back(wishes_.plan(plan));
     }
-    return compare_and_tell(where, systems, plans, wishes_.rounds(rounds), floor_name, extra,
-                            services_, report_);
+    return measurement;
+  }
+  Measurement planned_on_one_core() {
+    std::vector<const System*> systems = chosen(run_, all_names(), floor_name, services_);
+    std::erase_if(systems, [](const System* one) { return one->is_spinning; });
+    return planned("one core", "one-core", std::move(systems),
+                   wishes_.sizes({kib, 100 * kib}, {kib}), {.messages = 1000, .cores = Cores::one});
+  }
+  Measurement planned_on_two_cores() {
+    if (!cpus().has_two()) return {};
+    return planned("two cores", "two-cores", chosen(run_, all_names(), floor_name, services_),
+                   wishes_.sizes({kib, 10 * kib, 100 * kib, mib, 8 * mib}, {kib, mib}),
+                   {.messages = 400, .cores = Cores::two});
+  }
+  Measurement planned_across_users() {
+    if (::geteuid() != 0) return {};
+    return planned("one core, receiver of another user", "across-users",
+                   chosen(run_, {ours}, floor_name, services_), {kib},
+                   {.cores = Cores::one, .receiver_uid = nobody});
+  }
+  std::vector<Comparison> measure(const Measurement& measurement) {
+    return compare_and_tell(measurement, services_, steps_, report_);
   }
 
   void draw(const Comparison& result, const std::string& name, const std::string& title) {
@@ -140,7 +164,7 @@ class Latency {
       for (const Series& series : one.series) {
         nlohmann::json& line = lines[std::string(series.system->name)];
         line["x"].push_back(one.plan.bytes);
-        line["y"].push_back(series.latency_ns(0.5) / 1000);
+        line["y"].push_back(series.p50_ns() / 1000);
       }
     }
     Plot plot{.name = "latency-by-size",
@@ -165,15 +189,17 @@ class Latency {
     aim_at(where, system, base, ratio, Aims::Sense::at_most, bound);
   }
 
+  // Who sleeps beside who sleeps, who spins beside who spins.
   void aim_beside_peers(const Comparison& result) {
-    const Series* const one = result.find(ours);
-    for (const auto& [peer, bound] :
-         {std::pair("cyclonedds", 40.0), std::pair("cyclonedds-iceoryx", 4.0),
-          std::pair("iceoryx-listener", 1.0)}) {
-      const Series* const other = result.find(peer);
+    for (const auto& [peer, own, bound] : {std::tuple("cyclonedds", ours, 40.0),
+                                           {"cyclonedds-iceoryx", ours, 4.0},
+                                           {"iceoryx-listener", ours, 1.0},
+                                           {"iceoryx-waitset", ours, 1.0},
+                                           {"iceoryx-polling", spinning, 1.0}}) {
+      const Series *const other = result.find(peer), *const one = result.find(own);
       std::optional<double> ratio;
       if (one != nullptr && other != nullptr) ratio = other->ratio_to(*one);
-      aim_at("two cores, 1 MiB: ", peer, ours, ratio, Aims::Sense::at_least, bound);
+      aim_at("two cores, 1 MiB: ", peer, own, ratio, Aims::Sense::at_least, bound);
     }
   }
 
@@ -207,7 +233,8 @@ class Latency {
                    {"size_bytes", largest.plan.bytes},
                    {"smallest_size_bytes", smallest.plan.bytes},
                    {"quotient", quotient},
-                   {"quotient_to_floor", over_floor}});
+                   {"quotient_to_floor", over_floor},
+                   {"floor", floor_name}});
       if (one.system->name == ours)
         aims_.add("size quotient " + sizes + " / the floor's", over_floor, Aims::Sense::at_most,
                   1.10);
@@ -219,6 +246,8 @@ class Latency {
   Wishes wishes_;
   Report& report_;
   Services services_;
+  const Measurement one_core_, two_cores_, across_users_;
+  Steps steps_;
   Aims aims_;
 };
 

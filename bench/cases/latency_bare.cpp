@@ -5,6 +5,7 @@
 
 #include <agnocast/agnocast.hpp>
 #include <bench/cases/latency_bare.hpp>
+#include <bench/cpus.hpp>
 #include <bench/figures.hpp>
 #include <bench/lane.hpp>
 #include <bench/process.hpp>
@@ -77,10 +78,7 @@ class Bench {
 
 int be_calls(const std::vector<std::string>& arguments) {
   try {
-    cpu_set_t first;
-    CPU_ZERO(&first);
-    CPU_SET(0, &first);
-    (void)::sched_setaffinity(0, sizeof first, &first);  // only steadier
+    (void)pin_to(cpus().first);  // only steadier
     Bench bench;
     const std::int64_t end_ns = now_ns() + 10'000'000'000;
     while (!bench.is_matched()) {
@@ -104,11 +102,13 @@ const RegisterRole calls_role("calls", be_calls);
 
 }  // namespace
 
-BareCalls measure_bare_calls(std::size_t rounds, std::size_t batches, Services& services) {
+BareCalls measure_bare_calls(std::size_t rounds, std::size_t batches, Services& services,
+                             const std::function<void()>& step) {
   std::vector<std::string> environment = services.variables("agnocastd");
   environment.push_back("LD_PRELOAD=" + path_of("libagnocast_heaphook.so"));
   std::vector<double> mutex_clock, publish, take, publish_ratio, take_ratio;
   for (std::size_t round = 0; round < rounds; ++round) {
+    step();
     Process process({.command = as_role("calls", {std::to_string(batches)}),
                      .environment = environment,
                      .has_pipes = true});

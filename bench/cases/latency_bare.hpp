@@ -7,6 +7,7 @@
 #include <bench/services.hpp>
 
 #include <cstddef>
+#include <functional>
 
 namespace agnocast::bench {
 
@@ -16,7 +17,8 @@ struct BareCalls {
   double publish_ratio = 0, take_ratio = 0;  ///< to mutex_clock_ns of the same round
 };
 
-/// A process for each round. Throws std::runtime_error.
-BareCalls measure_bare_calls(std::size_t rounds, std::size_t batches, Services& services);
+/// A process for each round; `step` is called before each. Throws std::runtime_error.
+BareCalls measure_bare_calls(std::size_t rounds, std::size_t batches, Services& services,
+                             const std::function<void()>& step);
 
 }  // namespace agnocast::bench

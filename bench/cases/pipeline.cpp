@@ -102,7 +102,8 @@ std::vector<std::uint32_t> chosen_edges(const Run& run) {
       chosen.push_back(i);
   }
   if (chosen.empty())
-    throw std::runtime_error("it has cyclonedds and agnocast-executor; say one of them, or both");
+    throw std::runtime_error(
+        "it has cyclonedds-tuned and agnocast-executor; say one of them, or both");
   return chosen;
 }
 
@@ -154,7 +155,9 @@ void tell_edge(const Settings& settings, const Measured& measured, std::size_t p
     result[std::string(name) + "_mean_ns"] = value;
     line += padded(ms_text(value), 9);
   }
-  report.say(line + padded(std::to_string(late), 9));
+  char spread[32];
+  std::snprintf(spread, sizeof spread, "%.3f", variation(response));
+  report.say(line + padded(spread, 9) + padded(std::to_string(late), 9));
   report.add(result);
 }
 
@@ -228,7 +231,8 @@ void run_pipeline(const Run& asked, Report& report) {
       "took "
       "longer than the period");
   report.say(padded("", 18) + padded("mean", 25) + padded("p99", 25) + padded("max", 25) +
-             padded("compute", 9) + padded("transfer", 9) + padded("wait", 9) + padded("late", 9));
+             padded("compute", 9) + padded("transfer", 9) + padded("wait", 9) + padded("CV", 9) +
+             padded("late", 9));
   for (std::size_t place = 0; place < settings.edges.size(); ++place)
     tell_edge(settings, measured, place, report);
   if (settings.edges.size() == 2)

@@ -11,7 +11,7 @@
 //   daemon              resident memory, of it shared (tables, board, regions), processor time for each one that joined
 //
 // Printed are the points, and the slope of each by least squares. A curve ends early, with a sentence, when memory, a
-// limit or its time is at its end.
+// limit or its time is at its end. Any other error is one: the case fails.
 
 #include <bench/case.hpp>
 #include <bench/cases/looking.hpp>
@@ -28,6 +28,7 @@
 #include <sstream>
 #include <stdexcept>
 #include <string>
+#include <system_error>
 #include <utility>
 #include <vector>
 
@@ -114,33 +115,42 @@ class Scene {
           command("pairs", "/scale/pair_", first + done, std::min(share, count - done)));
   }
 
-  std::map<std::string, double> measure(const Effort& effort) {
-    std::map<std::string, double> point;
+  struct Point {
+    std::map<std::string, double> of;  // by the key of the metric
+    std::size_t messages = 0, joins = 0;
+  };
+  Point measure(const Effort& effort) {
+    Point point;
+    // How many there were.
     const auto take = [&](Process& who, const std::string& what, const char* call,
                           const char* arrival) {
       const std::vector<double> times = ask(who, what);
       std::vector<double> calls, arrivals;
       for (std::size_t i = 0; i + 1 < times.size(); i += 2)
         calls.push_back(times[i]), arrivals.push_back(times[i + 1]);
-      point[call] = median(std::move(calls));
-      point[arrival] = median(std::move(arrivals));
+      const std::size_t count = calls.size();
+      point.of[call] = median(std::move(calls));
+      point.of[arrival] = median(std::move(arrivals));
+      return count;
     };
     constexpr std::size_t warm_up = 5;
     (void)ask(*sender_, command("send", topic, warm_up, receivers_, numbers(warm_up)));
     (void)ask(*joiner_, command("join", topic, 1));
     (void)ask(*joiner_, command("speak", topic, 1, receivers_, numbers(1)));
     (void)ask(*sender_, command("send", topic, 1, receivers_, numbers(1)));
-    take(*sender_, command("send", topic, effort.messages, receivers_, numbers(effort.messages)),
-         "publish_p50_ns", "wake_p50_ns");
-    take(*joiner_, command("join", topic, effort.joins), "join_subscription_p50_ns",
-         "first_message_p50_ns");
-    take(*joiner_, command("speak", topic, effort.joins, receivers_, numbers(effort.joins)),
-         "join_publisher_p50_ns", "first_publication_p50_ns");
+    point.messages = take(
+        *sender_, command("send", topic, effort.messages, receivers_, numbers(effort.messages)),
+        "publish_p50_ns", "wake_p50_ns");
+    point.joins = take(*joiner_, command("join", topic, effort.joins), "join_subscription_p50_ns",
+                       "first_message_p50_ns");
+    point.joins +=
+        take(*joiner_, command("speak", topic, effort.joins, receivers_, numbers(effort.joins)),
+             "join_publisher_p50_ns", "first_publication_p50_ns");
     // A message of a publisher that has stayed: later ones join and leave, and would find nothing.
     ask(*sender_, command("send", topic, 1, receivers_, numbers(1)));
     const pid_t worker = worker_of(daemon_);
-    point["daemon_resident_bytes"] = static_cast<double>(resident_bytes(worker));
-    point["daemon_shared_bytes"] = static_cast<double>(shared_bytes(worker));
+    point.of["daemon_resident_bytes"] = static_cast<double>(resident_bytes(worker));
+    point.of["daemon_shared_bytes"] = static_cast<double>(shared_bytes(worker));
     return point;
   }
 
@@ -160,11 +170,16 @@ class Scene {
     if (Clock::now() > end_) throw Stop("its time is up");
     if (available_bytes() < spare_bytes)
       throw Stop("the machine's memory is used up but for 2 GiB");
-    return std::make_unique<Process>(Process::Options{
-        .command = as_role("scale-crowd", {std::to_string(arrivals_.descriptor())}),
-        .environment = variables_of(daemon_),
-        .descriptors = {arrivals_.descriptor()},
-        .has_pipes = true});
+    try {
+      return std::make_unique<Process>(Process::Options{
+          .command = as_role("scale-crowd", {std::to_string(arrivals_.descriptor())}),
+          .environment = variables_of(daemon_),
+          .descriptors = {arrivals_.descriptor()},
+          .has_pipes = true});
+    } catch (const std::system_error& error) {
+      if (!is_limit(error.code().value())) throw;
+      throw Stop(error.what());
+    }
   }
   std::vector<double> ask(Process& who, const std::string& what) {
     if (!who.send(what)) throw std::runtime_error("a process of the crowd has ended");
@@ -306,6 +321,7 @@ class Scale {
   void measure(const Curve& curve, std::size_t steps) {
     say_head(curve);
     std::map<std::string, std::vector<double>> x, y;
+    std::string why_early;
     try {
       Scene scene(effort_.curve);
       std::size_t have = curve.first;
@@ -316,18 +332,19 @@ class Scale {
         const double spent = scene.daemon_cpu_ns() - cpu;
         auto point = scene.measure(effort_);
         if (count > have)
-          point["daemon_cpu_ns_per_join"] = spent / static_cast<double>(count - have);
+          point.of["daemon_cpu_ns_per_join"] = spent / static_cast<double>(count - have);
         have = count;
         add_point(curve, count, point);
-        for (const auto& [key, value] : point)
+        for (const auto& [key, value] : point.of)
           x[key].push_back(static_cast<double>(count)), y[key].push_back(value);
       }
     } catch (const Stop& stop) {
       // A limit that was met is a result; in a small run there is none to be met.
       if (run_.is_small) throw;
-      report_.say(text("  ends early: %s", stop.what()));
+      why_early = stop.what();
+      report_.say("  ends early: " + why_early);
     }
-    finish(curve, x, y);
+    finish(curve, x, y, why_early);
   }
 
   void say_head(const Curve& curve) {
@@ -344,26 +361,23 @@ class Scale {
     report_.say(units);
   }
 
-  void add_point(const Curve& curve, std::size_t count,
-                 const std::map<std::string, double>& point) {
-    nlohmann::json result{{"system", "agnocast-executor"},
-                          {"part", curve.axis},
-                          {"placement", curve.placement},
-                          {"count", count},
-                          {"samples", effort_.messages}};
+  void add_point(const Curve& curve, std::size_t count, const Scene::Point& point) {
+    nlohmann::json result{{"system", "agnocast-executor"}, {"part", curve.axis},
+                          {"placement", curve.placement},  {"count", count},
+                          {"samples", point.messages},     {"joins", point.joins}};
     std::string row = text("%10zu", count);
     for (const Metric& metric : metrics) {
-      const auto found = point.find(metric.key);
-      row +=
-          found == point.end() ? text(" %13s", "") : text(" %13.1f", found->second / metric.unit);
-      if (found != point.end()) result[metric.key] = found->second;
+      const auto found = point.of.find(metric.key);
+      row += found == point.of.end() ? text(" %13s", "")
+                                     : text(" %13.1f", found->second / metric.unit);
+      if (found != point.of.end()) result[metric.key] = found->second;
     }
     report_.say(row);
     report_.add(std::move(result));
   }
 
   void finish(const Curve& curve, std::map<std::string, std::vector<double>>& x,
-              std::map<std::string, std::vector<double>>& y) {
+              std::map<std::string, std::vector<double>>& y, const std::string& why_early) {
     std::string row = text("%10s", "each more");
     nlohmann::json slopes = nlohmann::json::object();
     for (const Metric& metric : metrics) {
@@ -381,11 +395,13 @@ class Scale {
                              {"y", shown}});
     }
     report_.say(row);
-    report_.add(nlohmann::json{{"system", "agnocast-executor"},
-                               {"part", curve.axis},
-                               {"placement", curve.placement},
-                               {"samples", curve.counts.size()},
-                               {"slopes", slopes}});
+    nlohmann::json result{{"system", "agnocast-executor"},
+                          {"part", curve.axis},
+                          {"placement", curve.placement},
+                          {"points", x[metrics.front().key].size()},
+                          {"slopes", slopes}};
+    if (!why_early.empty()) result["ended_early"] = why_early;
+    report_.add(std::move(result));
   }
   /// What a process of its own for each of them costs, beside one process for all.
   void say_difference(const Curve& own, const Curve& one) {

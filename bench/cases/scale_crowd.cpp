@@ -12,9 +12,12 @@
 
 #include <algorithm>
 #include <cstdlib>
+#include <functional>
 #include <iostream>
 #include <map>
 #include <memory>
+#include <new>
+#include <optional>
 #include <sstream>
 #include <stdexcept>
 #include <string>
@@ -43,9 +46,19 @@ std::int64_t now_ns() {
       .count();
 }
 
-struct Lost : std::runtime_error {
-  using std::runtime_error::runtime_error;
-};
+bool is_limit(const Failure& failure) noexcept {
+  switch (failure.code) {
+    case Errc::quota_exceeded:
+    case Errc::limit_reached:
+    case Errc::heap_exhausted:
+    case Errc::window_exhausted:
+    case Errc::address_limit:
+    case Errc::lock_limit:
+      return true;
+    default:
+      return bench::is_limit(failure.os_errno);
+  }
+}
 
 class Crowd {
  public:
@@ -125,7 +138,8 @@ class Crowd {
   }
   std::int64_t arrival(std::size_t receivers, std::uint64_t number) const {
     const std::int64_t ns = arrivals_.wait_for_last(receivers, number);
-    if (ns == 0) throw Lost("message " + std::to_string(number) + " has not come within 10 s");
+    if (ns == 0)
+      throw std::runtime_error("message " + std::to_string(number) + " has not come within 10 s");
     return ns;
   }
   Times send(const std::string& topic, std::size_t count, std::size_t receivers,
@@ -151,7 +165,8 @@ class Crowd {
             if (came == 0) came = now_ns();
           });
       for (const auto end = Clock::now() + patience; came == 0;) {
-        if (Clock::now() > end) throw Lost("the last message has not come to a late subscription");
+        if (Clock::now() > end)
+          throw std::runtime_error("the last message has not come to a late subscription");
         std::this_thread::sleep_for(look_every);
       }
       times.push_back(came - began);
@@ -178,18 +193,29 @@ class Crowd {
   std::vector<Subscription<ScaleNote>::SharedPtr> subscriptions_;
 };
 
+/// The answer to a command.
+std::string answer_of(const std::function<std::vector<std::int64_t>()>& command) {
+  try {
+    std::string answer = "ok";
+    for (const std::int64_t ns : command()) answer += ' ' + std::to_string(ns);
+    return answer;
+  } catch (const Error& error) {
+    return (is_limit(error.failure()) ? "no " : "failed ") + std::string(error.what());
+  } catch (const std::bad_alloc&) {
+    return "no memory is left";
+  } catch (const std::exception& error) {
+    return std::string("failed ") + error.what();
+  }
+}
+
 int be_crowd(const std::vector<std::string>& arguments) {
   ::prctl(PR_SET_TIMERSLACK, 1UL);
-  Crowd crowd(std::atoi(arguments.at(0).c_str()));
+  std::optional<Crowd> crowd;  // made by the first command, which answers for it
   for (std::string line; std::getline(std::cin, line);) {
-    std::string answer = "ok";
-    try {
-      for (const std::int64_t ns : crowd.obey(line)) answer += ' ' + std::to_string(ns);
-    } catch (const Lost& lost) {
-      answer = std::string("lost ") + lost.what();
-    } catch (const std::exception& error) {
-      answer = std::string("no ") + error.what();
-    }
+    std::string answer = answer_of([&] {
+      if (!crowd) crowd.emplace(std::atoi(arguments.at(0).c_str()));
+      return crowd->obey(line);
+    });
     std::replace(answer.begin(), answer.end(), '\n', ' ');
     std::cout << answer << std::endl;
   }

@@ -10,16 +10,23 @@
 //   join TOPIC COUNT                     a subscription is made and, when it has the last message, destroyed again
 //   speak TOPIC COUNT RECEIVERS NUMBER   a publisher is made, publishes, and is destroyed when that has arrived
 //
-// The answer is "ok" and nanoseconds (of each creation, or pairs of call and arrival), "no" and why it was refused, or
-// "lost" and which message has not come. While something is measured nothing is said: arrivals are noted in shared memory.
+// The answer is "ok" and nanoseconds (of each creation, or pairs of call and arrival), "no" and which limit it has met, or
+// "failed" and why, such as a message that has not come. While something is measured nothing is said: arrivals are noted in shared memory.
 #pragma once
 
 #include <atomic>
+#include <cerrno>
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
 
 namespace agnocast::bench {
+
+/// Whether a call that sets this errno has met a limit: of memory, descriptors, processes, or of a file system in memory.
+constexpr bool is_limit(int os_errno) noexcept {
+  return os_errno == EMFILE || os_errno == ENFILE || os_errno == ENOMEM || os_errno == EAGAIN ||
+         os_errno == ENOSPC;
+}
 
 /// Where receivers note what has come last and when; a memfd that all processes of a scene inherit.
 class Arrivals {

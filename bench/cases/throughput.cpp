@@ -116,7 +116,7 @@ double ratio(const std::vector<double>& rates, const std::vector<double>& base) 
 void tell(const Setting& setting, const Rates& rates, Report& report) {
   const auto bytes = static_cast<double>(setting.bytes);
   const auto floor = rates.find(floor_name);
-  Table table({"system", "messages/s", "MB/s", "CV", "x floor"});
+  Table table({"system", "messages/s", "MB/s", "CV", "x " + std::string(floor_name)});
   for (const System& system : systems()) {
     const auto found = rates.find(system.name);
     if (found == rates.end()) continue;
@@ -128,7 +128,10 @@ void tell(const Setting& setting, const Rates& rates, Report& report) {
         {"rounds", own.size()},        {"messages_per_second", rate},
         {"variation", variation(own)}, {"bytes_per_second", rate * bytes},
     };
-    if (floor != rates.end()) result["ratio_to_floor"] = ratio(own, floor->second);
+    if (floor != rates.end()) {
+      result["ratio_to_floor"] = ratio(own, floor->second);
+      result["floor"] = floor_name;
+    }
     table.add({std::string(system.name), digits(rate), digits(rate * bytes / 1e6),
                digits(variation(own)),
                floor == rates.end() ? "" : digits(ratio(own, floor->second))});
@@ -214,7 +217,11 @@ void run_throughput(const Run& run, Report& report) {
   const std::vector<Setting> tables = settings(run);
   const std::size_t rounds = run.rounds.value_or(run.is_small ? 1 : 7);
   std::map<bool, Picture> pictures;
-  std::size_t done = 0;
+  std::size_t steps = 0;
+  for (const Setting& setting : tables) {
+    for (const System* const system : all) steps += setting.has_room_for(*system) ? rounds : 0;
+  }
+  Steps on_the_way(report, steps);
   for (const Setting& setting : tables) {
     const Plan plan = plan_of(setting, run);
     const std::string where = setting.text() + ", messages of " + size_text(setting.bytes);
@@ -222,10 +229,9 @@ void run_throughput(const Run& run, Report& report) {
     for (std::size_t round = 0; round < rounds; ++round) {
       for (std::size_t turn = 0; turn < all.size(); ++turn) {
         const System* const system = all[(round + turn) % all.size()];
-        report.progress(done++, tables.size() * rounds * all.size(),
-                        where + ", " + std::string(system->name));
-        if (setting.has_room_for(*system))
-          rates[system->name].push_back(rate_of(*system, plan, services));
+        if (!setting.has_room_for(*system)) continue;
+        on_the_way.next(where + ", " + std::string(system->name));
+        rates[system->name].push_back(rate_of(*system, plan, services));
       }
     }
     report.say("\n" + where + ", at most " + std::to_string(plan.depth) + " unread, " +
@@ -235,7 +241,7 @@ void run_throughput(const Run& run, Report& report) {
     aim_beside_iceoryx(setting, rates, aims);
     pictures[setting.is_small()].add(setting, rates);
   }
-  report.progress(done, done, "");
+  on_the_way.finish();
   for (const auto& [is_small, picture] : pictures) picture.draw(is_small, report);
   aims.tell(report);
 }

@@ -4,7 +4,7 @@
 // itself writes every byte. What differs is who waits for them, and how:
 //
 //   agnocast-executor   SingleThreadedExecutor: sleeps when there is nothing
-//   agnocast-spinning   SpinningExecutor of default budget: looks for a while, then sleeps
+//   agnocast-spin-sleep SpinningExecutor of default budget: looks for a while, then sleeps
 //   agnocast-take       take() in a loop that never sleeps
 //   agnocast-batch      likewise, but take_batch() of up to 16
 
@@ -145,7 +145,7 @@ System agnocast_system(std::string_view name, std::string_view summary, bool is_
 std::vector<System> agnocast_systems() {
   return {
       agnocast_system<SingleThreaded>("agnocast-executor", "SingleThreadedExecutor", false),
-      agnocast_system<Spinning>("agnocast-spinning", "SpinningExecutor, which sleeps in the end",
+      agnocast_system<Spinning>("agnocast-spin-sleep", "SpinningExecutor, spins 50 us, then sleeps",
                                 false),
       agnocast_system<Taking>("agnocast-take", "take() again and again", true),
       agnocast_system<TakingBatches>("agnocast-batch", "take_batch() of 16 again and again", true),

@@ -147,7 +147,7 @@ class DdsReceiver final : public CloudReceiver {
 }  // namespace
 
 const Edge cyclonedds_edge{
-    .name = "cyclonedds",
+    .name = "cyclonedds-tuned",
     .make_sender = [](const Lidar& lidar) -> std::unique_ptr<CloudSender> {
       return std::make_unique<DdsSender>(lidar);
     },

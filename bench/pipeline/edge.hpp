@@ -3,7 +3,7 @@
 // Edge: what is between a LiDAR's last filter and concatenate. On both ends a message is the same C++ object of
 // rosidl's type; what differs is how it gets there. The topics are Autoware's.
 //
-//   cyclonedds         as rmw_cyclonedds does it: written once into a sample, sent; received into one buffer, read
+//   cyclonedds-tuned   as rmw_cyclonedds does it: written once into a sample, sent; received into one buffer, read
 //                      from there into a new message
 //   agnocast-executor  built in the shared heap, published, in the callback of an executor
 #pragma once

@@ -4,6 +4,11 @@
 // Reliable, keep-last; the callback is a listener's. The configuration keeps to the loopback interface, finds peers
 // without multicast, and is apart from other DDS traffic of this host; everything else is Cyclone's default.
 //
+// "cyclonedds-tuned" differs in what its users are told to set for large messages: packets and fragments of 64 KB, as
+// large as UDP has them, instead of 14 and 1.3, and as much of a receive buffer as net.core.rmem_max allows. For latency
+// there is nothing to set: the thread that receives calls the listener itself, as by default any latency budget is
+// delivered so (SynchronousDeliveryLatencyBound is infinite).
+//
 // "cyclonedds-iceoryx" differs in the configuration alone. Cyclone falls back to the network in silence where it cannot
 // use shared memory (no RouDi's memory, a quality of service that does not go with it), so both sides ask the entity
 // whether it has a port of iceoryx and throw when it has none. A message through iceoryx that comes before its reader
@@ -178,22 +183,28 @@ std::unique_ptr<Receiver> make_receiver(const Carriage& carriage) {
 
 /// As the value of CYCLONEDDS_URI, which may be the text itself. Called by whoever starts the roles: its pid is the tag
 /// of all of them. 32 participants: a sender and what the widest fan-out needs.
-std::vector<std::string> configuration(std::string_view more) {
+std::vector<std::string> configuration(const std::string& general, const std::string& more) {
   return {
       "CYCLONEDDS_URI=<CycloneDDS><Domain id=\"any\">"
       "<General><Interfaces><NetworkInterface name=\"lo\" multicast=\"false\"/></Interfaces>"
-      "<AllowMulticast>false</AllowMulticast></General>"
+      "<AllowMulticast>false</AllowMulticast>" +
+      general +
+      "</General>"
       "<Discovery><ParticipantIndex>auto</ParticipantIndex>"
       "<MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
       "<Tag>agnocast-bench-" +
       std::to_string(::getpid()) +
-      "</Tag><Peers><Peer address=\"127.0.0.1\"/></Peers></Discovery>" + std::string(more) +
+      "</Tag><Peers><Peer address=\"127.0.0.1\"/></Peers></Discovery>" + more +
       "</Domain></CycloneDDS>"};
 }
-std::vector<std::string> over_network() { return configuration(""); }
+std::vector<std::string> over_network() { return configuration("", ""); }
+std::vector<std::string> tuned() {
+  return configuration("<MaxMessageSize>65500B</MaxMessageSize><FragmentSize>65000B</FragmentSize>",
+                       "<Internal><SocketReceiveBufferSize max=\"16MiB\"/></Internal>");
+}
 std::vector<std::string> over_iceoryx() {
   return configuration(
-      "<SharedMemory><Enable>true</Enable><LogLevel>off</LogLevel></SharedMemory>");
+      "", "<SharedMemory><Enable>true</Enable><LogLevel>off</LogLevel></SharedMemory>");
 }
 
 }  // namespace
@@ -206,6 +217,12 @@ std::vector<System> cyclonedds_systems() {
        .make_receiver = make_receiver,
        .service = "",
        .environment = over_network},
+      {.name = "cyclonedds-tuned",
+       .summary = "the same with packets of 64 KB and a large receive buffer",
+       .make_sender = make_sender,
+       .make_receiver = make_receiver,
+       .service = "",
+       .environment = tuned},
       {.name = "cyclonedds-iceoryx",
        .summary = "Cyclone DDS through iceoryx' shared memory, reliable, in its listener",
        .make_sender = make_sender,

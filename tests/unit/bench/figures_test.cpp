@@ -30,6 +30,22 @@ TEST(Figures, BootstrapOfEqualSamplesIsAPoint) {
   EXPECT_DOUBLE_EQ(interval.high, 7);
 }
 
+TEST(Figures, BootstrapOfARatioPutsRoundsTogether) {
+  const auto middle = [](const std::vector<double>& drawn) { return median(drawn); };
+  // One that is always half of the other.
+  const Interval certain = bootstrap_ratio({{2, 2}, {2, 2}}, {{4}, {4}}, middle);
+  EXPECT_DOUBLE_EQ(certain.low, 0.5);
+  EXPECT_DOUBLE_EQ(certain.high, 0.5);
+  // What disturbs a round disturbs both: the same round is drawn of both.
+  const Interval paired = bootstrap_ratio({{1}, {100}}, {{2}, {200}}, middle);
+  EXPECT_DOUBLE_EQ(paired.low, 0.5);
+  EXPECT_DOUBLE_EQ(paired.high, 0.5);
+  // Samples within a round are drawn too.
+  const Interval wide = bootstrap_ratio({{1, 9}}, {{1}}, middle);
+  EXPECT_DOUBLE_EQ(wide.low, 1);
+  EXPECT_DOUBLE_EQ(wide.high, 9);
+}
+
 TEST(Figures, LineOfLeastSquares) {
   const Line exact = line_through({1, 2, 4}, {5, 7, 11});
   EXPECT_DOUBLE_EQ(exact.slope, 2);

@@ -14,9 +14,28 @@ using std::chrono::microseconds;
 using testing::ElementsAre;
 using testing::HasSubstr;
 
-Options parsed(const std::vector<std::string>& arguments) {
-  return parse(arguments, {"latency", "fanout"}, {"floor-futex", "agnocast-take"});
-}
+const std::vector<Case> some_cases{
+    {"latency",
+     "one to one",
+     std::chrono::seconds(60),
+     nullptr,
+     {"--rounds", "--messages", "--period", "--sizes", "--systems"},
+     [] {
+       return std::vector<SystemName>{{"floor-futex", "a futex"}, {"agnocast-take", "take()"}};
+     }},
+    {"fanout",
+     "one to many",
+     std::chrono::seconds(60),
+     nullptr,
+     {"--rounds", "--sizes", "--systems"},
+     [] {
+       return std::vector<SystemName>{{"floor-futex", "another"}, {"floor-line", "a line"}};
+     },
+     1},
+    {"alloc", "malloc", std::chrono::seconds(60), nullptr, {"--rounds"}},
+};
+
+Options parsed(const std::vector<std::string>& arguments) { return parse(arguments, some_cases); }
 
 TEST(Options, AreUnsetUnlessGiven) {
   const Options options = parsed({"latency"});
@@ -25,6 +44,9 @@ TEST(Options, AreUnsetUnlessGiven) {
   EXPECT_FALSE(options.run.rounds || options.run.messages || options.run.period);
   EXPECT_TRUE(options.run.sizes.empty() && options.run.systems.empty());
   EXPECT_FALSE(options.run.is_small || options.is_list);
+  EXPECT_TRUE(options.is_default);
+  EXPECT_FALSE(parsed({"latency", "--rounds", "7"}).is_default);
+  EXPECT_FALSE(parsed({"latency", "--small"}).is_default);
 }
 
 TEST(Options, AreRead) {
@@ -45,7 +67,7 @@ TEST(Options, AreRead) {
 }
 
 TEST(Options, AllIsEveryCase) {
-  EXPECT_THAT(parsed({"all"}).cases, ElementsAre("latency", "fanout"));
+  EXPECT_THAT(parsed({"all"}).cases, ElementsAre("latency", "fanout", "alloc"));
 }
 
 TEST(Options, RefuseWhatMeansNothing) {
@@ -61,6 +83,41 @@ TEST(Options, RefuseWhatMeansNothing) {
                                                 {"latency", "--unknown"}}) {
     EXPECT_NE(parsed(wrong).error, "") << testing::PrintToString(wrong);
   }
+}
+
+TEST(Options, ThatNoCaseReadsAreRefused) {
+  EXPECT_EQ(parsed({"fanout", "--period", "1ms"}).error,
+            "fanout does not take --period; leave it out, or ask for latency");
+  EXPECT_EQ(parsed({"fanout", "alloc", "--messages", "5"}).error,
+            "none of fanout, alloc takes --messages; leave it out, or ask for latency");
+  EXPECT_EQ(parsed({"latency", "--scan", "/dev/null"}).error,
+            "latency does not take --scan; leave it out");
+  EXPECT_EQ(parsed({"alloc", "--rounds", "2"}).error, "");
+  // One that reads it is enough.
+  EXPECT_EQ(parsed({"fanout", "latency", "--period", "1ms"}).error, "");
+  EXPECT_EQ(parsed({"all", "--messages", "5"}).error, "");
+}
+
+TEST(Options, OfSystemsThatNoCaseComparesAreRefused) {
+  EXPECT_EQ(parsed({"latency", "--systems", "floor-line"}).error,
+            "latency does not take --systems floor-line; leave it out, or ask for fanout");
+  EXPECT_EQ(parsed({"latency", "fanout", "--systems", "floor-line,agnocast-take"}).error, "");
+  EXPECT_THAT(systems_of(some_cases),
+              ElementsAre(testing::Field(&SystemName::summary, "a futex"),
+                          testing::Field(&SystemName::name, "agnocast-take"),
+                          testing::Field(&SystemName::name, "floor-line")));
+}
+
+TEST(Options, OfSizesAreRefusedWhereOneIsRead) {
+  EXPECT_EQ(parsed({"fanout", "--sizes", "1K"}).error, "");
+  EXPECT_EQ(parsed({"fanout", "--sizes", "1K,1M"}).error,
+            "fanout does not take more than one of --sizes; leave it out, or ask for latency");
+  EXPECT_EQ(parsed({"fanout", "latency", "--sizes", "1K,1M"}).error, "");
+}
+
+TEST(Options, OfEachCaseAreInTheHelp) {
+  EXPECT_THAT(parsed({"--help"}).help, HasSubstr("alloc: --rounds\n"));
+  EXPECT_THAT(parsed({"--help"}).help, HasSubstr("fanout: --rounds --sizes (one) --systems\n"));
 }
 
 TEST(Options, HelpAndListNeedNoCase) {

@@ -1,0 +1,12 @@
+# Writes OUTPUT, which says what is in the tree SOURCE, when that has changed: cmake -DSOURCE=… -DOUTPUT=… -P revision.cmake
+# A lock of the index is not waited for, nor taken: somebody may be at work there.
+cmake_minimum_required(VERSION 3.25)
+set(ENV{GIT_OPTIONAL_LOCKS} 0)
+execute_process(COMMAND git describe --always --dirty WORKING_DIRECTORY ${SOURCE}
+  OUTPUT_VARIABLE revision OUTPUT_STRIP_TRAILING_WHITESPACE ERROR_QUIET RESULT_VARIABLE ignored)
+file(CONFIGURE OUTPUT ${OUTPUT} @ONLY CONTENT "\
+#include <bench/environment.hpp>
+namespace agnocast::bench {
+const char* const revision = \"@revision@\";
+}
+")

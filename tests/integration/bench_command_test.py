@@ -1,0 +1,74 @@
+#!/usr/bin/python3
+# SPDX-License-Identifier: Apache-2.0
+#
+# Goal: scripts can rely on agnocast-bench: its exit status says how it went, wrong usage is told before anything runs, and with --json=- its
+# standard output is one JSON document and nothing else. Method: its command lines, the shortest runs that there are.
+#
+#   bench_command_test.py AGNOCAST_BENCH SCHEMA
+import json
+import pathlib
+import subprocess
+import sys
+
+import jsonschema
+
+program, schema = sys.argv[1:3]
+rules = jsonschema.Draft7Validator(json.loads(pathlib.Path(schema).read_text()))
+errors = []
+
+
+def run(*arguments, status):
+    ran = subprocess.run([program, *arguments], capture_output=True, text=True, timeout=200)
+    if ran.returncode != status:
+        errors.append(f"{' '.join(arguments)}: status {ran.returncode}, not {status}: {ran.stderr}")
+    return ran
+
+
+def document_of(ran):
+    """All of standard output, which json.loads wants to be one document."""
+    try:
+        document = json.loads(ran.stdout)
+    except ValueError as error:
+        errors.append(f"{' '.join(ran.args[1:])}: standard output is no JSON document: {error}: {ran.stdout[:300]}")
+        return {}
+    errors.extend(f"{' '.join(ran.args[1:])}: {error.message[:300]}" for error in rules.iter_errors(document))
+    return document
+
+
+# --- what only says something
+for option, wanted in (("--help", "--rounds"), ("--list", "latency")):
+    ran = run(option, status=0)
+    if wanted not in ran.stdout or ran.stderr:
+        errors.append(f"{option}: {ran.stdout}{ran.stderr}")
+
+# --- wrong usage: what, and a hint, before anything is measured
+for arguments, wanted in (
+    ([], "which case"),
+    (["laziness"], "there is no case 'laziness'"),
+    (["alloc", "--rounds", "0"], "--rounds"),
+    (["alloc", "--period", "1ms"], "alloc does not take --period"),
+    (["memory", "--systems", "agnocast-executor"], "memory does not take --systems"),
+    (["throughput", "--systems", "floor-eventfd"], "throughput does not take --systems floor-eventfd"),
+    (["death", "--sizes", "1K,1M"], "death does not take more than one of --sizes"),
+):
+    ran = run(*arguments, status=2)
+    if wanted not in ran.stderr or "hint:" not in ran.stderr or ran.stdout:
+        errors.append(f"{arguments}: {ran.stdout}{ran.stderr}")
+
+# --- what does not work
+ran = run("alloc", "--small", "--json", "/nowhere/at/all.json", status=1)
+if "/nowhere/at/all.json" not in ran.stderr or "==" in ran.stdout:
+    errors.append(f"a file that cannot be written: {ran.stdout}{ran.stderr}")
+ran = run("throughput", "--small", "--sizes", "100", "--json", "-", status=1)
+document = document_of(ran)
+if "throughput" not in document.get("failed", {}) or "64 and 1M" not in ran.stderr:
+    errors.append(f"a case that fails: {document.get('failed')}, {ran.stderr}")
+
+# --- standard output, with processes of all kinds
+ran = run("latency", "alloc", "--small", "--rounds", "1", "--json", "-", status=0)
+document = document_of(ran)
+if {result["case"] for result in document.get("results", [])} != {"latency", "alloc"} or "failed" in document:
+    errors.append(f"results: {document.get('failed')}")
+
+print("\n".join(errors))
+sys.exit(1 if errors else 0)
