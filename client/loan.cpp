@@ -43,7 +43,7 @@ struct BorrowScope::Home {
   static constexpr std::uint64_t thread_lives = std::uint64_t{1} << 63;
 
   std::atomic<std::uint64_t> owed{0};  // leaves that other threads could not do for it
-  std::uint64_t open = 0;              // loans that the thread itself has not closed; only the thread
+  std::uint64_t open = 0;  // loans that the thread itself has not closed; only the thread
   // What other threads close is taken away one by one, and what is left of thread_lives when the thread
   // ends at once. So the thread's own loans, nearly all, need no locked instruction.
   std::atomic<std::uint64_t> left{thread_lives};

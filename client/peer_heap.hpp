@@ -109,7 +109,8 @@ class HeapLook {
   /// For the takes that follow.
   void expect(Unannounced others) noexcept { others_ = others; }
   void open() noexcept {
-    if (head_ == opened_for_) return;
+    // A window that was announced meanwhile may be what the next message waits for.
+    if (head_ == opened_for_ && heap_.window_count() == count_) return;
     readable_ = {};
     count_ = heap_.open();
     opened_for_ = head_;

@@ -29,13 +29,20 @@ struct PublisherEndpoint::Work {
   Work(PublisherEndpoint& of, bool destroys) noexcept : endpoint(of), may_destroy(destroys) {}
 
   PublisherEndpoint& endpoint;
-  const bool may_destroy;  // otherwise messages die with the process
+  const bool may_destroy;                          // otherwise messages die with the process
   std::array<void*, destroy_at_once_max> destroy;  // the first destroy_count
   std::size_t destroy_count = 0;
   std::uint64_t rung = 0;
   bool wake_control = false;
   bool destroys_later = false;
 
+  /// Into the line that the commit goes into next: stored behind that, it would take the line a second
+  /// time from those who look at it. Only written under the mutex.
+  void commits(const dataplane::Entry& entry) noexcept {
+    auto& total =
+        endpoint.identity_.core.words.counter(offsetof(abi::PublisherEndpoint, published_bytes));
+    total.store(total.load(std::memory_order_relaxed) + entry.bytes, std::memory_order_relaxed);
+  }
   void ring(std::uint64_t executor, std::uint64_t armed) noexcept {
     Executor& sleeper = endpoint.executors_[executor];
     if (rung++ < ring_at_once_max) {
@@ -110,17 +117,10 @@ dataplane::PublishOutcome PublisherEndpoint::publish(void* message, std::uint64_
       heir = heir_;
       return;
     }
-    // Only written under this mutex. Ahead of the commit, which goes into the same line: stored behind
-    // it, it would take the line a second time from those who look at it.
-    auto& total = identity_.core.words.counter(offsetof(abi::PublisherEndpoint, published_bytes));
-    const std::uint64_t before = total.load(std::memory_order_relaxed);
-    total.store(before + message_bytes, std::memory_order_relaxed);
     // The stamp is taken under the mutex, so that it grows with the sequence.
-    outcome = core_->publish({reinterpret_cast<std::uint64_t>(message), object_bytes,
-                              monotonic_ns(), message_bytes},
-                             work);
-    if (outcome != dataplane::PublishOutcome::published)
-      total.store(before, std::memory_order_relaxed);
+    outcome = core_->publish(
+        {reinterpret_cast<std::uint64_t>(message), object_bytes, monotonic_ns(), message_bytes},
+        work);
     // Many at once, when a reader that lagged has caught up: the next publishes destroy the rest, or
     // the control thread's timer. Waking it would be a system call.
     work.destroy_doomed();

@@ -7,7 +7,6 @@
 #include <client/context.hpp>
 #include <client/executors/executor_core.hpp>
 #include <client/executors/node_thread.hpp>
-#include <client/executors/sleep_tick.hpp>
 
 #include <pthread.h>
 #include <sys/epoll.h>
@@ -48,17 +47,19 @@ Result<void> Runner::host_by_thread() {
   if (!thread_.joinable()) {
     UniqueFd epoll(::epoll_create1(EPOLL_CLOEXEC));
     if (!epoll) return fail(Errc::os_failure, "preparing a callback thread", errno);
-    auto tick = SleepTick::in(epoll.get(), 0);
+    auto tick = SleepTick::in(epoll.get(), tick_tag);
     if (!tick) return tl::unexpected<Failure>(tick.error());
-    if (Result<void> added = sleeper()->add_to(epoll.get(), 0, 1); !added) return added;
+    if (Result<void> added = sleeper()->add_to(epoll.get(), eventfd_tag, datagram_tag); !added)
+      return added;
     int error = 0;
     try {
       const SignalsBlocked blocked;
-      thread_ = std::thread([callbacks = callbacks_, epoll = std::move(epoll), tick = std::move(*tick)] {
-        serve(*callbacks, epoll.get());
-        // Its number may soon be somebody else's.
-        if (!is_forked_child()) callbacks->sleeper()->remove_from(epoll.get());
-      });
+      thread_ =
+          std::thread([callbacks = callbacks_, epoll = std::move(epoll), tick = std::move(*tick)] {
+            serve(*callbacks, epoll.get(), tick);
+            // Its number may soon be somebody else's.
+            if (!is_forked_child()) callbacks->sleeper()->remove_from(epoll.get());
+          });
     } catch (const std::system_error& refused) {
       error = refused.code().value();
     } catch (const std::bad_alloc&) {

@@ -231,8 +231,8 @@ class SubscriptionEndpoint {
   // --------------------------------------------------------------------------------------------------------------
 
   /// The oldest unread messages over all publishers (per publisher in order; between publishers by
-  /// stamp), as many as `receiver` wants. All by one look at the publishers: what comes meanwhile is for
-  /// the next call. Counts what falls out of the subscription's depth as lost. No system call except
+  /// stamp), as many as `receiver` wants. By one look at the publishers, as a rule: what comes meanwhile may
+  /// be left to the next call. Counts what falls out of the subscription's depth as lost. No system call except
   /// after a publisher's heap has grown. True: `receiver` has at least one.
   bool take(Receiver& receiver) noexcept;
   /// The subscription takes no more.

@@ -68,7 +68,8 @@ class PublisherCore {
         slot_count_(std::min<std::uint64_t>(identity.slot_count, M::slot_capacity)) {}
 
   /// Commits one message. `environment` is told which sleepers to ring and which messages to
-  /// destroy: ring(executor, armed) and freed(slot, address). On an error the caller keeps the
+  /// destroy: ring(executor, armed) and freed(slot, address); and, if it has commits(entry), that
+  /// nothing can refuse the message any more, directly ahead of the commit. On an error the caller keeps the
   /// message. One that `was_published` before, in another queue, waits for nobody.
   template <class Environment>
   PublishOutcome publish(const Entry& entry, Environment& environment,
@@ -78,11 +79,12 @@ class PublisherCore {
       if (!room_for_one_more()) return PublishOutcome::would_block;
     }
     std::uint64_t slot = lowest_free_slot();
-    if (slot == no_slot) {
+    // Behind lazy passes nothing has been retired yet: then the first look only retires.
+    for (int looks = self_.lazy_limit != 0 ? 2 : 1; slot == no_slot && looks > 0; --looks) {
       pass(environment, false);
       slot = lowest_free_slot();
-      if (slot == no_slot) return PublishOutcome::no_slot;
     }
+    if (slot == no_slot) return PublishOutcome::no_slot;
     const std::uint64_t sequence = head_sequence_ + 1;
     const auto& words = self_.words;
     AGNOCAST_STEP(P1_sequence) words.intent_sequence().store(sequence, std::memory_order_relaxed);
@@ -97,6 +99,7 @@ class PublisherCore {
     AGNOCAST_STEP(P3_id) words.slot_id(slot).store(sequence, std::memory_order_release);
     AGNOCAST_STEP(P4_order)
     words.order(sequence).store(abi::pack_entry(sequence, slot), std::memory_order_release);
+    if constexpr (requires { environment.commits(entry); }) environment.commits(entry);
     AGNOCAST_STEP(P5_head)
     words.head().store(abi::pack_entry(sequence, slot), std::memory_order_release);
     head_sequence_ = sequence;

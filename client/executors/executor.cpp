@@ -173,11 +173,16 @@ Executor::Readiness Executor::prepare() noexcept {
 
 std::size_t Executor::dispatch() {
   const Spinning spinning(*state_);
+  struct Ending {
+    ExecutorCore& core;
+    ~Ending() {
+      if (!is_forked_child()) core.end_dispatch();
+    }
+  };
+  const Ending ending{*state_->core};
   state_->core->sleep(std::chrono::milliseconds(0));
   if (state_->core->take_cancel()) return 0;
-  const std::size_t count = state_->core->run_turn(Clock::time_point::max());
-  state_->core->end_dispatch();
-  return count;
+  return state_->core->run_turn(Clock::time_point::max());
 }
 
 }  // namespace agnocast

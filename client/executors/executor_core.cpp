@@ -16,6 +16,7 @@ namespace {
 
 // Of everything that is edge-triggered and never read: which one it was does not matter.
 constexpr std::uint64_t eventfd_tag = 0;
+constexpr std::uint64_t tick_tag = ~std::uint64_t{0};
 constexpr int events_max = 16;
 
 }  // namespace
@@ -24,7 +25,7 @@ Result<std::unique_ptr<ExecutorCore>> ExecutorCore::make() {
   UniqueFd epoll(::epoll_create1(EPOLL_CLOEXEC));
   UniqueFd wake(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
   if (!epoll || !wake) return fail(Errc::os_failure, "preparing an executor", errno);
-  auto tick = SleepTick::in(epoll.get(), eventfd_tag);
+  auto tick = SleepTick::in(epoll.get(), tick_tag);
   if (!tick) return tl::unexpected<Failure>(tick.error());
   epoll_event event{};
   event.events = EPOLLIN | EPOLLET;
@@ -137,8 +138,8 @@ bool ExecutorCore::prepare() noexcept {
 
 void ExecutorCore::sleep(std::optional<std::chrono::milliseconds> timeout) noexcept {
   epoll_event events[events_max];
-  const int count =
-      ::epoll_wait(epoll_.get(), events, events_max, timeout ? static_cast<int>(timeout->count()) : -1);
+  const int count = ::epoll_wait(epoll_.get(), events, events_max,
+                                 timeout ? static_cast<int>(timeout->count()) : -1);
   const std::lock_guard lock(mutex_);
   for (const Hosted& hosted : hosted_) hosted.node->disarm(this);
   // Under the lock that is held anyway. A turn that was not over goes on where it was.
@@ -146,6 +147,10 @@ void ExecutorCore::sleep(std::optional<std::chrono::milliseconds> timeout) noexc
   for (int i = 0; i < count; ++i) {
     const std::uint64_t tag = events[i].data.u64;
     if (tag == eventfd_tag) continue;
+    if (tag == tick_tag) {
+      tick_.wind_up();
+      continue;
+    }
     const auto found = std::find_if(hosted_.begin(), hosted_.end(),
                                     [&](const Hosted& hosted) { return hosted.tag == tag; });
     if (found != hosted_.end()) found->has_rung = true;

@@ -85,7 +85,7 @@ class ExecutorCore {
  private:
   struct Hosted {
     std::shared_ptr<NodeCallbacks> node;
-    std::uint64_t tag;         // of its datagram bell in the epoll set
+    std::uint64_t tag;  // of its datagram bell in the epoll set
     // Its datagram bell is to be emptied before the next sleep: not before the callback that it rang for.
     bool has_rung = false;
     std::uint64_t listed = 0;  // what its list_changes() were for turn_; 0: it is not in there

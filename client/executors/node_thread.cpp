@@ -45,7 +45,7 @@ void run_turn(NodeCallbacks& node, NodeCallbacks::Host self, Turn& turn, bool& a
 
 }  // namespace
 
-void serve(NodeCallbacks& node, int epoll) noexcept {
+void serve(NodeCallbacks& node, int epoll, const SleepTick& tick) noexcept {
   const NodeCallbacks::Host self = &node;
   Turn turn;
   bool has_rung = false;  // the datagram bell, which is emptied before the next sleep
@@ -61,11 +61,12 @@ void serve(NodeCallbacks& node, int epoll) noexcept {
     }
     if (std::exchange(has_rung, false)) node.drain(self);
     if (node.arm_or_find_work(self)) continue;
-    epoll_event events[2];
-    const int count = ::epoll_wait(epoll, events, 2, -1);
+    epoll_event events[3];
+    const int count = ::epoll_wait(epoll, events, 3, -1);
     node.disarm(self);
     for (int i = 0; i < count; ++i) {
-      if (events[i].data.u64 == 1) has_rung = true;
+      if (events[i].data.u64 == datagram_tag) has_rung = true;
+      if (events[i].data.u64 == tick_tag) tick.wind_up();
     }
   }
 }

@@ -3,9 +3,9 @@
 // SleepTick: nobody sleeps longer than a second.
 //
 // A publisher that dies between commit and ring, with the daemon down as well, rings nobody. So whoever
-// sleeps on bells looks again at times. The tick is a descriptor in the epoll set, edge-triggered and
-// never read: a timeout of epoll_wait would set up and take down a timer of the kernel with each
-// message, a twentieth of the way from a publisher to a sleeper.
+// sleeps on bells looks again at times. The tick is a descriptor in the epoll set, read when it has
+// ticked, as the kernel does not wind it up before. A timeout of epoll_wait would set up and take down a
+// timer of the kernel with each message, a twentieth of the way from a publisher to a sleeper.
 #pragma once
 
 #include <agnocast/result.hpp>
@@ -13,6 +13,7 @@
 
 #include <sys/epoll.h>
 #include <sys/timerfd.h>
+#include <unistd.h>
 
 #include <cerrno>
 #include <chrono>
@@ -25,17 +26,22 @@ class SleepTick {
  public:
   static constexpr std::chrono::seconds period{1};
 
-  /// Ends a wait on `epoll` once a period for as long as it lives. Errors: os_failure.
+  /// Ends a wait on `epoll` once a period for as long as it lives, if wind_up() follows each time that
+  /// `tag` is reported. Errors: os_failure.
   [[nodiscard]] static Result<SleepTick> in(int epoll, std::uint64_t tag) {
     UniqueFd timer(::timerfd_create(CLOCK_MONOTONIC, TFD_CLOEXEC | TFD_NONBLOCK));
     const itimerspec every{{period.count(), 0}, {period.count(), 0}};
     epoll_event event{};
-    event.events = EPOLLIN | EPOLLET;
+    event.events = EPOLLIN;
     event.data.u64 = tag;
     if (!timer || ::timerfd_settime(timer.get(), 0, &every, nullptr) != 0 ||
         ::epoll_ctl(epoll, EPOLL_CTL_ADD, timer.get(), &event) != 0)
       return fail(Errc::os_failure, "preparing the tick of a sleep", errno);
     return SleepTick(std::move(timer));
+  }
+  void wind_up() const noexcept {
+    std::uint64_t ticks = 0;
+    [[maybe_unused]] const ssize_t got = ::read(timer_.get(), &ticks, sizeof ticks);
   }
 
  private:

@@ -207,7 +207,7 @@ class Subscription : public SubscriptionBase {
   /// The oldest unread messages, at most `count` of them, into messages[0], messages[1] …; how many.
   /// They are those that as many calls of take() would have given, in the same order: of each
   /// publisher as it published them, between publishers by the time of publishing. What is published
-  /// during the call is for the next one.
+  /// during the call may be left to the next one.
   ///
   /// What the array holds before, all `count` of it, is let go of first, so the same array can be used
   /// again and again; behind the last message it is empty. Each message is held by itself, like one of

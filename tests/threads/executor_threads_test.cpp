@@ -79,10 +79,10 @@ struct Node {
                   region.base(), 0,
                   DoorbellReceiver(UniqueFd(::dup(eventfd.get())), UniqueFd(pair[0])))));
     epoll.reset(::epoll_create1(EPOLL_CLOEXEC));
-    EXPECT_TRUE(callbacks->sleeper()->add_to(epoll.get(), 0, 1));
+    EXPECT_TRUE(callbacks->sleeper()->add_to(epoll.get(), eventfd_tag, datagram_tag));
     thread = std::thread([this] {
       thread_number = ::gettid();
-      serve(*callbacks, epoll.get());
+      serve(*callbacks, epoll.get(), *SleepTick::in(epoll.get(), tick_tag));
     });
     callbacks->hand_to(callbacks.get());
   }

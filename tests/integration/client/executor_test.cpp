@@ -335,11 +335,14 @@ TEST_F(Executors, ALoopOfOnesOwnPollsAndDispatches) {
     EXPECT_EQ(executor.dispatch(), 0u);
   }
   EXPECT_GE(silent, 5u);
-  // Nor may a wait last for ever: for whom nobody rings.
-  ASSERT_EQ(executor.prepare(), Executor::Readiness::armed);
-  pollfd ticking{executor.fd(), POLLIN, 0};
-  EXPECT_EQ(::poll(&ticking, 1, 10000), 1);
-  EXPECT_EQ(executor.dispatch(), 0u);
+  // Nor may a wait last for ever, for whom nobody rings: not the first, and not one after that.
+  for (int i = 0; i < 3; ++i) {
+    ASSERT_EQ(executor.prepare(), Executor::Readiness::armed);
+    pollfd ticking{executor.fd(), POLLIN, 0};
+    EXPECT_EQ(::poll(&ticking, 1, 10000), 1) << i;
+    EXPECT_EQ(executor.dispatch(), 0u);
+  }
+  executor.spin_once(1500ms);  // so it has an end
   executor.cancel();
   pollfd readable{executor.fd(), POLLIN, 0};
   EXPECT_EQ(::poll(&readable, 1, 10000), 1) << "cancel ends the poll";

@@ -394,6 +394,69 @@ TEST(Dataplane, HoldsEverySlotOfAFullQueueAndSaysWhenThereIsNone) {
   EXPECT_TRUE(environment.live.empty());
 }
 
+struct LazyPublisher : Pair {
+  static constexpr std::uint64_t lazy_limit = 7;
+  explicit LazyPublisher(std::uint64_t slots) : queue(std::uint64_t{1} << 18) {
+    const PublisherWords<M> own{queue.base(), extent};
+    own.head().store(abi::pack_entry(first(), 0));
+    journal::BoardSteps<M>(topic()).add_publisher(0, generation,
+                                                  {offered, 0, extent, slots, first()});
+    core = std::make_unique<PublisherCore<M>>(PublisherCore<M>::Identity{
+        topic(), own, 0, generation, first(), offered, slots, lazy_limit});
+  }
+  PublishOutcome publish(std::uint64_t bytes) {
+    const std::uint64_t address = 0x100000 + ++number * 16;
+    environment.live.insert(address);
+    const PublishOutcome outcome = core->publish({address, 16, number, bytes}, environment);
+    if (outcome != PublishOutcome::published) environment.live.erase(address);
+    return outcome;
+  }
+  Region queue;
+  std::unique_ptr<PublisherCore<M>> core;
+  Freed environment;
+  std::uint64_t number = 0;
+};
+
+// Nobody reads, so a whole pass frees everything.
+TEST(Dataplane, LeavesOutPassesOfSmallMessagesAlone) {
+  LazyPublisher publisher(64);
+  for (std::uint64_t i = 1; i <= LazyPublisher::lazy_limit; ++i) {
+    ASSERT_EQ(publisher.publish(64), PublishOutcome::published);
+    EXPECT_EQ(publisher.environment.live.size(), i);
+  }
+  ASSERT_EQ(publisher.publish(64), PublishOutcome::published);
+  EXPECT_TRUE(publisher.environment.live.empty()) << "the pass that is not left out";
+  ASSERT_EQ(publisher.publish(PublisherCore<M>::kept_back_max), PublishOutcome::published);
+  EXPECT_EQ(publisher.environment.live.size(), 1u);
+  ASSERT_EQ(publisher.publish(64), PublishOutcome::published);
+  EXPECT_TRUE(publisher.environment.live.empty()) << "together they are too large to be kept back";
+  ASSERT_EQ(publisher.publish(PublisherCore<M>::kept_back_max + 1), PublishOutcome::published);
+  EXPECT_TRUE(publisher.environment.live.empty());
+}
+
+TEST(Dataplane, LazyPassesRefuseNothingWhereSlotsAreFew) {
+  constexpr std::uint64_t depth = 8;
+  LazyPublisher publisher(depth + 2);
+  Region reader(std::uint64_t{1} << 20);
+  publisher.requested.depth = depth;
+  journal::BoardSteps<M>(publisher.topic())
+      .add_subscription(0, 1, {publisher.requested, 1, extent, 8, 0});
+  publisher.core->attach(0, 1, reader.base(), extent, offsetof(abi::ClientRegionHeader, executor),
+                         0, publisher.environment);
+  LinkCore<M> link({publisher.topic(),
+                    {publisher.queue.base(), extent},
+                    {reader.base(), extent, 0},
+                    0,
+                    generation,
+                    Pair::first(),
+                    publisher.offered,
+                    publisher.requested,
+                    16,
+                    16});
+  ASSERT_TRUE(link.link(true));  // and never takes
+  for (int i = 0; i < 1000; ++i) ASSERT_EQ(publisher.publish(64), PublishOutcome::published) << i;
+}
+
 // A pass looks at no more slots than the publisher has, which may become more.
 TEST(Dataplane, UsesTheSlotsThatThePublisherHasAndThoseThatItGetsLater) {
   constexpr std::uint64_t few = 65, many = 200;

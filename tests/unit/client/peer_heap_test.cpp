@@ -80,6 +80,22 @@ TEST_F(PeerHeapTest, TakesBehindOneHeadLookOnceUnlessSomethingIsAwaited) {
   EXPECT_EQ(place_at(base_of(0)), Place::readable) << "of the other window";
 }
 
+TEST_F(PeerHeapTest, AWindowThatIsAnnouncedBehindALookIsSeenAtTheSameHead) {
+  const std::uint64_t head = 1;
+  HeapLook look(heap_, Unannounced::awaited, head);
+  show(0, abi::page_bytes);  // a group by itself, and one of two windows
+  show(1, abi::page_bytes);
+  show(2, abi::page_bytes);
+  add(0, 0);
+  add(1, 1);
+  look.open();
+  ASSERT_EQ(look.place_of(base_of(0), 64), Place::readable);
+  add(2, 1);
+  // As a take does, which counts the windows before it looks: it must not miss the one that it waits for.
+  look.open();
+  EXPECT_EQ(look.place_of(base_of(1), 64), Place::readable);
+}
+
 TEST_F(PeerHeapTest, WhatIsInUseOfAWindowCanBeRead) {
   show(0, abi::page_bytes);
   add(0, 0);
