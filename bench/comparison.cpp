@@ -2,11 +2,14 @@
 
 #include <bench/comparison.hpp>
 
+#include <bench/environment.hpp>
 #include <bench/options.hpp>
 
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <set>
+#include <stdexcept>
 #include <utility>
 
 namespace agnocast::bench {
@@ -124,6 +127,22 @@ std::vector<std::string_view> all_names() {
   return names;
 }
 
+bool is_peer(const System& system) {
+  return system.name.starts_with("iceoryx") || system.name.starts_with("cyclonedds");
+}
+
+bool takes_its_turn(const System& system, const std::function<void()>& turn) {
+  try {
+    turn();
+    return true;
+  } catch (const std::runtime_error& error) {
+    if (!is_peer(system)) throw;
+    leave_out(std::string(system.name) +
+              " has failed and is left out of that table: " + error.what());
+    return false;
+  }
+}
+
 std::vector<Comparison> compare(const std::vector<const System*>& systems,
                                 const std::vector<Plan>& plans, std::size_t rounds,
                                 Services& services,
@@ -132,15 +151,24 @@ std::vector<Comparison> compare(const std::vector<const System*>& systems,
   for (const System* const system : systems) series.push_back({system, {}});
   std::vector<Comparison> all;
   for (const Plan& plan : plans) all.push_back({plan, series});
+  std::set<const System*> failed;
   for (std::size_t round = 0; round < rounds; ++round) {
     for (Comparison& comparison : all) {
       const std::size_t count = comparison.series.size();
       for (std::size_t turn = 0; turn < count; ++turn) {
         Series& one = comparison.series[(round + turn) % count];
+        if (failed.count(one.system) != 0) continue;
         step(*one.system, comparison.plan);
-        one.rounds.push_back(conduct(*one.system, comparison.plan, services));
+        const bool is_done = takes_its_turn(*one.system, [&] {
+          one.rounds.push_back(conduct(*one.system, comparison.plan, services));
+        });
+        if (!is_done) failed.insert(one.system);
       }
     }
+  }
+  for (Comparison& comparison : all) {
+    std::erase_if(comparison.series,
+                  [&](const Series& one) { return failed.count(one.system) != 0; });
   }
   return all;
 }

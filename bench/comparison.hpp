@@ -85,8 +85,13 @@ class Steps {
   std::size_t done_ = 0, all_;
 };
 
+bool is_peer(const System& system);
+/// A turn of a system. False: it is a peer, and the turn failed, which leave_out() was told: the hour that the others have taken
+/// is not to be lost with it. Where a floor or agnocast fails, this throws what `turn` has thrown.
+bool takes_its_turn(const System& system, const std::function<void()>& turn);
+
 /// Several plans in one go: in each round every plan, under each plan every system, so that what is compared between plans
-/// is not minutes apart either. `step` is called before each turn.
+/// is not minutes apart either. `step` is called before each turn. Whoever fails a turn is left out of all of it.
 std::vector<Comparison> compare(const std::vector<const System*>& systems,
                                 const std::vector<Plan>& plans, std::size_t rounds,
                                 Services& services,

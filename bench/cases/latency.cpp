@@ -81,7 +81,7 @@ class Latency {
 
   void bare_calls() {
     const BareCalls calls =
-        measure_bare_calls(wishes_.rounds(rounds), wishes_.is_small() ? 20 : 2500, services_,
+        measure_bare_calls(wishes_.rounds(rounds), wishes_.is_small() ? 20 : 20000, services_,
                            [this] { steps_.next("bare calls"); });
     report_.say("\nbare calls, nobody asleep, 1 KiB: one thread, warm, both ends in one process");
     Table table({"call", "ns", "x (mutex + clock)"});

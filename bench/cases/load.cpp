@@ -19,9 +19,6 @@ namespace {
 constexpr std::string_view floor_name = "floor-futex";
 
 bool is_ours(const System& system) { return system.name.starts_with("agnocast"); }
-bool is_peer(const System& system) {
-  return system.name.starts_with("iceoryx") || system.name.starts_with("cyclonedds");
-}
 
 /// Something else to do for all CPUs, `percent` of the time.
 class Busyness {
@@ -47,22 +44,20 @@ class Busyness {
   std::unique_ptr<Process> stress_;
 };
 
-/// Beside each peer, who sleeps beside who sleeps, who takes again and again beside who does.
+/// Beside each peer of this build, who sleeps beside who sleeps, who takes again and again beside who does.
 void aim_beside_peers(const Comparison& comparison, const std::string& where, Aims& aims) {
-  bool has_peer = false;
-  for (const Series& peer : comparison.series) {
-    if (!is_peer(*peer.system)) continue;
-    has_peer = true;
-    const std::string name = peer.system->is_spinning ? "agnocast-take" : "agnocast-executor";
-    const std::string aim = where + ", p99: " + name + " / " + std::string(peer.system->name);
-    if (const Series* const own = comparison.find(name)) {
-      aims.add(aim, own->p99_ratio_to(peer), Aims::Sense::at_most, 1, own->p99_ratio_interval(peer),
-               basis_of(comparison, Basis::enough_for_p99));
+  for (const System& system : systems()) {
+    if (!is_peer(system)) continue;
+    const std::string name = system.is_spinning ? "agnocast-take" : "agnocast-executor";
+    const std::string aim = where + ", p99: " + name + " / " + std::string(system.name);
+    const Series *const own = comparison.find(name), *const peer = comparison.find(system.name);
+    if (own != nullptr && peer != nullptr) {
+      aims.add(aim, own->p99_ratio_to(*peer), Aims::Sense::at_most, 1,
+               own->p99_ratio_interval(*peer), basis_of(comparison, Basis::enough_for_p99));
     } else {
       aims.add(aim, {}, Aims::Sense::at_most, 1);
     }
   }
-  if (!has_peer) aims.add(where + ", p99: agnocast / each peer", {}, Aims::Sense::at_most, 1);
 }
 
 std::vector<const System*> compared(const Run& run, Services& services) {
