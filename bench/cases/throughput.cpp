@@ -9,6 +9,8 @@
 
 #include <bench/cases/throughput.hpp>
 #include <bench/comparison.hpp>
+#include <bench/cpus.hpp>
+#include <bench/environment.hpp>
 #include <bench/figures.hpp>
 #include <bench/options.hpp>
 
@@ -56,6 +58,7 @@ struct Setting {
 
   std::size_t core_count() const { return cores == Cores::one ? 1 : 2; }
   bool is_small() const { return bytes == small_bytes; }
+  bool is_possible() const { return cores == Cores::one || cpus().has_two(); }
   std::string text() const {
     return "1:" + std::to_string(receivers) + (core_count() == 1 ? ", one core" : ", two cores");
   }
@@ -230,10 +233,16 @@ void run_throughput(const Run& run, Report& report) {
   std::map<bool, Picture> pictures;
   std::size_t steps = 0;
   for (const Setting& setting : tables) {
+    if (!setting.is_possible()) continue;
     for (const System* const system : all) steps += setting.has_room_for(*system) ? rounds : 0;
   }
   Steps on_the_way(report, steps);
   for (const Setting& setting : tables) {
+    if (!setting.is_possible()) {
+      leave_out("throughput on two cores is left out: there is one");
+      aim_beside_iceoryx(setting, {}, aims);
+      continue;
+    }
     const Plan plan = plan_of(setting, run);
     const std::string where = setting.text() + ", messages of " + size_text(setting.bytes);
     Rates rates;

@@ -8,6 +8,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <stdexcept>
 #include <vector>
 
 namespace agnocast::bench {
@@ -78,6 +79,16 @@ TEST(Series, OfEqualTailsHasAnIntervalThatIsAPoint) {
   EXPECT_DOUBLE_EQ(one.p99_ratio_to(other), 0.5);
   EXPECT_DOUBLE_EQ(one.p99_ratio_interval(other).low, 0.5);
   EXPECT_DOUBLE_EQ(one.p99_ratio_interval(other).high, 0.5);
+}
+
+TEST(Turn, ThatFailsIsLeftOutOnlyOfAPeer) {
+  System peer{}, ours{};
+  peer.name = "iceoryx-listener";
+  ours.name = "agnocast-take";
+  const auto fails = [] { throw std::runtime_error("lost"); };
+  EXPECT_TRUE(takes_its_turn(peer, [] {}));
+  EXPECT_FALSE(takes_its_turn(peer, fails));
+  EXPECT_THROW(takes_its_turn(ours, fails), std::runtime_error);
 }
 
 // --- aims
