@@ -32,8 +32,14 @@ struct Run {
   std::string scan = {};                  ///< pipeline: a recorded scan instead of the simulator
   bool is_small = false;                  ///< as short as works, for a test: seconds in all
 
-  /// Whether an aim may be judged by it: the median of a few rounds is chance.
-  bool can_judge() const { return !is_small && rounds.value_or(enough_rounds) >= enough_rounds; }
+#ifdef NDEBUG
+  bool has_assertions = false;
+#else
+  bool has_assertions = true;  ///< a build to look for faults, which says nothing of times
+#endif
+
+  /// The median of a few rounds is chance.
+  bool has_enough_rounds() const { return rounds.value_or(enough_rounds) >= enough_rounds; }
   static constexpr std::size_t enough_rounds = 7;
 };
 
@@ -97,7 +103,8 @@ struct Case {
   std::set<std::string_view> reads = {};
   /// What --systems may name; null where that is not read.
   std::vector<SystemName> (*systems)() = nullptr;
-  std::size_t sizes_max = SIZE_MAX;  ///< so many --sizes at once
+  std::size_t sizes_max = SIZE_MAX;        ///< so many --sizes at once
+  std::vector<std::size_t> sizes_of = {};  ///< these --sizes alone; empty: any
 };
 
 // cases/*.cpp

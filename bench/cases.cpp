@@ -50,7 +50,9 @@ const std::vector<Case>& cases() {
        seconds(420),
        run_throughput,
        {"--rounds", "--sizes", "--systems"},
-       of_throughput},
+       of_throughput,
+       SIZE_MAX,
+       {throughput::small_bytes, throughput::large_bytes}},
 #endif
 #ifdef AGNOCAST_BENCH_HAS_FANOUT
       {"fanout",
@@ -79,7 +81,7 @@ const std::vector<Case>& cases() {
 #ifdef AGNOCAST_BENCH_HAS_MEMORY
       {"memory",
        "what pages cost, and what comes back after a spike",
-       seconds(60),
+       seconds(135),
        run_memory,
        {"--rounds"}},
 #endif
@@ -111,7 +113,7 @@ const std::vector<Case>& cases() {
        "Autoware's LiDAR preprocessing, over Cyclone DDS and agnocast",
        seconds(185),
        run_pipeline,
-       {"--rounds", "--messages", "--period", "--systems", "--scan"},
+       {"--messages", "--period", "--systems", "--scan"},
        of_pipeline},
 #endif
   };

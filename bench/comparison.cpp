@@ -2,20 +2,24 @@
 
 #include <bench/comparison.hpp>
 
+#include <bench/environment.hpp>
 #include <bench/options.hpp>
 
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <set>
+#include <stdexcept>
 #include <utility>
 
 namespace agnocast::bench {
 namespace {
 
+// Of each round, whatever `of` makes of it.
 template <class Of>
-double median_of_medians(const std::vector<Times>& rounds, Of of) {
+double median_of(const std::vector<Times>& rounds, Of of) {
   std::vector<double> each;
-  for (const Times& round : rounds) each.push_back(median(of(round)));
+  for (const Times& round : rounds) each.push_back(of(round));
   return median(std::move(each));
 }
 
@@ -24,22 +28,38 @@ std::vector<double> ratios(const std::vector<Times>& rounds, const std::vector<T
                            Of of) {
   std::vector<double> ratios;
   for (std::size_t i = 0; i < std::min(rounds.size(), base.size()); ++i) {
-    const double below = median(of(base[i]));
-    if (below > 0) ratios.push_back(median(of(rounds[i])) / below);
+    const double below = of(base[i]);
+    if (below > 0) ratios.push_back(of(rounds[i]) / below);
   }
   return ratios;
 }
 
-std::vector<double> slowest_of(const Times& round) { return round.slowest_ns(); }
-std::vector<double> publish_of(const Times& round) { return round.publish_ns; }
+double p50_of(const Times& round) { return median(round.slowest_ns()); }
+double publish_p50_of(const Times& round) { return median(round.publish_ns); }
+/// The median of the means of each eight in a row; what is left over at the end is not looked at.
+double publish_of_eight(const Times& round) {
+  constexpr std::size_t cycle = 8;
+  const std::vector<double>& calls = round.publish_ns;
+  if (calls.size() < cycle) return mean(calls);
+  std::vector<double> means;
+  for (auto end = calls.begin() + cycle;; end += cycle) {
+    means.push_back(mean({end - cycle, end}));
+    if (calls.end() - end < static_cast<std::ptrdiff_t>(cycle)) return median(std::move(means));
+  }
+}
+double sender_cpu_of(const Times& round) { return round.sender_cpu_ns; }
 
 double p99_of(const std::vector<double>& samples) { return quantile(samples, 0.99); }
 
 }  // namespace
 
-double Series::p50_ns() const { return median_of_medians(rounds, slowest_of); }
+double Series::p50_ns() const { return median_of(rounds, p50_of); }
 
-double Series::publish_p50_ns() const { return median_of_medians(rounds, publish_of); }
+double Series::publish_p50_ns() const { return median_of(rounds, publish_p50_of); }
+
+double Series::publish_of_eight_ns() const { return median_of(rounds, publish_of_eight); }
+
+double Series::sender_cpu_ns() const { return median_of(rounds, sender_cpu_of); }
 
 double Series::p99_ns() const { return p99_of(latencies_ns()); }
 
@@ -52,14 +72,16 @@ std::vector<double> Series::latencies_ns() const {
   return all;
 }
 
-double Series::ratio_to(const Series& floor) const { return median(ratios_to(floor)); }
-
-double Series::publish_ratio_to(const Series& floor) const {
-  return median(ratios(rounds, floor.rounds, publish_of));
+std::vector<double> Series::ratios_to(const Series& other) const {
+  return ratios(rounds, other.rounds, p50_of);
 }
 
-std::vector<double> Series::ratios_to(const Series& other) const {
-  return ratios(rounds, other.rounds, slowest_of);
+std::vector<double> Series::publish_ratios_to(const Series& other) const {
+  return ratios(rounds, other.rounds, publish_of_eight);
+}
+
+std::vector<double> Series::sender_cpu_ratios_to(const Series& other) const {
+  return ratios(rounds, other.rounds, sender_cpu_of);
 }
 
 double Series::p99_ratio_to(const Series& other) const { return p99_ns() / other.p99_ns(); }
@@ -105,6 +127,22 @@ std::vector<std::string_view> all_names() {
   return names;
 }
 
+bool is_peer(const System& system) {
+  return system.name.starts_with("iceoryx") || system.name.starts_with("cyclonedds");
+}
+
+bool takes_its_turn(const System& system, const std::function<void()>& turn) {
+  try {
+    turn();
+    return true;
+  } catch (const std::runtime_error& error) {
+    if (!is_peer(system)) throw;
+    leave_out(std::string(system.name) +
+              " has failed and is left out of that table: " + error.what());
+    return false;
+  }
+}
+
 std::vector<Comparison> compare(const std::vector<const System*>& systems,
                                 const std::vector<Plan>& plans, std::size_t rounds,
                                 Services& services,
@@ -113,15 +151,24 @@ std::vector<Comparison> compare(const std::vector<const System*>& systems,
   for (const System* const system : systems) series.push_back({system, {}});
   std::vector<Comparison> all;
   for (const Plan& plan : plans) all.push_back({plan, series});
+  std::set<const System*> failed;
   for (std::size_t round = 0; round < rounds; ++round) {
     for (Comparison& comparison : all) {
       const std::size_t count = comparison.series.size();
       for (std::size_t turn = 0; turn < count; ++turn) {
         Series& one = comparison.series[(round + turn) % count];
+        if (failed.count(one.system) != 0) continue;
         step(*one.system, comparison.plan);
-        one.rounds.push_back(conduct(*one.system, comparison.plan, services));
+        const bool is_done = takes_its_turn(*one.system, [&] {
+          one.rounds.push_back(conduct(*one.system, comparison.plan, services));
+        });
+        if (!is_done) failed.insert(one.system);
       }
     }
+  }
+  for (Comparison& comparison : all) {
+    std::erase_if(comparison.series,
+                  [&](const Series& one) { return failed.count(one.system) != 0; });
   }
   return all;
 }
@@ -130,14 +177,16 @@ void tell(const Comparison& comparison, std::string_view floor, const nlohmann::
           Report& report) {
   const Series* const base = comparison.find(floor);
   std::string refused;
-  Table table(
-      {"system", "p50 us", "p99 us", "max us", "publish us", "CV", "x " + std::string(floor)});
+  Table table({"system", "p50 us", "p99 us", "max us", "publish us", "of eight", "sender CPU us",
+               "CV", "x " + std::string(floor)});
   for (const Series& one : comparison.series) {
     const std::vector<double> all = one.latencies_ns();
     const double max = quantile(all, 1), spread = variation(all);
+    const bool has_p99 = all.size() >= p99_samples_min;
     const double ratio = base == nullptr ? 0 : one.ratio_to(*base);
-    table.add({std::string(one.system->name), us(one.p50_ns()), us(one.p99_ns()), us(max),
-               us(one.publish_p50_ns()), digits(spread), digits(ratio)});
+    table.add({std::string(one.system->name), us(one.p50_ns()), has_p99 ? us(one.p99_ns()) : "-",
+               us(max), us(one.publish_p50_ns()), us(one.publish_of_eight_ns()),
+               us(one.sender_cpu_ns()), digits(spread), digits(ratio)});
     nlohmann::json result = {{"system", one.system->name},
                              {"size_bytes", comparison.plan.bytes},
                              {"receivers", comparison.plan.receivers},
@@ -146,10 +195,12 @@ void tell(const Comparison& comparison, std::string_view floor, const nlohmann::
                              {"samples", all.size()},
                              {"min_ns", quantile(all, 0)},
                              {"p50_ns", one.p50_ns()},
-                             {"p99_ns", one.p99_ns()},
                              {"max_ns", max},
                              {"publish_p50_ns", one.publish_p50_ns()},
+                             {"publish_of_eight_ns", one.publish_of_eight_ns()},
+                             {"sender_cpu_ns", one.sender_cpu_ns()},
                              {"variation", spread}};
+    if (has_p99) result["p99_ns"] = one.p99_ns();
     if (base != nullptr) {
       result["ratio_to_floor"] = ratio;
       result["floor"] = floor;
@@ -199,22 +250,50 @@ nlohmann::json violins(const Comparison& comparison) {
   return series;
 }
 
+Basis basis_of(const Comparison& comparison, std::size_t enough) {
+  const bool is_refused =
+      std::any_of(comparison.series.begin(), comparison.series.end(),
+                  [](const Series& series) { return series.is_without_fifo(); });
+  return {.messages = comparison.plan.messages,
+          .enough = enough,
+          .is_without_fifo = is_refused && comparison.plan.cores == Cores::one};
+}
+
 void Aims::add(const std::string& aim, std::optional<double> measured, Sense sense, double bound,
-               std::optional<Interval> interval) {
-  all_.push_back({aim, measured, sense, bound, interval});
+               std::optional<Interval> interval, const Basis& basis) {
+  all_.push_back({aim, measured, sense, bound, interval, basis});
+}
+
+void Aims::add_median(const std::string& aim, const std::vector<double>& of_rounds, Sense sense,
+                      double bound, const Basis& basis) {
+  if (of_rounds.empty()) return add(aim, {}, sense, bound);
+  add(aim, median(of_rounds), sense, bound, median_interval(of_rounds), basis);
+}
+
+void Aims::add_information(const std::string& what, const std::vector<double>& of_rounds) {
+  std::optional<double> measured;
+  std::optional<Interval> interval;
+  if (!of_rounds.empty()) measured = median(of_rounds), interval = median_interval(of_rounds);
+  all_.push_back({what, measured, Sense::at_most, {}, interval, {}});
 }
 
 std::optional<bool> Aims::Aim::is_reached() const {
   const bool is_at_most = sense == Sense::at_most;
-  if (!interval) return is_at_most ? *measured <= bound : *measured >= bound;
-  if (interval->high < bound) return is_at_most;
-  if (interval->low > bound) return !is_at_most;
+  const Interval all = interval.value_or(Interval{*measured, *measured});
+  if (is_at_most ? all.high <= *bound : all.low >= *bound) return true;
+  if (is_at_most ? all.low > *bound : all.high < *bound) return false;
   return {};
 }
 
 std::string Aims::not_judged(const Aim& aim) const {
   if (!aim.measured) return "not measured";
-  if (!can_judge_) return "not judged, too short a run";
+  if (!aim.bound) return "no aim, for comparison";
+  const Basis& basis = aim.basis;
+  if (run_.is_small || basis.messages < basis.enough ||
+      (basis.is_of_rounds && !run_.has_enough_rounds()))
+    return "not judged, too short a run";
+  if (run_.has_assertions) return "not judged, a build with assertions";
+  if (basis.is_without_fifo) return "not judged, SCHED_FIFO was refused";
   return aim.is_reached() ? "" : "undecided, the bound is within the interval";
 }
 
@@ -223,7 +302,8 @@ void Aims::tell(Report& report) const {
   report.say("\naims");
   Table table({"aim", "measured", "bound", "reached"});
   for (const Aim& aim : all_) {
-    nlohmann::json result = {{"aim", aim.text}, {"bound", aim.bound}};
+    nlohmann::json result = {{aim.bound ? "aim" : "beside_aims", aim.text}};
+    if (aim.bound) result["bound"] = *aim.bound;
     std::string measured = "-", verdict = not_judged(aim);
     if (aim.measured) {
       result["measured"] = *aim.measured;
@@ -241,8 +321,9 @@ void Aims::tell(Report& report) const {
     } else {
       result["not_judged"] = verdict;
     }
-    table.add({aim.text, measured,
-               (aim.sense == Sense::at_most ? "<= " : ">= ") + digits(aim.bound), verdict});
+    const std::string bound =
+        aim.bound ? (aim.sense == Sense::at_most ? "<= " : ">= ") + digits(*aim.bound) : "-";
+    table.add({aim.text, measured, bound, verdict});
     report.add(std::move(result));
   }
   table.say(report);

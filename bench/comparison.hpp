@@ -25,14 +25,20 @@ struct Series {
   /// Medians over the rounds of each round's median: of the slowest receiver's latencies, or of the publish calls.
   double p50_ns() const;
   double publish_p50_ns() const;
+  /// Medians over the rounds: of the mean of eight publish calls in a row, as small messages have one dear call among seven cheap
+  /// ones (docs/protocol.md, lazy pass), and of the sender's processor time of a message.
+  double publish_of_eight_ns() const;
+  double sender_cpu_ns() const;
   /// Over all rounds, as a tail wants all samples that there are.
   std::vector<double> latencies_ns() const;
   double p99_ns() const;
-  /// Medians over the rounds of this one's p50 over the other's: of latencies, and of publish calls.
-  double ratio_to(const Series& floor) const;
-  double publish_ratio_to(const Series& floor) const;
-  /// Of each round by itself: its p50 over the other's.
+  /// Of each round by itself, its figure over the other's: p50, publish_of_eight, sender_cpu.
   std::vector<double> ratios_to(const Series& other) const;
+  std::vector<double> publish_ratios_to(const Series& other) const;
+  std::vector<double> sender_cpu_ratios_to(const Series& other) const;
+  /// Medians of these over the rounds.
+  double ratio_to(const Series& other) const { return median(ratios_to(other)); }
+  double publish_ratio_to(const Series& other) const { return median(publish_ratios_to(other)); }
   /// p99_ns() over the other's, with its 95 % interval.
   double p99_ratio_to(const Series& other) const;
   Interval p99_ratio_interval(const Series& other) const;
@@ -79,8 +85,13 @@ class Steps {
   std::size_t done_ = 0, all_;
 };
 
+bool is_peer(const System& system);
+/// A turn of a system. False: it is a peer, and the turn failed, which leave_out() was told: the hour that the others have taken
+/// is not to be lost with it. Where a floor or agnocast fails, this throws what `turn` has thrown.
+bool takes_its_turn(const System& system, const std::function<void()>& turn);
+
 /// Several plans in one go: in each round every plan, under each plan every system, so that what is compared between plans
-/// is not minutes apart either. `step` is called before each turn.
+/// is not minutes apart either. `step` is called before each turn. Whoever fails a turn is left out of all of it.
 std::vector<Comparison> compare(const std::vector<const System*>& systems,
                                 const std::vector<Plan>& plans, std::size_t rounds,
                                 Services& services,
@@ -97,15 +108,31 @@ std::vector<Comparison> compare_and_tell(const Measurement& measurement, Service
 /// One violin for each system.
 nlohmann::json violins(const Comparison& comparison);
 
+/// What a figure rests on. Of too little, an aim is not judged.
+struct Basis {
+  static constexpr std::size_t enough_for_p50 = 50, enough_for_p99 = 500;
+  std::size_t messages = SIZE_MAX;  ///< of each round; what is not made of messages has enough
+  std::size_t enough = enough_for_p50;
+  bool is_without_fifo = false;  ///< on one core, where the order of processes is then chance
+  bool is_of_rounds = true;      ///< false: --rounds is about something else
+};
+/// Of a ratio of two that took part in it.
+Basis basis_of(const Comparison& comparison, std::size_t enough = Basis::enough_for_p50);
+
 /// What the project has set itself, beside what was measured.
 class Aims {
  public:
   enum class Sense { at_most, at_least };
-  explicit Aims(const Run& run) : can_judge_(run.can_judge()) {}
+  explicit Aims(const Run& run) : run_(run) {}
   /// Without `measured`: what it takes did not run here. With an interval it is reached, or missed, when all of that is on
   /// one side of the bound, and undecided otherwise.
   void add(const std::string& aim, std::optional<double> measured, Sense sense, double bound,
-           std::optional<Interval> interval = {});
+           std::optional<Interval> interval = {}, const Basis& basis = {});
+  /// Of a figure of each round: their median, with its interval. None: not measured.
+  void add_median(const std::string& aim, const std::vector<double>& of_rounds, Sense sense,
+                  double bound, const Basis& basis = {});
+  /// The same without a bound: what is to be seen beside an aim.
+  void add_information(const std::string& what, const std::vector<double>& of_rounds);
   /// The table, and an object of "results" for each.
   void tell(Report& report) const;
 
@@ -114,13 +141,14 @@ class Aims {
     std::string text;
     std::optional<double> measured;
     Sense sense;
-    double bound;
+    std::optional<double> bound;
     std::optional<Interval> interval;
+    Basis basis;
     /// Empty: undecided. Of one that was measured.
     std::optional<bool> is_reached() const;
   };
   std::string not_judged(const Aim& aim) const;
-  bool can_judge_;
+  const Run run_;
   std::vector<Aim> all_;
 };
 

@@ -18,6 +18,7 @@ namespace agnocast::bench {
 namespace {
 
 constexpr auto look_again = std::chrono::milliseconds(2);
+constexpr std::chrono::seconds patience{30};  // with whatever is not the messages' own time
 constexpr std::string_view descriptors_variable = "AGNOCAST_BENCH_DESCRIPTORS";
 
 std::string new_topic() {
@@ -100,7 +101,15 @@ void start_all(Company& company, const Plan& plan, std::string_view sender,
   for (std::size_t i = 0; i < plan.receivers; ++i) company.start(receiver, {std::to_string(i)});
 }
 
+/// The messages, at most.
+std::chrono::seconds messages_of(const Plan& plan) {
+  return std::chrono::duration_cast<std::chrono::seconds>(
+      std::chrono::nanoseconds(2 * plan.period_ns + 100'000'000) * plan.all_messages());
+}
+
 }  // namespace
+
+std::chrono::seconds longest_of(const Plan& plan) { return messages_of(plan) + 3 * patience; }
 
 std::vector<double> Times::slowest_ns() const {
   std::vector<double> slowest = latency_ns.at(0);
@@ -115,20 +124,17 @@ Times conduct(const System& system, const Plan& plan, Services& services) {
   Company company(system, lane, services);
   start_all(company, plan, "sender", "receiver");
   const Lane::Head& head = lane.head();
-  company.wait_for("starting and matching", std::chrono::seconds(30),
+  company.wait_for("starting and matching", patience,
                    [&] { return head.ready == 1 + plan.receivers && head.has_matched != 0; });
   lane.set_state(Lane::running);
-  const auto longest =
-      std::chrono::nanoseconds(2 * plan.period_ns + 100'000'000) * plan.all_messages();
-  company.wait_for(
-      "the run",
-      std::chrono::duration_cast<std::chrono::seconds>(longest) + std::chrono::seconds(30),
-      [&] { return company.has_first_ended(); });
-  company.wait_for("the end of the receivers", std::chrono::seconds(30),
-                   [&] { return company.have_all_ended(); });
+  company.wait_for("the run", messages_of(plan) + patience,
+                   [&] { return company.has_first_ended(); });
+  company.wait_for("the end of the receivers", patience, [&] { return company.have_all_ended(); });
 
   Times times;
   times.is_without_fifo = head.is_without_fifo != 0;
+  times.sender_cpu_ns =
+      static_cast<double>(head.sender_cpu_ns) / static_cast<double>(plan.messages);
   times.latency_ns.resize(plan.receivers);
   for (std::uint64_t number = plan.warm_up + 1; number <= plan.all_messages(); ++number) {
     const Lane::Sent& sent = lane.sent(number);

@@ -8,6 +8,7 @@
 #include <bench/services.hpp>
 #include <bench/system.hpp>
 
+#include <chrono>
 #include <cstdint>
 #include <vector>
 
@@ -18,11 +19,15 @@ struct Times {
   std::vector<double> publish_ns;  ///< the publish call
   std::vector<std::vector<double>>
       latency_ns;                ///< of each receiver: from before the call to the message in hand
+  double sender_cpu_ns = 0;      ///< of a message: of the sender's process, all that it does
   bool is_without_fifo = false;  ///< real-time scheduling was wanted and refused
 
   /// Of the slowest receiver of each message.
   std::vector<double> slowest_ns() const;
 };
+
+/// conduct() gives up after no more than this.
+std::chrono::seconds longest_of(const Plan& plan);
 
 /// Throws std::runtime_error with what went wrong: a message that was lost or changed, a process that ended, no match.
 Times conduct(const System& system, const Plan& plan, Services& services);

@@ -75,6 +75,7 @@ class Lane {
     std::atomic<std::uint32_t> has_matched;      ///< the sender would reach all
     std::atomic<std::uint32_t> is_without_fifo;  ///< somebody was refused SCHED_FIFO
     std::atomic<std::uint32_t> has_error;
+    std::int64_t sender_cpu_ns;  ///< of all threads of its process, for the messages that are kept
     char error[512];
   };
 

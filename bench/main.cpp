@@ -21,6 +21,7 @@
 #include <cerrno>
 #include <chrono>
 #include <cstdio>
+#include <cstdlib>
 #include <cstring>
 #include <exception>
 #include <fstream>
@@ -150,8 +151,9 @@ void draw(const nlohmann::json& document, const std::string& directory) {
     throw std::runtime_error("agnocast-bench-plot could not draw");
 }
 
-// One that fails leaves what it has given so far, and the others. Returns why, by name.
-nlohmann::json run_cases(const Options& options, Report& report) {
+// One that fails leaves what it has given so far, and the others. Returns why, by name. `after_each` is given the same so far.
+template <class AfterEach>
+nlohmann::json run_cases(const Options& options, Report& report, AfterEach after_each) {
   nlohmann::json failed = nlohmann::json::object();
   for (const std::string& name : options.cases) {
     for (const Case& one : cases()) {
@@ -166,6 +168,7 @@ nlohmann::json run_cases(const Options& options, Report& report) {
         std::fprintf(stderr, "agnocast-bench: %s: %s\n", name.c_str(), error.what());
         failed[name] = error.what();
       }
+      after_each(failed);
     }
   }
   return failed;
@@ -173,6 +176,8 @@ nlohmann::json run_cases(const Options& options, Report& report) {
 
 int measure(const Options& options, const std::vector<std::string>& arguments) {
   clean_up_on_signals();
+  // Floors and peers are measured as they are; who is to have a library before others is told so (Process::Options).
+  ::unsetenv("LD_PRELOAD");
   // A process that reads no more is an error of Process::send(), which tells who it was.
   ::signal(SIGPIPE, SIG_IGN);
   check_writable(options.json);
@@ -184,16 +189,16 @@ int measure(const Options& options, const std::vector<std::string>& arguments) {
   nlohmann::json document = {{"schema", "agnocast.bench/1"},
                              {"environment", environment(arguments)}};
   for (const std::string& doubt : doubts(document["environment"])) report.say("note: " + doubt);
-  const nlohmann::json failed = run_cases(options, report);
-  complete(document["environment"]);
-  document["results"] = report.results;
-  document["plots"] = report.plots;
-  if (!failed.empty()) document["failed"] = failed;
-  if (output) {
-    output->write(text_of(document));
-  } else if (!options.json.empty()) {
-    write(document, options.json);
-  }
+  // A file has after each case what there is by then, for who ends the next one.
+  const auto gather = [&](const nlohmann::json& failed) {
+    complete(document["environment"]);
+    document["results"] = report.results;
+    document["plots"] = report.plots;
+    if (!failed.empty()) document["failed"] = failed;
+    if (!output && !options.json.empty()) write(document, options.json);
+  };
+  const nlohmann::json failed = run_cases(options, report, gather);
+  if (output) output->write(text_of(document));
   if (!options.plot.empty()) draw(document, options.plot);
   return failed.empty() ? 0 : 1;
 }

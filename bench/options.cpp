@@ -61,6 +61,28 @@ std::string refusal(const std::string& what, const std::vector<std::string>& ask
   return nobody + what + "; leave it out" + (others.empty() ? "" : ", or ask for " + others);
 }
 
+/// Each case that was asked for and reads sizes has to have them all: which of them is meant for which case nobody says.
+std::string refusal_of_sizes(const Options& options, const std::vector<Case>& cases) {
+  const std::vector<std::size_t>& sizes = options.run.sizes;
+  for (const Case& one : cases) {
+    const bool is_asked =
+        std::find(options.cases.begin(), options.cases.end(), one.name) != options.cases.end();
+    if (!is_asked || one.reads.count("--sizes") == 0) continue;
+    const std::string name(one.name);
+    if (sizes.size() > one.sizes_max)
+      return name + " does not take more than one of --sizes; say one, or leave " + name + " out";
+    for (const std::size_t size : sizes) {
+      const std::vector<std::size_t>& known = one.sizes_of;
+      if (known.empty() || std::find(known.begin(), known.end(), size) != known.end()) continue;
+      std::string all;
+      for (const std::size_t other : known) all += (all.empty() ? "" : " and ") + size_text(other);
+      return name + " has messages of " + all + " only, and none of " + size_text(size) +
+             "; leave it out of --sizes, or leave " + name + " out";
+    }
+  }
+  return "";
+}
+
 std::string first_refusal(const Options& options, const CLI::App& app,
                           const std::vector<Case>& cases) {
   std::string why;
@@ -75,11 +97,7 @@ std::string first_refusal(const Options& options, const CLI::App& app,
                   [&](const Case& one) { return compares(one, system); });
     if (!why.empty()) return why;
   }
-  const std::size_t sizes = options.run.sizes.size();
-  if (sizes < 2) return "";
-  return refusal("more than one of --sizes", options.cases, cases, [&](const Case& one) {
-    return one.reads.count("--sizes") != 0 && sizes <= one.sizes_max;
-  });
+  return refusal_of_sizes(options, cases);
 }
 
 }  // namespace

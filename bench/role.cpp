@@ -33,6 +33,13 @@ namespace {
 
 constexpr std::int64_t patience_ns = 10'000'000'000;
 
+/// Of the whole process.
+std::int64_t cpu_ns() noexcept {
+  timespec time{};
+  ::clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &time);
+  return std::int64_t{time.tv_sec} * 1'000'000'000 + time.tv_nsec;
+}
+
 void sleep_until(std::int64_t when_ns) noexcept {
   const timespec when{static_cast<time_t>(when_ns / 1'000'000'000), when_ns % 1'000'000'000};
   while (::clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &when, nullptr) == EINTR) continue;
@@ -75,7 +82,9 @@ void send_one(const Lane& lane, Sender& sender, std::uint64_t number) {
 // has been seen for a period too: the next one meets receivers that are as much at rest. A period of 0 is none of this.
 void send_all(const Lane& lane, Sender& sender) {
   const std::int64_t period_ns = lane.plan().period_ns;
+  std::int64_t cpu_before_ns = cpu_ns();
   for (std::uint64_t number = 1; number <= lane.plan().all_messages(); ++number) {
+    if (number == lane.plan().warm_up + 1) cpu_before_ns = cpu_ns();
     send_one(lane, sender, number);
     if (period_ns > 0) sleep_until(lane.sent(number).end_ns + period_ns);
     insist("message " + std::to_string(number) + " was not seen by all receivers",
@@ -85,6 +94,7 @@ void send_all(const Lane& lane, Sender& sender) {
            });
     if (period_ns > 0) sleep_until(lane.all_seen_ns() + period_ns);
   }
+  lane.head().sender_cpu_ns = cpu_ns() - cpu_before_ns;
 }
 
 int be_sender(const std::vector<std::string>& arguments) {

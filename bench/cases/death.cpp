@@ -84,17 +84,16 @@ class Death {
   }
 
   void add_series(const std::string& name, const std::vector<double>& ns) {
-    report_.say(text("%-66s %8zu %9.2f %9.2f %9.2f %6.2f", name.c_str(), ns.size(),
-                     median(ns) / 1e6, quantile(ns, 0.99) / 1e6, quantile(ns, 1) / 1e6,
-                     variation(ns)));
-    report_.add(nlohmann::json{{"system", "agnocast-executor"},
-                               {"part", name},
-                               {"samples", ns.size()},
-                               {"min_ns", quantile(ns, 0)},
-                               {"p50_ns", median(ns)},
-                               {"p99_ns", quantile(ns, 0.99)},
-                               {"max_ns", quantile(ns, 1)},
-                               {"variation", variation(ns)}});
+    const bool has_p99 = ns.size() >= p99_samples_min;
+    const std::string p99 = has_p99 ? text("%.2f", quantile(ns, 0.99) / 1e6) : "-";
+    report_.say(text("%-66s %8zu %9.2f %9s %9.2f %6.2f", name.c_str(), ns.size(), median(ns) / 1e6,
+                     p99.c_str(), quantile(ns, 1) / 1e6, variation(ns)));
+    nlohmann::json result{{"system", "agnocast-executor"}, {"part", name},
+                          {"samples", ns.size()},          {"min_ns", quantile(ns, 0)},
+                          {"p50_ns", median(ns)},          {"max_ns", quantile(ns, 1)},
+                          {"variation", variation(ns)}};
+    if (has_p99) result["p99_ns"] = quantile(ns, 0.99);
+    report_.add(std::move(result));
     nlohmann::json values = nlohmann::json::array();
     for (const double value : ns) values.push_back(value / 1e6);
     plot_of(name).series.push_back({{"label", label_of(name)}, {"values", std::move(values)}});

@@ -30,10 +30,11 @@ namespace agnocast::bench {
 namespace {
 
 constexpr std::string_view floor_name = "floor-futex", ours = "agnocast-executor",
-                           spinning = "agnocast-spinning";
+                           spinning = "agnocast-spinning", taking = "agnocast-take";
 constexpr std::size_t kib = 1024, mib = kib * 1024;
 constexpr std::uint32_t nobody = 65534;
 constexpr std::size_t rounds = 7;
+constexpr double quotient_bound = 1.10;
 
 class Latency {
  public:
@@ -61,37 +62,41 @@ class Latency {
   }
 
   void two_cores() {
-    if (!cpus().has_two()) return leave_out("latency on two cores is left out: there is one");
-    const std::vector<Comparison> by_size = measure(two_cores_);
+    std::vector<Comparison> by_size;
+    if (cpus().has_two()) {
+      by_size = measure(two_cores_);
+    } else {
+      leave_out("latency on two cores is left out: there is one");
+    }
     for (const Comparison& result : by_size) {
       const std::size_t bytes = result.plan.bytes;
       draw(result, "latency-two-cores-" + std::to_string(bytes),
            "Two cores, " + size_text(bytes) + ": from publish to the message in hand");
-      if (bytes == mib) aim_beside_peers(result);
-      if (bytes == kib) aim_ratio(result, spinning, "floor-polling", "two cores, 1 KiB: ", 1.5);
     }
+    aim_beside_peers(of_size(by_size, mib));
+    aim_ratio(of_size(by_size, kib), spinning, "floor-polling", "two cores, 1 KiB: ", 1.5);
     tell_quotients(by_size);
-    draw_by_size(by_size);
+    if (!by_size.empty()) draw_by_size(by_size);
   }
 
   void bare_calls() {
     const BareCalls calls =
-        measure_bare_calls(wishes_.rounds(rounds), wishes_.is_small() ? 100 : 20000, services_,
+        measure_bare_calls(wishes_.rounds(rounds), wishes_.is_small() ? 20 : 20000, services_,
                            [this] { steps_.next("bare calls"); });
-    report_.say("\nbare calls, nobody asleep, 1 KiB");
-    Table table({"call", "p50 ns", "x (mutex + clock)"});
+    report_.say("\nbare calls, nobody asleep, 1 KiB: one thread, warm, both ends in one process");
+    Table table({"call", "ns", "x (mutex + clock)"});
     table.add({"mutex lock and unlock, one clock read", digits(calls.mutex_clock_ns), "1"});
-    for (const auto& [what, ns, ratio] :
-         {std::tuple("publish", calls.publish_ns, calls.publish_ratio),
-          std::tuple("take and release", calls.take_ns, calls.take_ratio)}) {
-      table.add({what, digits(ns), digits(ratio)});
+    for (const auto& [what, ns, ratios] :
+         {std::tuple("publish", calls.publish_ns, calls.publish_ratios),
+          std::tuple("take and release", calls.take_ns, calls.take_ratios)}) {
+      table.add({what, digits(ns), digits(median(ratios))});
       report_.add({{"part", "bare-calls"},
                    {"call", what},
                    {"system", "agnocast"},
                    {"size_bytes", kib},
-                   {"p50_ns", ns},
-                   {"ratio_to_mutex_and_clock", ratio}});
-      aims_.add(std::string(what) + " / (mutex + clock)", ratio, Aims::Sense::at_most, 3);
+                   {"mean_ns", ns},
+                   {"ratio_to_mutex_and_clock", median(ratios)}});
+      aims_.add_median(std::string(what) + " / (mutex + clock)", ratios, Aims::Sense::at_most, 3);
     }
     table.say(report_);
   }
@@ -100,7 +105,7 @@ class Latency {
     const std::string where = "across users, one core, 1 KiB: ";
     if (::geteuid() != 0) {
       leave_out("latency across users is left out: only root can start a receiver as another user");
-      return aim_at(where, ours, floor_name, {}, Aims::Sense::at_most, 2);
+      return aim_ratio({}, ours, floor_name, where, 2);
     }
     aim_ratio(measure(across_users_).front(), ours, floor_name, where, 2);
   }
@@ -181,42 +186,63 @@ class Latency {
     report_.add(std::move(plot));
   }
 
-  void aim_ratio(const Comparison& result, std::string_view system, std::string_view base,
-                 const std::string& where, double bound) {
+  /// Empty: that size was not measured.
+  static Comparison of_size(const std::vector<Comparison>& by_size, std::size_t bytes) {
+    for (const Comparison& one : by_size) {
+      if (one.plan.bytes == bytes) return one;
+    }
+    return {};
+  }
+  /// Of each round; none where one of them took no part.
+  static std::vector<double> ratios(const Comparison& result, std::string_view system,
+                                    std::string_view base) {
     const Series *const one = result.find(system), *const other = result.find(base);
-    std::optional<double> ratio;
-    if (one != nullptr && other != nullptr) ratio = one->ratio_to(*other);
-    aim_at(where, system, base, ratio, Aims::Sense::at_most, bound);
+    if (one == nullptr || other == nullptr) return {};
+    return one->ratios_to(*other);
+  }
+  static std::string text_of(const std::string& where, std::string_view system,
+                             std::string_view base) {
+    return where + std::string(system) + " / " + std::string(base);
   }
 
-  // Who sleeps beside who sleeps, who spins beside who spins.
+  void aim_ratio(const Comparison& result, std::string_view system, std::string_view base,
+                 const std::string& where, double bound) {
+    aims_.add_median(text_of(where, system, base), ratios(result, system, base),
+                     Aims::Sense::at_most, bound, basis_of(result));
+  }
+
+  // Like beside like: who sleeps, and who takes again and again.
   void aim_beside_peers(const Comparison& result) {
+    const std::string where = "two cores, 1 MiB: ";
     for (const auto& [peer, own, bound] : {std::tuple("cyclonedds", ours, 40.0),
+                                           {"cyclonedds-tuned", ours, 0.0},
                                            {"cyclonedds-iceoryx", ours, 4.0},
                                            {"iceoryx-listener", ours, 1.0},
                                            {"iceoryx-waitset", ours, 1.0},
-                                           {"iceoryx-polling", spinning, 1.0}}) {
-      const Series *const other = result.find(peer), *const one = result.find(own);
-      std::optional<double> ratio;
-      if (one != nullptr && other != nullptr) ratio = other->ratio_to(*one);
-      aim_at("two cores, 1 MiB: ", peer, own, ratio, Aims::Sense::at_least, bound);
+                                           {"iceoryx-polling", taking, 1.0}}) {
+      const std::string text = text_of(where, peer, own);
+      const std::vector<double> of_rounds = ratios(result, peer, own);
+      // The aim is beside Cyclone DDS as it comes.
+      if (bound == 0) {
+        aims_.add_information(text, of_rounds);
+      } else {
+        aims_.add_median(text, of_rounds, Aims::Sense::at_least, bound, basis_of(result));
+      }
     }
-  }
-
-  void aim_at(const std::string& where, std::string_view system, std::string_view base,
-              std::optional<double> ratio, Aims::Sense sense, double bound) {
-    aims_.add(where + std::string(system) + " / " + std::string(base), ratio, sense, bound);
   }
 
   // How much longer the largest takes than the smallest, beside what the same is for the floor in the same round: caches are
   // the floor's too.
   void tell_quotients(const std::vector<Comparison>& by_size) {
+    const std::string aim = "size quotient of " + std::string(ours) + " / the floor's";
+    if (by_size.empty() || by_size.front().plan.bytes >= by_size.back().plan.bytes)
+      return aims_.add(aim, {}, Aims::Sense::at_most, quotient_bound);
     const Comparison &smallest = by_size.front(), &largest = by_size.back();
-    if (smallest.plan.bytes >= largest.plan.bytes) return;
     const auto quotients_of = [&](std::string_view name) {
       return largest.find(name)->ratios_to(*smallest.find(name));
     };
     const std::vector<double> floors = quotients_of(floor_name);
+    std::vector<double> of_ours;
     const std::string sizes =
         size_text(largest.plan.bytes) + " / " + size_text(smallest.plan.bytes);
     report_.say("\nsize: p50 of " + sizes);
@@ -235,11 +261,11 @@ class Latency {
                    {"quotient", quotient},
                    {"quotient_to_floor", over_floor},
                    {"floor", floor_name}});
-      if (one.system->name == ours)
-        aims_.add("size quotient " + sizes + " / the floor's", over_floor, Aims::Sense::at_most,
-                  1.10);
+      if (one.system->name == ours) of_ours = over_floors;
     }
     table.say(report_);
+    aims_.add_median(aim + ", " + sizes, of_ours, Aims::Sense::at_most, quotient_bound,
+                     basis_of(largest));
   }
 
   const Run& run_;

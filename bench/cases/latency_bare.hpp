@@ -8,13 +8,14 @@
 
 #include <cstddef>
 #include <functional>
+#include <vector>
 
 namespace agnocast::bench {
 
-/// Medians over the rounds.
+/// Medians over the rounds of each round's mean.
 struct BareCalls {
   double mutex_clock_ns = 0, publish_ns = 0, take_ns = 0;
-  double publish_ratio = 0, take_ratio = 0;  ///< to mutex_clock_ns of the same round
+  std::vector<double> publish_ratios, take_ratios;  ///< of each round, to its mutex and clock
 };
 
 /// A process for each round; `step` is called before each. Throws std::runtime_error.

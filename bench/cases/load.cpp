@@ -19,20 +19,17 @@ namespace {
 constexpr std::string_view floor_name = "floor-futex";
 
 bool is_ours(const System& system) { return system.name.starts_with("agnocast"); }
-bool is_peer(const System& system) {
-  return system.name.starts_with("iceoryx") || system.name.starts_with("cyclonedds");
-}
 
 /// Something else to do for all CPUs, `percent` of the time.
 class Busyness {
  public:
-  explicit Busyness(unsigned percent) {
+  /// Its own end, after `at_most`, is for the case that nobody else ends it.
+  Busyness(unsigned percent, std::chrono::seconds at_most) {
     if (percent == 0) return;
-    // Its own end is for the case that nobody else ends it.
-    stress_ = std::make_unique<Process>(
-        Process::Options{.command = {"stress-ng", "--quiet", "--cpu", "0", "--cpu-load",
-                                     std::to_string(percent), "--timeout", "1h"},
-                         .end_signal = SIGTERM});
+    stress_ = std::make_unique<Process>(Process::Options{
+        .command = {"stress-ng", "--quiet", "--cpu", "0", "--cpu-load", std::to_string(percent),
+                    "--timeout", std::to_string(at_most.count()) + "s"},
+        .end_signal = SIGTERM});
     // Until its processes are there and have found their pace.
     if (stress_->wait(std::chrono::seconds(1)))
       throw std::runtime_error("stress-ng does not run; Debian has it in the package stress-ng");
@@ -47,22 +44,20 @@ class Busyness {
   std::unique_ptr<Process> stress_;
 };
 
-/// Beside each peer, who sleeps beside who sleeps, who spins beside who spins.
+/// Beside each peer of this build, who sleeps beside who sleeps, who takes again and again beside who does.
 void aim_beside_peers(const Comparison& comparison, const std::string& where, Aims& aims) {
-  bool has_peer = false;
-  for (const Series& peer : comparison.series) {
-    if (!is_peer(*peer.system)) continue;
-    has_peer = true;
-    const std::string name = peer.system->is_spinning ? "agnocast-spinning" : "agnocast-executor";
-    const std::string aim = where + ", p99: " + name + " / " + std::string(peer.system->name);
-    if (const Series* const own = comparison.find(name)) {
-      aims.add(aim, own->p99_ratio_to(peer), Aims::Sense::at_most, 1,
-               own->p99_ratio_interval(peer));
+  for (const System& system : systems()) {
+    if (!is_peer(system)) continue;
+    const std::string name = system.is_spinning ? "agnocast-take" : "agnocast-executor";
+    const std::string aim = where + ", p99: " + name + " / " + std::string(system.name);
+    const Series *const own = comparison.find(name), *const peer = comparison.find(system.name);
+    if (own != nullptr && peer != nullptr) {
+      aims.add(aim, own->p99_ratio_to(*peer), Aims::Sense::at_most, 1,
+               own->p99_ratio_interval(*peer), basis_of(comparison, Basis::enough_for_p99));
     } else {
       aims.add(aim, {}, Aims::Sense::at_most, 1);
     }
   }
-  if (!has_peer) aims.add(where + ", p99: agnocast / each peer", {}, Aims::Sense::at_most, 1);
 }
 
 std::vector<const System*> compared(const Run& run, Services& services) {
@@ -101,7 +96,7 @@ void run_load(const Run& run, Report& report) {
       const bool is_judged = level == levels.back();
       const Plan plan = plan_of(run, bytes, is_judged);
       const std::string where = size_text(bytes) + ", load " + std::to_string(level) + " %";
-      const Busyness busyness(level);
+      const Busyness busyness(level, longest_of(plan) * static_cast<int>(rounds * all.size() + 1));
       const auto step = [&](const System& system, const Plan&) {
         busyness.check();
         steps.next(where + ", " + std::string(system.name));

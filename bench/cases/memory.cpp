@@ -10,7 +10,8 @@
 //   spike     1 GiB of messages made and freed: how much of it the system has back, and when, with the process quiet and
 //             with small messages going on
 //
-// How long idle memory is kept is AGNOCAST_HEAP_IDLE_SECONDS of the owner, ten by default.
+// How long idle memory is kept is AGNOCAST_HEAP_IDLE_SECONDS of the owner: ten here, as it is by default. Spikes are made
+// three times each, and the worst of them is judged.
 
 #include <bench/case.hpp>
 #include <bench/cases/looking.hpp>
@@ -322,10 +323,8 @@ class Memory {
     reading();
     report_.progress(2, 5, "steady traffic");
     steady();
-    report_.progress(3, 5, "spike");
-    spike("quiet afterwards", false);
-    report_.progress(4, 5, "spike, small messages going on");
-    spike("small messages going on", true);
+    spikes(3, "quiet afterwards", false);
+    spikes(4, "small messages going on", true);
     report_.progress(5, 5, "");
     aims_.tell(report_);
     report_.add(std::move(touches_));
@@ -335,7 +334,7 @@ class Memory {
  private:
   std::vector<std::string> variables() const {
     auto all = variables_of(daemon_);
-    if (is_small_) all.push_back("AGNOCAST_HEAP_IDLE_SECONDS=" + std::to_string(idle_.count()));
+    all.push_back("AGNOCAST_HEAP_IDLE_SECONDS=" + std::to_string(idle_.count()));
     return all;
   }
   std::vector<double> ask(Process& who, const std::string& what) {
@@ -354,18 +353,21 @@ class Memory {
 
   void row(const std::string& what, const std::vector<double>& times, const char* system) {
     if (times.empty()) return;
-    report_.say(text("%-58s %10.0f %10.0f %10.0f %6.3f %8.3f", what.c_str(), median(times) / 1e3,
-                     quantile(times, 0.99) / 1e3, quantile(times, 1) / 1e3, variation(times),
+    const bool has_p99 = times.size() >= p99_samples_min;
+    const std::string p99 = has_p99 ? text("%.0f", quantile(times, 0.99) / 1e3) : "-";
+    report_.say(text("%-58s %10.0f %10s %10.0f %6.3f %8.3f", what.c_str(), median(times) / 1e3,
+                     p99.c_str(), quantile(times, 1) / 1e3, variation(times),
                      median(times) / 1e3 / (static_cast<double>(buffer_bytes) / page_bytes)));
-    report_.add(nlohmann::json{{"system", system},
-                               {"part", what},
-                               {"size_bytes", buffer_bytes},
-                               {"samples", times.size()},
-                               {"min_ns", quantile(times, 0)},
-                               {"p50_ns", median(times)},
-                               {"p99_ns", quantile(times, 0.99)},
-                               {"max_ns", quantile(times, 1)},
-                               {"variation", variation(times)}});
+    nlohmann::json result{{"system", system},
+                          {"part", what},
+                          {"size_bytes", buffer_bytes},
+                          {"samples", times.size()},
+                          {"min_ns", quantile(times, 0)},
+                          {"p50_ns", median(times)},
+                          {"max_ns", quantile(times, 1)},
+                          {"variation", variation(times)}};
+    if (has_p99) result["p99_ns"] = quantile(times, 0.99);
+    report_.add(std::move(result));
     touches_.groups.push_back(what);
     touches_.series.at(0)["y"].push_back(median(times) / 1e3);
   }
@@ -432,12 +434,33 @@ class Memory {
                                {"returned_bytes_per_message", figures.at(2) / count}});
   }
 
-  void spike(const std::string& how, bool is_murmuring) {
+  /// What came back of a spike, and when most of it had; longer than was looked: it had not.
+  struct Return {
+    double share = 0, after_s = 0;
+  };
+
+  void spikes(std::size_t step, const std::string& how, bool is_murmuring) {
+    Return worst{1, 0};
+    for (std::size_t i = 0; i < (is_small_ ? 1 : 3); ++i) {
+      report_.progress(step, 5, "spike, " + how);
+      const Return one = spike(how, is_murmuring, i == 0);
+      worst = {std::min(worst.share, one.share), std::max(worst.after_s, one.after_s)};
+    }
+    const Basis basis{.is_of_rounds = false};
+    aims_.add("share of the pages of a spike that comes back, worst of three, " + how, worst.share,
+              Aims::Sense::at_least, aim, {}, basis);
+    aims_.add(text("seconds until %.0f %% of them are back, ", 100 * aim) + how, worst.after_s,
+              Aims::Sense::at_most, static_cast<double>((idle_ + late).count()), {}, basis);
+  }
+
+  Return spike(const std::string& how, bool is_murmuring, bool is_drawn) {
     const std::size_t messages = is_small_ ? 16 : 128;
     (void)ask("spike", messages);
     const auto began = Clock::now();
     const double peak = heap_bytes_of(owner_.pid());
-    const seconds watched = idle_ + seconds(is_small_ ? 2 : 6);
+    if (peak < static_cast<double>(messages * buffer_bytes))
+      throw std::runtime_error("the spike had less memory than its messages need");
+    const seconds watched = idle_ + late + seconds(is_small_ ? 0 : 2);
     if (is_murmuring)
       owner_.send(text("murmur %lld", static_cast<long long>(watched.count() * 1000)));
     nlohmann::json x = nlohmann::json::array(), y = nlohmann::json::array();
@@ -464,12 +487,12 @@ class Memory {
                           {"returned_share", share}};
     if (when >= 0) result["returned_after_s"] = when;
     report_.add(std::move(result));
-    aims_.add("share of the pages of a spike that comes back, " + how, share, Aims::Sense::at_least,
-              aim);
-    course_.series.push_back({{"label", how}, {"x", x}, {"y", y}});
+    if (is_drawn) course_.series.push_back({{"label", how}, {"x", x}, {"y", y}});
+    return {share, when < 0 ? static_cast<double>(watched.count()) : when};
   }
 
   static constexpr double aim = 0.95;
+  static constexpr seconds late{4};  // "within a few seconds more" (docs/heaphook.md)
 
   Report& report_;
   Aims aims_;

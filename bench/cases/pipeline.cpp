@@ -113,7 +113,6 @@ Settings settings_of(const Run& run) {
   settings.scan = run.scan;
   if (run.is_small) settings.rounds = 10, settings.warm_up = 2, settings.inputs = 2;
   if (run.messages) settings.rounds = *run.messages;
-  if (run.rounds) settings.rounds *= *run.rounds;
   if (run.period) settings.period = *run.period;
   if (settings.period.count() <= 0)
     throw std::runtime_error("its --period is the sensors' and has to be longer than 0");

@@ -9,6 +9,8 @@
 
 #include <bench/cases/throughput.hpp>
 #include <bench/comparison.hpp>
+#include <bench/cpus.hpp>
+#include <bench/environment.hpp>
 #include <bench/figures.hpp>
 #include <bench/options.hpp>
 
@@ -16,6 +18,7 @@
 
 #include <algorithm>
 #include <map>
+#include <set>
 #include <stdexcept>
 #include <string>
 
@@ -45,7 +48,7 @@ const System& find(std::string_view name) {
 namespace {
 
 constexpr std::string_view floor_name = "floor-futex";
-constexpr double aim = 3;  // times the fastest iceoryx
+constexpr double aim = 3;  // times the like of iceoryx
 
 /// One table: all systems under the same conditions.
 struct Setting {
@@ -55,6 +58,7 @@ struct Setting {
 
   std::size_t core_count() const { return cores == Cores::one ? 1 : 2; }
   bool is_small() const { return bytes == small_bytes; }
+  bool is_possible() const { return cores == Cores::one || cpus().has_two(); }
   std::string text() const {
     return "1:" + std::to_string(receivers) + (core_count() == 1 ? ", one core" : ", two cores");
   }
@@ -69,8 +73,6 @@ std::vector<Setting> settings(const Run& run) {
   if (sizes.empty()) sizes = {small_bytes, large_bytes};
   std::vector<Setting> all;
   for (const std::size_t bytes : sizes) {
-    if (bytes != small_bytes && bytes != large_bytes)
-      throw std::runtime_error("there are message types of 64 and 1M bytes only (--sizes)");
     for (const Cores cores : {Cores::one, Cores::two}) {
       for (const std::size_t receivers : {1UL, 4UL}) {
         // A test looks at each size, and at each number of cores and receivers once.
@@ -105,12 +107,12 @@ double rate_of(const System& system, const Plan& plan, Services& services) {
 
 using Rates = std::map<std::string_view, std::vector<double>>;  // of each round
 
-/// Median over the rounds of the ratios within each.
-double ratio(const std::vector<double>& rates, const std::vector<double>& base) {
+/// Within each round.
+std::vector<double> ratios(const std::vector<double>& rates, const std::vector<double>& base) {
   std::vector<double> ratios;
-  for (std::size_t round = 0; round < rates.size(); ++round)
+  for (std::size_t round = 0; round < std::min(rates.size(), base.size()); ++round)
     ratios.push_back(rates[round] / base[round]);
-  return median(std::move(ratios));
+  return ratios;
 }
 
 void tell(const Setting& setting, const Rates& rates, Report& report) {
@@ -129,39 +131,51 @@ void tell(const Setting& setting, const Rates& rates, Report& report) {
         {"variation", variation(own)}, {"bytes_per_second", rate * bytes},
     };
     if (floor != rates.end()) {
-      result["ratio_to_floor"] = ratio(own, floor->second);
+      result["ratio_to_floor"] = median(ratios(own, floor->second));
       result["floor"] = floor_name;
     }
     table.add({std::string(system.name), digits(rate), digits(rate * bytes / 1e6),
                digits(variation(own)),
-               floor == rates.end() ? "" : digits(ratio(own, floor->second))});
+               floor == rates.end() ? "" : digits(median(ratios(own, floor->second)))});
     report.add(std::move(result));
   }
   table.say(report);
 }
 
-/// The fastest of those whose names begin so; null: there is none.
-const Rates::value_type* fastest(const Rates& rates, std::string_view prefix) {
-  const Rates::value_type* best = nullptr;
-  for (const auto& one : rates) {
-    if (one.first.starts_with(prefix) &&
-        (best == nullptr || median(one.second) > median(best->second)))
-      best = &one;
+/// The fastest of these; empty: none of them took part.
+std::string_view fastest(const Rates& rates, const std::vector<std::string_view>& names) {
+  std::string_view best;
+  for (const std::string_view name : names) {
+    const auto one = rates.find(name);
+    if (one != rates.end() &&
+        (best.empty() || median(one->second) > median(rates.find(best)->second)))
+      best = name;
   }
   return best;
 }
 
+/// None where one of them took no part.
+std::vector<double> ratios(const Rates& rates, std::string_view system, std::string_view base) {
+  const auto one = rates.find(system), other = rates.find(base);
+  if (one == rates.end() || other == rates.end()) return {};
+  return ratios(one->second, other->second);
+}
+
+/// Like beside like: who sleeps beside who sleeps, one message a call beside one message a call. Of large messages there is no
+/// aim, as all are as fast as memory is.
 void aim_beside_iceoryx(const Setting& setting, const Rates& rates, Aims& aims) {
-  const auto* const own = fastest(rates, "agnocast");
-  const auto* const other = fastest(rates, "iceoryx");
-  // Of large messages all are as fast as memory is.
   if (!setting.is_small()) return;
-  if (own == nullptr || other == nullptr)
-    return aims.add(setting.text() + ", messages a second: agnocast / fastest iceoryx", {},
-                    Aims::Sense::at_least, aim);
-  aims.add(setting.text() + ", messages a second: " + std::string(own->first) +
-               " / fastest iceoryx, " + std::string(other->first),
-           ratio(own->second, other->second), Aims::Sense::at_least, aim);
+  const std::string where = setting.text() + ", messages a second: ";
+  const std::string_view sleeping = fastest(rates, {"iceoryx-listener", "iceoryx-waitset"});
+  aims.add_median(where + "agnocast-executor / " +
+                      (sleeping.empty() ? "the better of iceoryx-listener and -waitset"
+                                        : std::string(sleeping)),
+                  ratios(rates, "agnocast-executor", sleeping), Aims::Sense::at_least, aim);
+  if (setting.core_count() <= setting.receivers) return;  // nobody spins there
+  aims.add_median(where + "agnocast-take / iceoryx-polling",
+                  ratios(rates, "agnocast-take", "iceoryx-polling"), Aims::Sense::at_least, aim);
+  aims.add_information(where + "agnocast-batch, 16 a call / iceoryx-polling, one a call",
+                       ratios(rates, "agnocast-batch", "iceoryx-polling"));
 }
 
 /// Those that were asked for, and whose services run here.
@@ -219,21 +233,32 @@ void run_throughput(const Run& run, Report& report) {
   std::map<bool, Picture> pictures;
   std::size_t steps = 0;
   for (const Setting& setting : tables) {
+    if (!setting.is_possible()) continue;
     for (const System* const system : all) steps += setting.has_room_for(*system) ? rounds : 0;
   }
   Steps on_the_way(report, steps);
   for (const Setting& setting : tables) {
+    if (!setting.is_possible()) {
+      leave_out("throughput on two cores is left out: there is one");
+      aim_beside_iceoryx(setting, {}, aims);
+      continue;
+    }
     const Plan plan = plan_of(setting, run);
     const std::string where = setting.text() + ", messages of " + size_text(setting.bytes);
     Rates rates;
+    std::set<const System*> failed;
     for (std::size_t round = 0; round < rounds; ++round) {
       for (std::size_t turn = 0; turn < all.size(); ++turn) {
         const System* const system = all[(round + turn) % all.size()];
         if (!setting.has_room_for(*system)) continue;
+        if (failed.count(system) != 0) continue;
         on_the_way.next(where + ", " + std::string(system->name));
-        rates[system->name].push_back(rate_of(*system, plan, services));
+        const bool is_done = takes_its_turn(
+            *system, [&] { rates[system->name].push_back(rate_of(*system, plan, services)); });
+        if (!is_done) failed.insert(system);
       }
     }
+    for (const System* const system : failed) rates.erase(system->name);
     report.say("\n" + where + ", at most " + std::to_string(plan.depth) + " unread, " +
                std::to_string(rounds) + " x " + std::to_string(plan.lasting_ns / 1'000'000) +
                " ms");
@@ -242,6 +267,8 @@ void run_throughput(const Run& run, Report& report) {
     pictures[setting.is_small()].add(setting, rates);
   }
   on_the_way.finish();
+  if (std::none_of(tables.begin(), tables.end(), [](const Setting& one) { return one.is_small(); }))
+    aims.add("messages of 64 bytes a second: agnocast / iceoryx", {}, Aims::Sense::at_least, aim);
   for (const auto& [is_small, picture] : pictures) picture.draw(is_small, report);
   aims.tell(report);
 }

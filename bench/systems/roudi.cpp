@@ -10,6 +10,7 @@
 #include <fcntl.h>
 #include <grp.h>
 #include <sys/file.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <csignal>
@@ -17,6 +18,8 @@
 #include <filesystem>
 #include <fstream>
 #include <stdexcept>
+#include <string>
+#include <vector>
 
 namespace agnocast::bench {
 namespace {
@@ -57,12 +60,31 @@ count = 24
 
 constexpr const char* lock_path = "/tmp/iox-unique-roudi.lock";
 
-bool another_runs() {
-  const int lock = ::open(lock_path, O_RDWR | O_CLOEXEC);
-  if (lock < 0) return false;
-  const bool is_held = ::flock(lock, LOCK_EX | LOCK_NB) != 0;
-  ::close(lock);
-  return is_held;
+/// Held, so that no RouDi can start meanwhile; unless one runs, or its lock may not be opened.
+class RouDiLock {
+ public:
+  // What another user has left there, O_CREAT may not open (fs.protected_regular).
+  RouDiLock() : file_(::open(lock_path, O_RDWR | O_CLOEXEC)) {
+    if (file_ < 0) file_ = ::open(lock_path, O_RDWR | O_CREAT | O_CLOEXEC, 0600);
+    is_held_ = file_ >= 0 && ::flock(file_, LOCK_EX | LOCK_NB) == 0;
+  }
+  ~RouDiLock() {
+    std::error_code ignored;
+    if (is_held_) fs::remove(lock_path, ignored);
+    if (file_ >= 0) ::close(file_);
+  }
+  RouDiLock(const RouDiLock&) = delete;
+  RouDiLock& operator=(const RouDiLock&) = delete;
+  bool is_held() const { return is_held_; }
+
+ private:
+  int file_;
+  bool is_held_ = false;
+};
+
+bool is_of_this_user(const std::string& path) {
+  struct stat file {};
+  return ::lstat(path.c_str(), &file) == 0 && file.st_uid == ::geteuid();
 }
 
 /// Sockets that clients which were killed have left: PREFIX, the pid, and whatever.
@@ -75,24 +97,34 @@ bool is_of_dead_client(const std::string& name) {
   return false;
 }
 
-void remove_leftovers() {
-  if (another_runs()) return;
+/// False: another RouDi runs.
+bool remove_leftovers_unless_another_runs() {
+  const RouDiLock lock;
+  if (!lock.is_held()) return false;
   std::error_code ignored;
-  // The segment of messages is named for the group that may write to it.
+  const std::string management = "/dev/shm/iceoryx_mgmt";
+  std::vector<std::string> leftovers = {"/tmp/roudi", "/tmp/roudi.lock"};
+  // The segment of messages is named for the group that may write to it, as something else may be: it is RouDi's where the
+  // other segment is there too.
   const group* const mine = ::getgrgid(::getegid());
-  if (mine != nullptr) fs::remove(std::string("/dev/shm/") + mine->gr_name, ignored);
-  for (const char* path : {"/dev/shm/iceoryx_mgmt", "/tmp/roudi", "/tmp/roudi.lock", lock_path})
-    fs::remove(path, ignored);
+  if (mine != nullptr && is_of_this_user(management))
+    leftovers.push_back(std::string("/dev/shm/") + mine->gr_name);
+  leftovers.push_back(management);
+  for (const std::string& path : leftovers) {
+    if (is_of_this_user(path)) fs::remove(path, ignored);
+  }
   for (const fs::directory_entry& entry : fs::directory_iterator("/tmp", ignored)) {
     if (is_of_dead_client(entry.path().filename())) fs::remove(entry.path(), ignored);
   }
+  return true;
 }
+void remove_leftovers() { (void)remove_leftovers_unless_another_runs(); }
 
 std::unique_ptr<Process> start(const std::string& directory) {
-  if (another_runs())
+  // What there may be is of a benchmark that was killed.
+  if (!remove_leftovers_unless_another_runs())
     throw std::runtime_error(
         "iceoryx: another RouDi (iox-roudi) runs on this host, and there can be one only");
-  remove_leftovers();  // of a benchmark that was killed
   const std::string file = directory + "/roudi.toml";
   std::ofstream(file) << configuration;
   // Monitoring is off as it costs wake-ups; --kill-delay: it waits for clients that do not end before it ends.

@@ -6,6 +6,7 @@
 #
 #   bench_command_test.py AGNOCAST_BENCH SCHEMA
 import json
+import os
 import pathlib
 import subprocess
 import sys
@@ -17,8 +18,9 @@ rules = jsonschema.Draft7Validator(json.loads(pathlib.Path(schema).read_text()))
 errors = []
 
 
-def run(*arguments, status):
-    ran = subprocess.run([program, *arguments], capture_output=True, text=True, timeout=200)
+def run(*arguments, status, environment=None):
+    variables = {**os.environ, **(environment or {})}
+    ran = subprocess.run([program, *arguments], capture_output=True, text=True, timeout=200, env=variables)
     if ran.returncode != status:
         errors.append(f"{' '.join(arguments)}: status {ran.returncode}, not {status}: {ran.stderr}")
     return ran
@@ -50,6 +52,8 @@ for arguments, wanted in (
     (["memory", "--systems", "agnocast-executor"], "memory does not take --systems"),
     (["throughput", "--systems", "floor-eventfd"], "throughput does not take --systems floor-eventfd"),
     (["death", "--sizes", "1K,1M"], "death does not take more than one of --sizes"),
+    (["throughput", "--sizes", "100"], "throughput has messages of 64 B and 1 MiB only"),
+    (["pipeline", "--rounds", "2"], "pipeline does not take --rounds"),
 ):
     ran = run(*arguments, status=2)
     if wanted not in ran.stderr or "hint:" not in ran.stderr or ran.stdout:
@@ -59,9 +63,9 @@ for arguments, wanted in (
 ran = run("alloc", "--small", "--json", "/nowhere/at/all.json", status=1)
 if "/nowhere/at/all.json" not in ran.stderr or "==" in ran.stdout:
     errors.append(f"a file that cannot be written: {ran.stdout}{ran.stderr}")
-ran = run("throughput", "--small", "--sizes", "100", "--json", "-", status=1)
+ran = run("memory", "--small", "--json", "-", status=1, environment={"TMPDIR": "/nowhere"})
 document = document_of(ran)
-if "throughput" not in document.get("failed", {}) or "64 and 1M" not in ran.stderr:
+if "memory" not in document.get("failed", {}) or "/nowhere" not in ran.stderr:
     errors.append(f"a case that fails: {document.get('failed')}, {ran.stderr}")
 
 # --- standard output, with processes of all kinds

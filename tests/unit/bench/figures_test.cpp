@@ -46,6 +46,24 @@ TEST(Figures, BootstrapOfARatioPutsRoundsTogether) {
   EXPECT_DOUBLE_EQ(wide.high, 9);
 }
 
+TEST(Figures, IntervalOfAMedianIsBetweenOrderStatistics) {
+  std::vector<double> samples;
+  const auto of_first = [&](std::size_t count) {
+    samples.clear();
+    for (std::size_t i = count; i > 0; --i) samples.push_back(static_cast<double>(i));
+    const Interval interval = median_interval(samples);
+    return std::pair(interval.low, interval.high);
+  };
+  EXPECT_EQ(of_first(1), std::pair(1.0, 1.0));
+  EXPECT_EQ(of_first(3), std::pair(1.0, 3.0));
+  // As the tables of the sign test have them: 98.4, 96.1, 96.1, 97.9, 95.9 %.
+  EXPECT_EQ(of_first(7), std::pair(1.0, 7.0));
+  EXPECT_EQ(of_first(9), std::pair(2.0, 8.0));
+  EXPECT_EQ(of_first(10), std::pair(2.0, 9.0));
+  EXPECT_EQ(of_first(20), std::pair(6.0, 15.0));
+  EXPECT_EQ(of_first(100), std::pair(40.0, 61.0));
+}
+
 TEST(Figures, LineOfLeastSquares) {
   const Line exact = line_through({1, 2, 4}, {5, 7, 11});
   EXPECT_DOUBLE_EQ(exact.slope, 2);

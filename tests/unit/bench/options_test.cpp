@@ -33,6 +33,14 @@ const std::vector<Case> some_cases{
      },
      1},
     {"alloc", "malloc", std::chrono::seconds(60), nullptr, {"--rounds"}},
+    {"throughput",
+     "a second",
+     std::chrono::seconds(60),
+     nullptr,
+     {"--sizes"},
+     nullptr,
+     SIZE_MAX,
+     {64, 1 << 20}},
 };
 
 Options parsed(const std::vector<std::string>& arguments) { return parse(arguments, some_cases); }
@@ -51,11 +59,11 @@ TEST(Options, AreUnsetUnlessGiven) {
 
 TEST(Options, AreRead) {
   const Options options =
-      parsed({"fanout", "latency", "--rounds", "3", "--messages=20", "--period", "250us", "--sizes",
+      parsed({"alloc", "latency", "--rounds", "3", "--messages=20", "--period", "250us", "--sizes",
               "64,1K,1.5M", "--systems", "agnocast-take,floor-futex", "--json", "-", "--plot",
               "here", "--small"});
   EXPECT_EQ(options.error, "");
-  EXPECT_THAT(options.cases, ElementsAre("fanout", "latency"));
+  EXPECT_THAT(options.cases, ElementsAre("alloc", "latency"));
   EXPECT_EQ(options.run.rounds, 3u);
   EXPECT_EQ(options.run.messages, 20u);
   EXPECT_EQ(options.run.period, microseconds(250));
@@ -67,7 +75,7 @@ TEST(Options, AreRead) {
 }
 
 TEST(Options, AllIsEveryCase) {
-  EXPECT_THAT(parsed({"all"}).cases, ElementsAre("latency", "fanout", "alloc"));
+  EXPECT_THAT(parsed({"all"}).cases, ElementsAre("latency", "fanout", "alloc", "throughput"));
 }
 
 TEST(Options, RefuseWhatMeansNothing) {
@@ -108,11 +116,18 @@ TEST(Options, OfSystemsThatNoCaseComparesAreRefused) {
                           testing::Field(&SystemName::name, "floor-line")));
 }
 
-TEST(Options, OfSizesAreRefusedWhereOneIsRead) {
+TEST(Options, OfSizesAreRefusedWhereACaseCannotHaveThem) {
   EXPECT_EQ(parsed({"fanout", "--sizes", "1K"}).error, "");
-  EXPECT_EQ(parsed({"fanout", "--sizes", "1K,1M"}).error,
-            "fanout does not take more than one of --sizes; leave it out, or ask for latency");
-  EXPECT_EQ(parsed({"fanout", "latency", "--sizes", "1K,1M"}).error, "");
+  const std::string refused =
+      "fanout does not take more than one of --sizes; say one, or leave fanout out";
+  EXPECT_EQ(parsed({"fanout", "--sizes", "1K,1M"}).error, refused);
+  EXPECT_EQ(parsed({"fanout", "latency", "--sizes", "1K,1M"}).error, refused);
+  EXPECT_EQ(parsed({"all", "--sizes", "64,1M"}).error, refused);
+  EXPECT_EQ(parsed({"throughput", "alloc", "--sizes", "64,1M"}).error, "");
+  EXPECT_EQ(parsed({"throughput", "latency", "--sizes", "1K"}).error,
+            "throughput has messages of 64 B and 1 MiB only, and none of 1 KiB; leave it out of "
+            "--sizes, or leave throughput out");
+  EXPECT_EQ(parsed({"all", "--sizes", "1M"}).error, "");
 }
 
 TEST(Options, OfEachCaseAreInTheHelp) {
