@@ -37,7 +37,8 @@ struct PublisherEndpoint::Work {
   bool destroys_later = false;
 
   /// Into the line that the commit goes into next: stored behind that, it would take the line a second
-  /// time from those who look at it. Only written under the mutex.
+  /// time from those who look at it. Only written under the mutex. A death between the two leaves it one
+  /// message ahead, which is nothing to those it is for: people.
   void commits(const dataplane::Entry& entry) noexcept {
     auto& total =
         endpoint.identity_.core.words.counter(offsetof(abi::PublisherEndpoint, published_bytes));

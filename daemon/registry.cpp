@@ -287,7 +287,8 @@ std::uint64_t Registry::slots_needed(TopicIndex topic, const abi::Qos& offered,
     if (counts_as_member(record.state)) count(record);
   });
   if (joining != nullptr) count(*joining);
-  const std::uint64_t slots = round_up(window + quotas + abi::lazy_pass_count_max + slots_in_hand, 64);
+  const std::uint64_t slots =
+      round_up(window + quotas + abi::lazy_pass_count_max + slots_in_hand, 64);
   return std::min<std::uint64_t>(std::max(slots, slots_at_least), capacity_.slots_per_publisher);
 }
 

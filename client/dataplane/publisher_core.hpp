@@ -69,8 +69,8 @@ class PublisherCore {
 
   /// Commits one message. `environment` is told which sleepers to ring and which messages to
   /// destroy: ring(executor, armed) and freed(slot, address); and, if it has commits(entry), that
-  /// nothing can refuse the message any more, directly ahead of the commit. On an error the caller keeps the
-  /// message. One that `was_published` before, in another queue, waits for nobody.
+  /// nothing can refuse the message any more, directly ahead of the commit. On an error the caller
+  /// keeps the message. One that `was_published` before, in another queue, waits for nobody.
   template <class Environment>
   PublishOutcome publish(const Entry& entry, Environment& environment,
                          bool was_published = false) noexcept {

@@ -90,7 +90,7 @@ bool ExecutorCore::run_one_of_turn() {
     const auto node = entry.node.lock();
     const auto source = entry.source.lock();
     if (node == nullptr || source == nullptr) continue;
-    // Of one source whose node was woken it is known well enough that it has something.
+    // A single source is asked by taking: that it has nothing is rare, and then only costs more.
     if (turn_.size() > 1 && !source->has_work()) continue;
     if (!node->run(this, *source)) continue;
     // The callback may have forked, and return in the child.

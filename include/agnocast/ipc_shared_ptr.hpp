@@ -69,7 +69,7 @@ class ipc_shared_ptr {
   void reset() noexcept {
     detail::Block* const block = std::exchange(block_, nullptr);
     if (block == nullptr) return;
-    // The only user is nobody's rival, and most are: a look is a third of a locked instruction.
+    // The only user is nobody's rival, and most are: they need no locked instruction.
     if (block->users.load(std::memory_order_acquire) == 1 ||
         block->users.fetch_sub(1, std::memory_order_acq_rel) == 1)
       block->end(block);
