@@ -123,6 +123,10 @@ Errc UntypedPublisher::publish(void* message, std::size_t object_bytes,
   return Errc::internal;
 }
 
+void UntypedPublisher::make_room() noexcept {
+  if (state() == Errc::ok) endpoint_->make_room();
+}
+
 void UntypedPublisher::count_adoption(const Result<Adoption>& adopted) noexcept {
   AGNOCAST_CRASH_POINT(C_original);
   if (adopted) {

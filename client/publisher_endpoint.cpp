@@ -53,6 +53,8 @@ struct PublisherEndpoint::Work {
       wake_control = true;
     }
   }
+  /// The control thread does, as it is woken anyway.
+  bool passes_soon() const noexcept { return wake_control; }
   void freed(std::uint64_t, std::uint64_t address) noexcept {
     if (!may_destroy) return;
     void* const message = reinterpret_cast<void*>(address);
@@ -118,13 +120,15 @@ dataplane::PublishOutcome PublisherEndpoint::publish(void* message, std::uint64_
       heir = heir_;
       return;
     }
+    // What no borrow has destroyed since. Many at once, when a reader that lagged has caught up: the rest
+    // waits for the next borrows and publishes, or for the control thread's timer. Waking it would be a
+    // system call.
+    work.destroy_doomed();
+    work.destroys_later = message_bytes <= Core::kept_back_max;
     // The stamp is taken under the mutex, so that it grows with the sequence.
     outcome = core_->publish(
         {reinterpret_cast<std::uint64_t>(message), object_bytes, monotonic_ns(), message_bytes},
         work);
-    // Many at once, when a reader that lagged has caught up: the next publishes destroy the rest, or
-    // the control thread's timer. Waking it would be a system call.
-    work.destroy_doomed();
   });
   if (heir != nullptr) [[unlikely]]
     return heir->publish(message, object_bytes, message_bytes);
@@ -133,6 +137,10 @@ dataplane::PublishOutcome PublisherEndpoint::publish(void* message, std::uint64_
   if (outcome == dataplane::PublishOutcome::would_block)
     count(offsetof(abi::PublisherEndpoint, refused_would_block), 1);
   return outcome;
+}
+
+void PublisherEndpoint::make_room() noexcept {
+  with_queue([](Work& work) { work.destroy_doomed(); });
 }
 
 void PublisherEndpoint::count(std::size_t counter, std::uint64_t more) noexcept {

@@ -5,8 +5,9 @@
 //
 // publish() runs in user threads, pass() also in the control thread, under one private mutex. Two
 // things happen outside it: messages that may go are destroyed there (their destructors are user
-// code), and sleepers beyond the first two are rung by the control thread, so that a wide topic
-// does not cost its publisher one system call per sleeper.
+// code; after small publishes not before the next borrow or publish), and sleepers beyond the first two
+// are rung by the control thread, so that a wide topic does not cost its publisher one system call per
+// sleeper.
 #pragma once
 
 #include <agnocast/message_type.hpp>
@@ -74,6 +75,9 @@ class PublisherEndpoint {
   /// one per sleeper for the first two, one more for all others.
   dataplane::PublishOutcome publish(void* message, std::uint64_t object_bytes,
                                     std::uint64_t message_bytes) noexcept;
+  /// Destroys what small publishes left to be destroyed: they do not do it themselves, so that a publish
+  /// costs its caller no more than it has to, and the next message gets memory that is warm still.
+  void make_room() noexcept;
   /// Before the first message, if the identity says that it is to be said later. Successors say it by
   /// themselves.
   void say_lineage() noexcept;

@@ -74,14 +74,18 @@ class Latency {
            "Two cores, " + size_text(bytes) + ": from publish to the message in hand");
     }
     aim_beside_peers(of_size(by_size, mib));
-    aim_ratio(of_size(by_size, kib), spinning, "floor-polling", "two cores, 1 KiB: ", 1.5);
+    const Comparison smallest = of_size(by_size, kib);
+    const std::string where = "two cores, 1 KiB: ";
+    aim_ratio(smallest, spinning, "floor-polling", where, 1.5);
+    aims_.add_information(text_of(where, spinning, "floor-chain"),
+                          ratios(smallest, spinning, "floor-chain"));
     tell_quotients(by_size);
     if (!by_size.empty()) draw_by_size(by_size);
   }
 
   void bare_calls() {
     const BareCalls calls =
-        measure_bare_calls(wishes_.rounds(rounds), wishes_.is_small() ? 20 : 20000, services_,
+        measure_bare_calls(wishes_.rounds(rounds), wishes_.is_small() ? 160 : 100000, services_,
                            [this] { steps_.next("bare calls"); });
     report_.say("\nbare calls, nobody asleep, 1 KiB: one thread, warm, both ends in one process");
     Table table({"call", "ns", "x (mutex + clock)"});
@@ -94,7 +98,7 @@ class Latency {
                    {"call", what},
                    {"system", "agnocast"},
                    {"size_bytes", kib},
-                   {"mean_ns", ns},
+                   {"p50_ns", ns},
                    {"ratio_to_mutex_and_clock", median(ratios)}});
       aims_.add_median(std::string(what) + " / (mutex + clock)", ratios, Aims::Sense::at_most, 3);
     }

@@ -6,12 +6,14 @@
 //   floor-futex          a word and a futex for each receiver, which is woken whether it sleeps or not
 //   floor-eventfd        an eventfd each, in an edge-triggered epoll set and never read
 //   floor-polling        a cache line that the receivers look at again and again; nobody is woken
+//   floor-chain          as floor-polling, but this line tells the place of a second one, and that the place of a third one,
+//                        which tells where the payload is: what nobody can go below who has a queue of objects with pointers
 //   bound-kernel-module  what a kernel module with POSIX queues cannot go below: the sender one cheap system call (for its
 //                        ioctl) and a mq_send each; the receiver epoll_wait, mq_receive, and two cheap system calls
 //   floor-memcpy         as floor-futex, after one memcpy of the payload: the least of everything that copies
 //
 // One buffer of shared memory holds the payload; the loop is closed, so nobody reads it when it is written. In scratch:
-//   published  the number of the last message      bells[receivers]  what the futexes are
+//   published  the number of the last message      chain  for floor-chain      bells[receivers]  what the futexes are
 
 #include <bench/system.hpp>
 
@@ -50,10 +52,10 @@ class Ground {
  public:
   explicit Ground(const Carriage& carriage)
       : bytes_(carriage.bytes), receivers_(carriage.receivers) {
-    if (sizeof(Line) + receivers_ * sizeof(Bell) > carriage.scratch_bytes)
+    if ((1 + chain_lines) * sizeof(Line) + receivers_ * sizeof(Bell) > carriage.scratch_bytes)
       throw std::runtime_error("floor: too many receivers");
     published_ = static_cast<Line*>(carriage.scratch);
-    bells_ = reinterpret_cast<Bell*>(published_ + 1);
+    bells_ = reinterpret_cast<Bell*>(published_ + 1 + chain_lines);
     // With all pages: floors have no first touch.
     void* const buffer = ::mmap(nullptr, bytes_, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE,
                                 carriage.descriptors.at(0), 0);
@@ -68,6 +70,10 @@ class Ground {
   std::size_t bytes() const noexcept { return bytes_; }
   std::size_t receivers() const noexcept { return receivers_; }
   std::atomic<std::uint64_t>& published() const noexcept { return published_->number; }
+  static constexpr std::size_t chain_lines = 16;
+  std::atomic<std::uint64_t>& chain(std::uint64_t line) const noexcept {
+    return published_[1 + line % chain_lines].number;
+  }
   std::atomic<std::uint32_t>& bell(std::size_t receiver) const noexcept {
     return bells_[receiver].word;
   }
@@ -174,12 +180,26 @@ class EventSender final : public FloorSender {
   }
 };
 
-class PollingSender final : public FloorSender {
+class PollingSender : public FloorSender {
  public:
   using FloorSender::FloorSender;
 
  protected:
   void ring(std::size_t) override {}
+};
+
+// The entries of a queue and the objects lie by turns in the lines of the chain.
+class ChainSender final : public PollingSender {
+ public:
+  using PollingSender::PollingSender;
+  bool send() override {
+    const std::uint64_t number = ground_.published().load(std::memory_order_relaxed) + 1;
+    const std::uint64_t entry = 2 * number, object = entry + 1;
+    ground_.chain(object).store(payload_offset, std::memory_order_relaxed);
+    ground_.chain(entry).store(object, std::memory_order_relaxed);
+    return PollingSender::send();
+  }
+  static constexpr std::uint64_t payload_offset = 0;
 };
 
 class ModuleSender final : public FloorSender {
@@ -209,13 +229,13 @@ class FloorReceiver : public Receiver {
         wait();
         continue;
       }
-      ++delivered;
-      on_message(ground_.buffer(), ground_.bytes());
+      on_message(payload(++delivered), ground_.bytes());
     }
   }
   void stop() override { is_stopped_.store(true); }
 
  protected:
+  virtual const std::byte* payload(std::uint64_t) const { return ground_.buffer(); }
   /// Until rung, or for a while.
   virtual void wait() = 0;
   Ground ground_;
@@ -223,12 +243,23 @@ class FloorReceiver : public Receiver {
   std::atomic<bool> is_stopped_{false};
 };
 
-class PollingReceiver final : public FloorReceiver {
+class PollingReceiver : public FloorReceiver {
  public:
   using FloorReceiver::FloorReceiver;
 
  protected:
   void wait() override {}
+};
+
+class ChainReceiver final : public PollingReceiver {
+ public:
+  using PollingReceiver::PollingReceiver;
+
+ protected:
+  const std::byte* payload(std::uint64_t number) const override {
+    const std::uint64_t object = ground_.chain(2 * number).load(std::memory_order_relaxed);
+    return ground_.buffer() + ground_.chain(object).load(std::memory_order_relaxed);
+  }
 };
 
 class FutexReceiver final : public FloorReceiver {
@@ -335,6 +366,9 @@ std::vector<System> floor_systems() {
                                          make_each<make_eventfd>),
       system<PollingSender, PollingReceiver>("floor-polling", "a cache line, looked at for ever",
                                              make_buffer, true),
+      system<ChainSender, ChainReceiver>(
+          "floor-chain", "three cache lines, each of which tells where the next one is",
+          make_buffer, true),
       system<ModuleSender, ModuleReceiver>(
           "bound-kernel-module", "the system calls that a kernel module cannot do without",
           make_each<make_queue>),

@@ -29,6 +29,7 @@
 #include <bit>
 #include <cstddef>
 #include <cstdint>
+#include <utility>
 
 namespace agnocast::dataplane {
 
@@ -69,7 +70,8 @@ class PublisherCore {
 
   /// Commits one message. `environment` is told which sleepers to ring and which messages to
   /// destroy: ring(executor, armed) and freed(slot, address); and, if it has commits(entry), that
-  /// nothing can refuse the message any more, directly ahead of the commit. On an error the caller
+  /// nothing can refuse the message any more, directly ahead of the commit. If it has passes_soon(), that
+  /// says behind the rings whether somebody else is about to make a whole pass. On an error the caller
   /// keeps the message. One that `was_published` before, in another queue, waits for nobody.
   template <class Environment>
   PublishOutcome publish(const Entry& entry, Environment& environment,
@@ -335,6 +337,16 @@ class PublisherCore {
   }
 
   template <class Environment>
+  bool may_be_lazy(const Environment& environment) noexcept {
+    if (lazy_passes_ >= self_.lazy_limit) return false;
+    if (kept_back_ <= kept_back_max) return true;
+    // Once: should nobody come to make that pass, the next publish does.
+    if constexpr (requires { environment.passes_soon(); })
+      return std::exchange(left_, 1) == 0 && environment.passes_soon();
+    return false;
+  }
+
+  template <class Environment>
   void pass(Environment& environment, bool after_commit) noexcept {
     // [sync:hold] seq_cst; pairs with T4 and T5: a take that validated an entry is seen here, or
     // sees the mark made before here.
@@ -342,13 +354,14 @@ class PublisherCore {
     refresh_members();
     if (after_commit) {
       ring_sleepers(environment);
-      if (lazy_passes_ < self_.lazy_limit && kept_back_ <= kept_back_max) {
+      if (may_be_lazy(environment)) {
         ++lazy_passes_;
         return;
       }
     }
     lazy_passes_ = 0;
     kept_back_ = 0;
+    left_ = 0;
 
     std::uint64_t need = minus_at_least(head_sequence_ + 1, history_, 0);
     std::uint64_t past = infinite;
@@ -452,6 +465,7 @@ class PublisherCore {
   std::uint64_t over_ = 0;    // 1: the daemon has freed this publisher's index
   std::uint64_t lazy_passes_ = 0;
   std::uint64_t kept_back_ = 0;  // bytes published since the last look at links
+  std::uint64_t left_ = 0;       // 1: a look after a large message was left to somebody else
   std::uint64_t member_high_ = 0;
   Mask allocated_{};
   Mask retired_{};

@@ -109,6 +109,8 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   Errc state() const noexcept;
   /// `object_bytes` of `message_bytes` are the message object itself.
   Errc publish(void* message, std::size_t object_bytes, std::uint64_t message_bytes) noexcept;
+  /// Before a message is borrowed: destroys old ones that publish has left to be destroyed.
+  void make_room() noexcept;
   /// What make_resident did, unless nothing was foreign; for agnocast-ctl.
   void count_adoption(const Result<Adoption>& adopted) noexcept;
   SharedHeap heap() const noexcept;
@@ -234,8 +236,7 @@ class Lender {
   PublishResult take_back(ipc_shared_ptr<T>&& message, Commit&& commit_owned) const noexcept {
     Loan* const loan = loan_of(message);
     if (loan == nullptr) return {Errc::loan_invalid, 0};
-    Owner object =
-        code_.own(static_cast<T*>(loan->message.exchange(nullptr, std::memory_order_acq_rel)));
+    Owner object = code_.own(static_cast<T*>(take_message(*loan)));
     if (object == nullptr) return {Errc::loan_invalid, 0};
     const PublishResult result = commit_owned(std::move(object));
     if (result) {
@@ -255,6 +256,15 @@ class Lender {
     Code code;
     BorrowScope scope;  // closed after the message is gone: member order
   };
+  /// Of several copies of the handle one gets it. A single one is nobody's rival, and needs no locked
+  /// instruction.
+  static void* take_message(Loan& loan) noexcept {
+    if (loan.users.load(std::memory_order_acquire) != 1)
+      return loan.message.exchange(nullptr, std::memory_order_acq_rel);
+    void* const message = loan.message.load(std::memory_order_relaxed);
+    loan.message.store(nullptr, std::memory_order_relaxed);
+    return message;
+  }
   Loan* loan_of(const ipc_shared_ptr<T>& message) const noexcept {
     Block* const block = message.block();
     return block != nullptr && block->origin == origin_ ? static_cast<Loan*>(block) : nullptr;
@@ -314,6 +324,11 @@ class LendingPublisher : public PublisherBase, public Lender<T, Code> {
   explicit LendingPublisher(std::shared_ptr<UntypedPublisher> untyped, Code code = {}) noexcept
       : PublisherBase(std::move(untyped)), Lender<T, Code>(&this->untyped(), code) {}
   ~LendingPublisher() = default;
+
+  ipc_shared_ptr<T> lend() {
+    untyped().make_room();
+    return Lender<T, Code>::lend();
+  }
 };
 
 template <class T>

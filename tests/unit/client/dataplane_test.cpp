@@ -434,6 +434,34 @@ TEST(Dataplane, LeavesOutPassesOfSmallMessagesAlone) {
   EXPECT_TRUE(publisher.environment.live.empty());
 }
 
+TEST(Dataplane, LeavesThePassOfALargeMessageToSomebodyElseOnce) {
+  struct HandsOver : Freed {
+    bool passes_soon() const noexcept { return is_coming; }
+    bool is_coming = true;
+  };
+  LazyPublisher publisher(64);
+  HandsOver environment;
+  const auto publish = [&] {
+    const std::uint64_t address = 0x100000 + ++publisher.number * 16;
+    environment.live.insert(address);
+    return publisher.core->publish(
+        {address, 16, publisher.number, PublisherCore<M>::kept_back_max + 1}, environment);
+  };
+  ASSERT_EQ(publish(), PublishOutcome::published);
+  EXPECT_EQ(environment.live.size(), 1u);
+  ASSERT_EQ(publish(), PublishOutcome::published);
+  EXPECT_TRUE(environment.live.empty()) << "nobody has come in between";
+  ASSERT_EQ(publish(), PublishOutcome::published);
+  EXPECT_EQ(environment.live.size(), 1u);
+  publisher.core->pass(environment);
+  EXPECT_TRUE(environment.live.empty()) << "the one that it was left to";
+  ASSERT_EQ(publish(), PublishOutcome::published);
+  EXPECT_EQ(environment.live.size(), 1u) << "and the next may be left again";
+  environment.is_coming = false;
+  ASSERT_EQ(publish(), PublishOutcome::published);
+  EXPECT_TRUE(environment.live.empty());
+}
+
 TEST(Dataplane, LazyPassesRefuseNothingWhereSlotsAreFew) {
   constexpr std::uint64_t depth = 8;
   LazyPublisher publisher(depth + 2);
