@@ -65,6 +65,7 @@ struct PublisherEndpoint::Work {
                                   // than allocate
     } else {
       endpoint.doomed_.push_back(message);  // within its capacity: no allocation
+      endpoint.has_doomed_.store(true, std::memory_order_relaxed);
     }
   }
   /// What an earlier turn had no room for.
@@ -73,6 +74,7 @@ struct PublisherEndpoint::Work {
     auto& doomed = endpoint.doomed_;
     for (; !doomed.empty() && destroy_count < destroy.size(); doomed.pop_back())
       destroy[destroy_count++] = doomed.back();
+    if (doomed.empty()) endpoint.has_doomed_.store(false, std::memory_order_relaxed);
   }
 };
 
@@ -140,7 +142,8 @@ dataplane::PublishOutcome PublisherEndpoint::publish(void* message, std::uint64_
 }
 
 void PublisherEndpoint::make_room() noexcept {
-  with_queue([](Work& work) { work.destroy_doomed(); });
+  if (has_doomed_.load(std::memory_order_relaxed))
+    with_queue([](Work& work) { work.destroy_doomed(); });
 }
 
 void PublisherEndpoint::count(std::size_t counter, std::uint64_t more) noexcept {

@@ -190,6 +190,8 @@ class PublisherEndpoint {
   std::vector<Executor> executors_;
   std::vector<Attached> attached_;
   std::vector<void*> doomed_;  // to be destroyed later; capacity for every slot from the start
+  std::atomic<bool> has_doomed_{
+      false};  // for a look without the mutex; whoever misses one comes again
   void destroy(void* message) noexcept;
   void inherit(const dataplane::Entry& entry) noexcept;
 
