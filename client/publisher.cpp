@@ -123,8 +123,12 @@ Errc UntypedPublisher::publish(void* message, std::size_t object_bytes,
   return Errc::internal;
 }
 
-void UntypedPublisher::make_room() noexcept {
-  if (state() == Errc::ok) endpoint_->make_room();
+void UntypedPublisher::make_room() const noexcept {
+  if (state() != Errc::ok) return;
+  if (endpoint_->context() == &Context::instance()) [[likely]]
+    endpoint_->make_room();
+  else
+    endpoint_->present(endpoint_)->make_room();
 }
 
 void UntypedPublisher::count_adoption(const Result<Adoption>& adopted) noexcept {

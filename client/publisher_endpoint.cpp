@@ -53,8 +53,8 @@ struct PublisherEndpoint::Work {
       wake_control = true;
     }
   }
-  /// The control thread does, as it is woken anyway.
-  bool passes_soon() const noexcept { return wake_control; }
+  /// The control thread does, as it is woken anyway; but it destroys nothing any more once exit has begun.
+  bool passes_soon() const noexcept { return wake_control && !exit_has_begun(); }
   void freed(std::uint64_t, std::uint64_t address) noexcept {
     if (!may_destroy) return;
     void* const message = reinterpret_cast<void*>(address);
@@ -100,11 +100,11 @@ void PublisherEndpoint::with_queue(Do work, bool may_destroy) noexcept {
     const std::lock_guard lock(mutex_);
     work(left);
   }
+  if (left.wake_control) identity_.wake_control();  // first: sleepers do not wait for destructors
   for (std::size_t i = 0; i < left.destroy_count; ++i) {
     AGNOCAST_CRASH_POINT(C_destroy);
     destroy(left.destroy[i]);
   }
-  if (left.wake_control) identity_.wake_control();
 }
 
 template <class Do>

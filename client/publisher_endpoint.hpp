@@ -75,8 +75,8 @@ class PublisherEndpoint {
   /// one per sleeper for the first two, one more for all others.
   dataplane::PublishOutcome publish(void* message, std::uint64_t object_bytes,
                                     std::uint64_t message_bytes) noexcept;
-  /// Destroys what small publishes left to be destroyed: they do not do it themselves, so that a publish
-  /// costs its caller no more than it has to, and the next message gets memory that is warm still.
+  /// Destroys what publishes of small messages have freed: they leave it, so that a publish returns sooner
+  /// to who borrows for each; the next publish does where nobody borrows.
   void make_room() noexcept;
   /// Before the first message, if the identity says that it is to be said later. Successors say it by
   /// themselves.
@@ -147,8 +147,8 @@ class PublisherEndpoint {
   void finish() noexcept;
 
  private:
-  // Destroyed by one publish at most; what is more waits for the next ones, or for the timer of the
-  // control thread. A publish frees as many as it adds on average.
+  // Destroyed by one borrow or publish at most; what is more waits for the next ones, or for the timer of
+  // the control thread. A publish frees as many as it adds on average.
   static constexpr std::size_t destroy_at_once_max = 16;
   // protocol §4.2: sending to the first one or two sleepers at once costs 1–6 µs each, handing over
   // the rest 2–3 µs for all.
@@ -190,8 +190,8 @@ class PublisherEndpoint {
   std::vector<Executor> executors_;
   std::vector<Attached> attached_;
   std::vector<void*> doomed_;  // to be destroyed later; capacity for every slot from the start
-  std::atomic<bool> has_doomed_{
-      false};  // for a look without the mutex; whoever misses one comes again
+  // For a look without the mutex; whoever misses one comes again.
+  std::atomic<bool> has_doomed_{false};
   void destroy(void* message) noexcept;
   void inherit(const dataplane::Entry& entry) noexcept;
 

@@ -4,7 +4,7 @@
 //
 // Static objects are destroyed by exit handlers, while those threads go on. What callbacks and
 // destructors use may then be gone, so none begins once a handler of ours has begun, and the handler
-// waits for those that run. What the user's own threads do (publish, executors, release) is theirs
+// waits for those that run. What the user's own threads do (borrow, publish, executors, release) is theirs
 // and goes on working. The handler is registered with the first connection: static objects made
 // after that are destroyed before it.
 //

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Bare calls: what publish, take and release cost by themselves when nobody has to be woken, beside an uncontended lock and
-// unlock of a mutex and one reading of the clock, measured in the same process by turns.
+// Bare calls: what borrow, publish, take and release cost by themselves when nobody has to be woken, beside an uncontended
+// lock and unlock of a mutex and one reading of the clock, measured in the same process by turns.
 #pragma once
 
 #include <bench/services.hpp>
@@ -12,10 +12,14 @@
 
 namespace agnocast::bench {
 
-/// Medians over the rounds of each round's mean.
+struct BareCall {
+  const char* name;
+  std::vector<double> ns = {};      ///< of each round, the median of its batches
+  std::vector<double> ratios = {};  ///< the same, to the round's mutex and clock
+};
 struct BareCalls {
-  double mutex_clock_ns = 0, publish_ns = 0, take_ns = 0;
-  std::vector<double> publish_ratios, take_ratios;  ///< of each round, to its mutex and clock
+  double mutex_clock_ns = 0;    ///< median over the rounds
+  std::vector<BareCall> calls;  ///< borrow, publish, take, all
 };
 
 /// A process for each round; `step` is called before each. Throws std::runtime_error.

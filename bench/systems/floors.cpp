@@ -7,7 +7,7 @@
 //   floor-eventfd        an eventfd each, in an edge-triggered epoll set and never read
 //   floor-polling        a cache line that the receivers look at again and again; nobody is woken
 //   floor-chain          as floor-polling, but this line tells the place of a second one, and that the place of a third one,
-//                        which tells where the payload is: what nobody can go below who has a queue of objects with pointers
+//                        which tells where the payload is: the lines of a head, an entry and an object with a pointer
 //   bound-kernel-module  what a kernel module with POSIX queues cannot go below: the sender one cheap system call (for its
 //                        ioctl) and a mq_send each; the receiver epoll_wait, mq_receive, and two cheap system calls
 //   floor-memcpy         as floor-futex, after one memcpy of the payload: the least of everything that copies
@@ -188,18 +188,25 @@ class PollingSender : public FloorSender {
   void ring(std::size_t) override {}
 };
 
-// The entries of a queue and the objects lie by turns in the lines of the chain.
+// The entries of a queue and the objects lie by turns in the lines of the chain. The object is made with the payload, before
+// it is sent.
 class ChainSender final : public PollingSender {
  public:
   using PollingSender::PollingSender;
+  std::byte* prepare() override {
+    ground_.chain(object()).store(0,
+                                  std::memory_order_relaxed);  // the payload's place in the buffer
+    return PollingSender::prepare();
+  }
   bool send() override {
-    const std::uint64_t number = ground_.published().load(std::memory_order_relaxed) + 1;
-    const std::uint64_t entry = 2 * number, object = entry + 1;
-    ground_.chain(object).store(payload_offset, std::memory_order_relaxed);
-    ground_.chain(entry).store(object, std::memory_order_relaxed);
+    ground_.chain(object() - 1).store(object(), std::memory_order_relaxed);
     return PollingSender::send();
   }
-  static constexpr std::uint64_t payload_offset = 0;
+
+ private:
+  std::uint64_t object() const noexcept {
+    return 2 * (ground_.published().load(std::memory_order_relaxed) + 1) + 1;
+  }
 };
 
 class ModuleSender final : public FloorSender {
@@ -225,16 +232,19 @@ class FloorReceiver : public Receiver {
   void run(const OnMessage& on_message) override {
     std::uint64_t delivered = 0;
     while (!is_stopped_.load(std::memory_order_relaxed)) {
-      if (ground_.published().load(std::memory_order_acquire) == delivered) {
+      const std::uint64_t published = ground_.published().load(std::memory_order_acquire);
+      if (published == delivered) {
         wait();
         continue;
       }
-      on_message(payload(++delivered), ground_.bytes());
+      on_message(payload(published), ground_.bytes());
+      ++delivered;
     }
   }
   void stop() override { is_stopped_.store(true); }
 
  protected:
+  /// Of the newest message; the loop is closed, so it is the next one.
   virtual const std::byte* payload(std::uint64_t) const { return ground_.buffer(); }
   /// Until rung, or for a while.
   virtual void wait() = 0;

@@ -109,8 +109,8 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   Errc state() const noexcept;
   /// `object_bytes` of `message_bytes` are the message object itself.
   Errc publish(void* message, std::size_t object_bytes, std::uint64_t message_bytes) noexcept;
-  /// Before a message is borrowed: destroys old ones that publish has left to be destroyed.
-  void make_room() noexcept;
+  /// Before a message is borrowed or adopted: destroys old ones that publish has left to be destroyed.
+  void make_room() const noexcept;
   /// What make_resident did, unless nothing was foreign; for agnocast-ctl.
   void count_adoption(const Result<Adoption>& adopted) noexcept;
   SharedHeap heap() const noexcept;
@@ -189,9 +189,12 @@ PublishResult commit(UntypedPublisher& publisher, const Code& code,
   using Object = typename Code::Owner::element_type;
   if (const Errc state = publisher.state(); state != Errc::ok) return {state, 0};
   if (message == nullptr) return {Errc::loan_invalid, 0};
-  const Result<Adoption> adopted =
-      make_resident_by([&code](const Object& original) { return code.copy(original); }, message,
-                       publisher.type(), publisher.heap());
+  const Result<Adoption> adopted = make_resident_by(
+      [&](const Object& original) {
+        publisher.make_room();
+        return code.copy(original);
+      },
+      message, publisher.type(), publisher.heap());
   if (!adopted || adopted->adopted_bytes != 0) publisher.count_adoption(adopted);
   if (!adopted) return {adopted.error().code, 0};
   const Errc outcome =
@@ -325,6 +328,7 @@ class LendingPublisher : public PublisherBase, public Lender<T, Code> {
       : PublisherBase(std::move(untyped)), Lender<T, Code>(&this->untyped(), code) {}
   ~LendingPublisher() = default;
 
+  // Hides that of Lender, which clients and services use: what those leave goes by their next publish.
   ipc_shared_ptr<T> lend() {
     untyped().make_room();
     return Lender<T, Code>::lend();
@@ -355,8 +359,9 @@ class Publisher : public detail::LendingPublisher<T, detail::TypedCode<T>> {
 
   /// A message to fill. From here to publish (or its destruction) this thread allocates from the
   /// shared heap; many loans at once are fine, and LoanScope takes one to other threads. If the heap
-  /// is full the memory comes from libc and publish says heap_exhausted. Throws what T's constructor
-  /// throws, and std::bad_alloc.
+  /// is full the memory comes from libc and publish says heap_exhausted. Like publish it destroys old
+  /// messages: hold no lock that a destructor of theirs wants. Throws what T's constructor throws, and
+  /// std::bad_alloc.
   ipc_shared_ptr<T> borrow_loaned_message() {
     static_assert(std::is_default_constructible_v<T>,
                   "agnocast: this message has no default constructor, so it cannot be borrowed; "
