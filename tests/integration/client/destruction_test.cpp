@@ -1,0 +1,142 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: old messages are destroyed where docs/messages.md says, each once, and none is forgotten.
+// Method: a message whose destructor notes what its thread was doing. Nobody subscribes, so what a
+// pass finds may go at once. With the real daemon and the real heap hook.
+
+#include <agnocast/agnocast.hpp>
+#include <tests/support/daemon_process.hpp>
+#include <tests/support/plain_node.hpp>
+
+#include <gmock/gmock.h>
+
+#include <atomic>
+#include <cstddef>
+#include <cstdlib>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace agnocast {
+namespace {
+
+// What the library's own threads do is the first.
+enum class Doing : std::size_t { nothing, borrow, publish, count };
+thread_local Doing doing = Doing::nothing;
+std::atomic<std::size_t> destroyed_by[static_cast<std::size_t>(Doing::count)];
+// Run by destructors, once for each message that it is to be run for.
+std::atomic<int> returns_left{0};
+void come_back();
+
+struct Noted {
+  std::vector<std::byte> bytes;
+  Noted() = default;
+  Noted(const Noted&) = default;
+  Noted& operator=(const Noted&) = default;
+  ~Noted() {
+    ++destroyed_by[static_cast<std::size_t>(doing)];
+    if (returns_left.load() > 0 && returns_left.fetch_sub(1) > 0) come_back();
+  }
+};
+
+std::size_t destroyed(Doing what) { return destroyed_by[static_cast<std::size_t>(what)].load(); }
+std::size_t destroyed() {
+  return destroyed(Doing::nothing) + destroyed(Doing::borrow) + destroyed(Doing::publish);
+}
+
+constexpr std::size_t small = 100, large = 100 * 1024;
+
+}  // namespace
+
+template <>
+struct MessageTraits<Noted> {
+  static constexpr const char* name = "tests/Noted";
+  static void for_each_pointer(const Noted& noted, PointerVisitor& visit) noexcept {
+    visit("bytes", noted.bytes);
+  }
+};
+
+namespace {
+
+class Destruction : public testing::Test {
+ protected:
+  // The library connects once per process.
+  static void SetUpTestSuite() {
+    daemon = new test::DaemonProcess;
+    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
+  }
+  void SetUp() override {
+    for (auto& count : destroyed_by) count.store(0);
+    publisher = create_publisher<Noted>(
+        test::PlainNode(), testing::UnitTest::GetInstance()->current_test_info()->name(), QoS(1));
+  }
+  void TearDown() override { publisher = nullptr; }
+
+ public:
+  static void borrow_and_publish(std::size_t bytes) {
+    const Doing before = std::exchange(doing, Doing::borrow);
+    auto loan = publisher->borrow_loaned_message();
+    doing = Doing::nothing;
+    loan->bytes.resize(bytes);
+    doing = Doing::publish;
+    EXPECT_TRUE(publisher->publish(std::move(loan)));
+    doing = before;
+  }
+
+  static test::DaemonProcess* daemon;
+  static Publisher<Noted>::SharedPtr publisher;
+};
+test::DaemonProcess* Destruction::daemon = nullptr;
+Publisher<Noted>::SharedPtr Destruction::publisher;
+
+void come_back() { Destruction::borrow_and_publish(small); }
+
+TEST_F(Destruction, OfSmallMessagesIsLeftToTheNextBorrow) {
+  for (int i = 0; i < 200; ++i) borrow_and_publish(small);
+  EXPECT_EQ(destroyed(Doing::publish), 0u);
+  EXPECT_GT(destroyed(Doing::borrow), 0u);
+  EXPECT_TRUE(test::eventually([] { return destroyed() == 200; })) << destroyed();
+}
+
+TEST_F(Destruction, OfLargeMessagesIsNotLeftToAnybody) {
+  for (int i = 0; i < 200; ++i) borrow_and_publish(large);
+  EXPECT_EQ(destroyed(Doing::borrow), 0u);
+  EXPECT_GT(destroyed(Doing::publish), 0u);
+  EXPECT_TRUE(test::eventually([] { return destroyed() == 200; })) << destroyed();
+}
+
+TEST_F(Destruction, WhereNobodyBorrowsIsThatOfTheNextPublish) {
+  for (int i = 0; i < 200; ++i) {
+    std::unique_ptr<Noted> message;
+    {
+      const SharedHeapScope scope;
+      message = std::make_unique<Noted>();
+      message->bytes.resize(small);
+    }
+    doing = Doing::publish;
+    const PublishResult result = publisher->publish(std::move(message));
+    doing = Doing::nothing;
+    ASSERT_TRUE(result);
+    ASSERT_EQ(result.adopted_bytes, 0u);
+  }
+  EXPECT_GT(destroyed(Doing::publish), 0u);
+  EXPECT_TRUE(test::eventually([] { return destroyed() == 200; })) << destroyed();
+}
+
+// The last ones have no call that comes after them.
+TEST_F(Destruction, OfTheLastMessagesIsDoneByTheLibrary) {
+  for (int i = 0; i < 8; ++i) borrow_and_publish(small);
+  EXPECT_TRUE(test::eventually([] { return destroyed() == 8; })) << destroyed();
+  EXPECT_GT(destroyed(Doing::nothing), 0u);
+}
+
+TEST_F(Destruction, MayBorrowAndPublishItself) {
+  returns_left = 100;
+  for (int i = 0; i < 200; ++i) borrow_and_publish(small);
+  EXPECT_TRUE(test::eventually([] { return destroyed() == 300; })) << destroyed();
+  EXPECT_LE(returns_left.load(), 0);
+}
+
+}  // namespace
+}  // namespace agnocast
