@@ -51,6 +51,7 @@ Result<void> Runner::host_by_thread() {
     if (!tick) return tl::unexpected<Failure>(tick.error());
     if (Result<void> added = sleeper()->add_to(epoll.get(), eventfd_tag, datagram_tag); !added)
       return added;
+    const int number = epoll.get();
     int error = 0;
     try {
       const SignalsBlocked blocked;
@@ -65,7 +66,10 @@ Result<void> Runner::host_by_thread() {
     } catch (const std::bad_alloc&) {
       error = ENOMEM;
     }
-    if (error != 0) return fail(Errc::os_failure, "starting a callback thread", error);
+    if (error != 0) {
+      sleeper()->remove_from(number);  // closed by now: what comes later must not get into it
+      return fail(Errc::os_failure, "starting a callback thread", error);
+    }
     ::pthread_setname_np(thread_.native_handle(), "agnocast-call");
   }
   callbacks_->hand_to(callbacks_.get());

@@ -11,8 +11,9 @@
 // the native ones use idlc's type. Time is from before the sender's call until the receiver has the whole message in its
 // hands; its content is checked after that. The ratio of a size is the median over rounds of median / median. Beside it,
 // the processor time of the bridge for each message (a process clock, so Cyclone's threads count): until the receiver has
-// it, and what it does after that, such as giving the message back, until the next one. All of it is done once as Cyclone
-// DDS is by default, and once with large packets, as many configure it for large messages.
+// it, and what it does after that, such as giving the message back, until the next one. All of it is done once with packets
+// of the size that Cyclone DDS has by default, and once with large ones, as many configure it for large messages. The receive
+// buffer is large in both.
 //
 // No time is asserted: it fails only for a message that was changed or does not come.
 
@@ -47,7 +48,8 @@ constexpr std::chrono::milliseconds between_attempts{50};
 // So that threads have gone to sleep before the next message, as at a sensor's rate.
 constexpr std::chrono::milliseconds between_messages{3};
 
-// On the loopback interface, found without multicast, apart from every other DDS here; the rest as by default.
+// On the loopback interface, found without multicast, apart from every other DDS here, and with a large receive buffer; the rest as by
+// default.
 constexpr const char* dds_configuration = R"(<CycloneDDS><Domain id="any">
   <General><Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces>
     <AllowMulticast>false</AllowMulticast>PACKETS</General>

@@ -4,8 +4,8 @@
 // one have the message? The sender is on one core, all receivers are on the other, one after the other.
 //
 //   asleep  every receiver has to be woken: the publish call beside as many bare futex wakes. The call itself wakes two of
-//           agnocast's, and leaves the others to the control thread of its process: so beside the call there are the processor
-//           time of the whole sender and the time until the last one has the message
+//           agnocast's, and leaves the others to the control thread of its process, and with them the look at what may be freed:
+//           so beside the call there are the processor time of the whole sender and the time until the last one has the message
 //   awake   nobody has to be: the publish call beside the one with a single receiver. Receivers that never sleep share their
 //           core by time slices, so when the last one has it says nothing of the system; table and picture say so. One of them
 //           runs at a time: the call meets no more readers at once than one, which favours whoever has lines for each reader
@@ -57,8 +57,10 @@ class Fanout {
     aims_.add_information(where + ", until the slowest has it / the floor's",
                           of_ours(&Series::ratios_to));
     report_.say(
-        "  agnocast's call wakes two sleepers, the others are woken by the control thread of its "
-        "process:\n  what that takes is in the sender's CPU, and in when the slowest has it");
+        "  agnocast's call wakes two sleepers; the control thread of its process wakes the others, "
+        "and frees what is\n  old: what that takes is in the sender's CPU, and in when the slowest "
+        "has "
+        "it");
   }
 
   void awake() {
