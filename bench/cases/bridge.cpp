@@ -48,8 +48,8 @@ constexpr std::chrono::milliseconds between_attempts{50};
 // So that threads have gone to sleep before the next message, as at a sensor's rate.
 constexpr std::chrono::milliseconds between_messages{3};
 
-// On the loopback interface, found without multicast, apart from every other DDS here, and with a large receive buffer; the rest as by
-// default.
+// On the loopback interface, found without multicast, apart from every other DDS here, and with a large receive buffer;
+// the rest as by default.
 constexpr const char* dds_configuration = R"(<CycloneDDS><Domain id="any">
   <General><Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces>
     <AllowMulticast>false</AllowMulticast>PACKETS</General>

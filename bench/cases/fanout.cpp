@@ -57,10 +57,8 @@ class Fanout {
     aims_.add_information(where + ", until the slowest has it / the floor's",
                           of_ours(&Series::ratios_to));
     report_.say(
-        "  agnocast's call wakes two sleepers; the control thread of its process wakes the others, "
-        "and frees what is\n  old: what that takes is in the sender's CPU, and in when the slowest "
-        "has "
-        "it");
+        "  agnocast's call wakes two sleepers; the control thread of its process wakes the others "
+        "and frees what is old:\n  that is in the sender's CPU, and in when the slowest has it");
   }
 
   void awake() {

@@ -93,21 +93,15 @@ class Latency {
     Table table({"call", "ns", "x (mutex + clock)"});
     table.add({"mutex lock and unlock, one clock read", digits(measured.mutex_clock_ns), "1"});
     for (const BareCall& call : measured.calls) {
-      const bool is_judged =
-          call.name == std::string_view("publish") || call.name == std::string_view("take");
-      const std::string what = call.name == std::string_view("take") ? "take and release"
-                               : call.name == std::string_view("all")
-                                   ? "borrow, publish, take, release"
-                                   : call.name;
-      table.add({what, digits(median(call.ns)), digits(median(call.ratios))});
+      table.add({call.name, digits(median(call.ns)), digits(median(call.ratios))});
       report_.add({{"part", "bare-calls"},
-                   {"call", what},
+                   {"call", call.name},
                    {"system", "agnocast"},
                    {"size_bytes", kib},
                    {"p50_ns", median(call.ns)},
                    {"ratio_to_mutex_and_clock", median(call.ratios)}});
-      const std::string aim = what + " / (mutex + clock)";
-      if (is_judged) {
+      const std::string aim = std::string(call.name) + " / (mutex + clock)";
+      if (call.is_judged) {
         aims_.add_median(aim, call.ratios, Aims::Sense::at_most, 3);
       } else {
         aims_.add_information(aim, call.ratios);

@@ -95,8 +95,8 @@ int be_calls(const std::vector<std::string>& arguments) {
     const nlohmann::json figures = {{"mutex_clock", median(bench.mutex_clock_ns) - empty},
                                     {"borrow", borrow},
                                     {"publish", publish},
-                                    {"take", take},
-                                    {"all", borrow + publish + take}};
+                                    {"take and release", take},
+                                    {"borrow, publish, take, release", borrow + publish + take}};
     std::printf("%s\n", figures.dump().c_str());
     return 0;
   } catch (const std::exception& error) {
@@ -114,7 +114,11 @@ BareCalls measure_bare_calls(std::size_t rounds, std::size_t batches, Services& 
   std::vector<std::string> environment = services.variables("agnocastd");
   environment.push_back("LD_PRELOAD=" + path_of("libagnocast_heaphook.so"));
   std::vector<double> mutex_clock;
-  BareCalls calls{.mutex_clock_ns = 0, .calls = {{"borrow"}, {"publish"}, {"take"}, {"all"}}};
+  BareCalls calls{.mutex_clock_ns = 0,
+                  .calls = {{"borrow"},
+                            {"publish", true},
+                            {"take and release", true},
+                            {"borrow, publish, take, release"}}};
   for (std::size_t round = 0; round < rounds; ++round) {
     step();
     Process process({.command = as_role("calls", {std::to_string(batches)}),

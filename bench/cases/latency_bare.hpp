@@ -14,12 +14,13 @@ namespace agnocast::bench {
 
 struct BareCall {
   const char* name;
+  bool is_judged = false;
   std::vector<double> ns = {};      ///< of each round, the median of its batches
   std::vector<double> ratios = {};  ///< the same, to the round's mutex and clock
 };
 struct BareCalls {
   double mutex_clock_ns = 0;    ///< median over the rounds
-  std::vector<BareCall> calls;  ///< borrow, publish, take, all
+  std::vector<BareCall> calls;  ///< one by one, and all of them together
 };
 
 /// A process for each round; `step` is called before each. Throws std::runtime_error.

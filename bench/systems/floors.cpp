@@ -194,8 +194,8 @@ class ChainSender final : public PollingSender {
  public:
   using PollingSender::PollingSender;
   std::byte* prepare() override {
-    ground_.chain(object()).store(0,
-                                  std::memory_order_relaxed);  // the payload's place in the buffer
+    // The payload's place in the buffer.
+    ground_.chain(object()).store(0, std::memory_order_relaxed);
     return PollingSender::prepare();
   }
   bool send() override {
