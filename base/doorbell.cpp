@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <base/closing.hpp>
 #include <base/doorbell.hpp>
+#include <base/kept_fd.hpp>
 #include <base/packet_socket.hpp>
 #include <base/unix_address.hpp>
 
@@ -51,9 +53,29 @@ Result<UniqueFd> connect_to(const UnixAddress& address, socklen_t address_bytes)
   return fail(Errc::os_failure, "connecting to a doorbell", errno);
 }
 
+// What is found without taking it is what is taken: nobody else reads from this socket.
+bool drain_carefully(int socket) noexcept {
+  for (unsigned count = 0; count < drain_batch * drain_rounds_max; ++count) {
+    msghdr message{};  // without room: the kernel opens nothing, and says that it would have
+    if (::recvmsg(socket, &message, MSG_PEEK | MSG_DONTWAIT) < 0) {
+      if (errno == EINTR) continue;
+      return true;
+    }
+    if ((message.msg_flags & MSG_CTRUNC) == 0) {
+      static_cast<void>(::recv(socket, nullptr, 0, MSG_DONTWAIT));
+    } else if (!throw_datagram_away(socket)) {
+      return false;
+    }
+  }
+  return true;
+}
+
 }  // namespace
 
 Doorbell::Rung Doorbell::ring() const noexcept {
+  if (has_lost_kept() &&
+      (!is_intact(datagram_.get()) || (eventfd_ && !is_intact(eventfd_.get()))))
+    return Rung::gone;
   if (eventfd_) {
     const std::uint64_t one = 1;
     ssize_t status = 0;
@@ -89,19 +111,32 @@ Result<void> DoorbellReceiver::add_to(int epoll, std::uint64_t eventfd_tag,
 }
 
 void DoorbellReceiver::remove_from(int epoll) const noexcept {
+  if (has_lost_kept()) return;  // these numbers may be others'
   ::epoll_ctl(epoll, EPOLL_CTL_DEL, eventfd_.get(), nullptr);
   ::epoll_ctl(epoll, EPOLL_CTL_DEL, datagram_.get(), nullptr);
 }
 
-void DoorbellReceiver::drain() const noexcept {
-  // Neither data nor control is taken: the kernel throws both away, descriptors included.
+void DoorbellReceiver::mute(int epoll) const noexcept {
+  if (has_lost_kept()) return;
+  ::epoll_ctl(epoll, EPOLL_CTL_DEL, datagram_.get(), nullptr);
+}
+
+DoorbellReceiver::~DoorbellReceiver() {
+  if (datagram_ && !refuses_descriptors(datagram_.get()))
+    close_without_waiting(std::move(datagram_));
+}
+
+bool DoorbellReceiver::drain() const noexcept {
+  if (!may_use(datagram_.get())) return true;
+  if (!refuses_descriptors(datagram_.get())) return drain_carefully(datagram_.get());
   mmsghdr messages[drain_batch];
   for (unsigned round = 0; round < drain_rounds_max; ++round) {
     std::memset(messages, 0, sizeof messages);
     const int count = ::recvmmsg(datagram_.get(), messages, drain_batch, MSG_DONTWAIT, nullptr);
     if (count < 0 && errno == EINTR) continue;
-    if (count < static_cast<int>(drain_batch)) return;
+    if (count < static_cast<int>(drain_batch)) break;
   }
+  return true;
 }
 
 Result<DoorbellReceiver> make_doorbell(const std::string& directory,

@@ -17,6 +17,9 @@
 // A ring carries no data: whoever wakes looks at the queues. So a full queue of datagrams is as
 // good as a ring: the socket is readable already. A full eventfd is not: no edge follows, and the
 // datagram is sent as well.
+//
+// Before Linux 6.16 somebody may send descriptors with it, whose close takes as long as he likes (closing.hpp).
+// They are looked for before a datagram is taken, and thrown away by another thread.
 #pragma once
 
 #include <agnocast/result.hpp>
@@ -63,6 +66,14 @@ class DoorbellReceiver {
   DoorbellReceiver() = default;
   DoorbellReceiver(UniqueFd eventfd, UniqueFd datagram) noexcept
       : eventfd_(std::move(eventfd)), datagram_(std::move(datagram)) {}
+  DoorbellReceiver(DoorbellReceiver&&) = default;
+  DoorbellReceiver& operator=(DoorbellReceiver&& other) noexcept {
+    std::swap(eventfd_, other.eventfd_);  // the other's end closes what was here
+    std::swap(datagram_, other.datagram_);
+    return *this;
+  }
+  /// Never waits for what somebody has sent to the socket.
+  ~DoorbellReceiver();
 
   /// Adds both bells to an epoll set: the eventfd edge-triggered, the socket level-triggered.
   /// Errors: os_failure with errno.
@@ -70,9 +81,12 @@ class DoorbellReceiver {
                                     std::uint64_t datagram_tag) const noexcept;
   /// The opposite. Nothing happens if they are not in it.
   void remove_from(int epoll) const noexcept;
-  /// Empties the socket; to be called only when the socket was what rang. Never sleeps, and gives
-  /// up after a bound: what a flood leaves behind wakes the executor again.
-  void drain() const noexcept;
+  /// Takes the socket alone out of an epoll set.
+  void mute(int epoll) const noexcept;
+  /// Empties the socket; to be called only when the socket was what rang. Never waits for what
+  /// somebody has sent, and gives up after a bound: what a flood leaves behind wakes the executor
+  /// again. False: what is in it cannot be got rid of, and it has to be muted.
+  bool drain() const noexcept;
 
   explicit operator bool() const noexcept { return static_cast<bool>(datagram_); }
   int eventfd() const noexcept { return eventfd_.get(); }

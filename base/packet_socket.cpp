@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <base/kept_fd.hpp>
 #include <base/packet_socket.hpp>
 #include <base/unix_address.hpp>
 
@@ -21,6 +22,7 @@ namespace agnocast {
 namespace {
 
 constexpr std::size_t descriptor_count_max = abi::wire::descriptor_count_max;
+constexpr std::size_t descriptors_per_packet = 253;  // SCM_MAX_FD, the kernel's bound
 // Room for both kinds of ancillary data at once. Padding lets the kernel deliver a few descriptors
 // more than descriptor_count_max here; take_control() closes them.
 constexpr std::size_t control_bytes =
@@ -29,7 +31,7 @@ constexpr std::size_t control_bytes =
 int flags_of(Wait wait) noexcept { return wait == Wait::no ? MSG_DONTWAIT : 0; }
 
 // Every descriptor in the control data gets its owner here, wanted or not.
-void take_control(msghdr& message, Packet& packet) noexcept {
+void take_control(msghdr& message, Packet& packet, std::vector<UniqueFd>* more) {
   for (cmsghdr* part = CMSG_FIRSTHDR(&message); part != nullptr;
        part = CMSG_NXTHDR(&message, part)) {
     if (part->cmsg_level != SOL_SOCKET || part->cmsg_len < CMSG_LEN(0)) continue;
@@ -42,6 +44,8 @@ void take_control(msghdr& message, Packet& packet) noexcept {
         UniqueFd fd(number);
         if (packet.descriptor_count < descriptor_count_max) {
           packet.descriptors[packet.descriptor_count++] = std::move(fd);
+        } else if (more != nullptr) {
+          more->push_back(std::move(fd));
         } else {
           packet.descriptors_lost = true;
         }
@@ -57,6 +61,11 @@ Result<void> pass_credentials(int fd, bool wanted) noexcept {
   if (::setsockopt(fd, SOL_SOCKET, SO_PASSCRED, &value, sizeof value) != 0)
     return fail(Errc::os_failure, "asking for the credentials of a sender", errno);
   return {};
+}
+
+bool pass_descriptors(int socket, bool wanted) noexcept {
+  const int value = wanted ? 1 : 0;
+  return ::setsockopt(socket, SOL_SOCKET, SO_PASSRIGHTS, &value, sizeof value) == 0;
 }
 
 // How long connect() waits for room in the listener's queue. Zero would be for ever.
@@ -124,6 +133,7 @@ Result<Sent> PacketSocket::send(std::span<const std::byte> bytes, std::span<cons
   if (fds.size() > descriptor_count_max)
     return fail(Errc::invalid_argument, "a packet to send has too many descriptors");
 
+  if (!may_use(fd_.get())) return Sent::peer_gone;
   iovec data{const_cast<std::byte*>(bytes.data()), bytes.size()};
   msghdr message{};
   message.msg_iov = &data;
@@ -156,9 +166,27 @@ Result<Sent> PacketSocket::send(std::span<const std::byte> bytes, std::span<cons
 }
 
 Result<Packet> PacketSocket::receive(std::span<std::byte> buffer, Wait wait) const noexcept {
-  Packet packet;
-  iovec data{buffer.data(), buffer.size()};
   alignas(cmsghdr) std::byte control[control_bytes];
+  return receive_into(buffer, control, nullptr, wait);
+}
+
+Result<Packet> PacketSocket::receive_all(std::span<std::byte> buffer,
+                                         std::vector<UniqueFd>& more) const {
+  alignas(cmsghdr) std::byte
+      control[CMSG_SPACE(sizeof(int) * descriptors_per_packet) + CMSG_SPACE(sizeof(ucred))];
+  more.reserve(descriptors_per_packet);  // each has an owner from the first moment
+  return receive_into(buffer, control, &more, Wait::no);
+}
+
+Result<Packet> PacketSocket::receive_into(std::span<std::byte> buffer,
+                                          std::span<std::byte> control,
+                                          std::vector<UniqueFd>* more, Wait wait) const {
+  Packet packet;
+  if (!may_use(fd_.get())) {
+    packet.kind = Packet::Kind::end;
+    return packet;
+  }
+  iovec data{buffer.data(), buffer.size()};
   msghdr message{};
   ssize_t status = 0;
   // A peer that closes without having read everything leaves ECONNRESET *in front of* the packets
@@ -168,8 +196,8 @@ Result<Packet> PacketSocket::receive(std::span<std::byte> buffer, Wait wait) con
     message = {};
     message.msg_iov = &data;
     message.msg_iovlen = 1;
-    message.msg_control = control;
-    message.msg_controllen = sizeof control;
+    message.msg_control = control.data();
+    message.msg_controllen = control.size();
     status = ::recvmsg(fd_.get(), &message, MSG_CMSG_CLOEXEC | flags_of(wait));
     if (status >= 0) break;
     if (errno == EINTR) continue;
@@ -180,12 +208,41 @@ Result<Packet> PacketSocket::receive(std::span<std::byte> buffer, Wait wait) con
       return packet;
     }
   }
-  take_control(message, packet);
+  take_control(message, packet, more);
   packet.descriptors_lost = packet.descriptors_lost || (message.msg_flags & MSG_CTRUNC) != 0;
   packet.truncated = (message.msg_flags & MSG_TRUNC) != 0;
   packet.bytes = static_cast<std::size_t>(status);
   packet.kind = status == 0 && !packet.truncated ? Packet::Kind::end : Packet::Kind::data;
   return packet;
+}
+
+Result<PacketSocket::Peeked> PacketSocket::peek(std::span<std::byte> buffer) const noexcept {
+  Peeked peeked;
+  iovec data{buffer.data(), buffer.size()};
+  alignas(cmsghdr) std::byte control[CMSG_SPACE(sizeof(ucred))];
+  bool reset_seen = false;  // as in receive()
+  for (;;) {
+    msghdr message{};
+    message.msg_iov = &data;
+    message.msg_iovlen = 1;
+    message.msg_control = control;
+    message.msg_controllen = sizeof control;
+    const ssize_t status = ::recvmsg(fd_.get(), &message, MSG_PEEK | MSG_DONTWAIT);
+    if (status >= 0) {
+      peeked.truncated = (message.msg_flags & MSG_TRUNC) != 0;
+      peeked.has_descriptors = (message.msg_flags & MSG_CTRUNC) != 0;
+      peeked.bytes = static_cast<std::size_t>(status);
+      peeked.kind = status == 0 && !peeked.truncated ? Packet::Kind::end : Packet::Kind::data;
+      return peeked;
+    }
+    if (errno == EINTR) continue;
+    if (errno == EAGAIN) return peeked;
+    if (errno != ECONNRESET) return fail(Errc::os_failure, "looking at a packet", errno);
+    if (std::exchange(reset_seen, true)) {
+      peeked.kind = Packet::Kind::end;
+      return peeked;
+    }
+  }
 }
 
 Result<void> PacketSocket::want_credentials(bool wanted) const noexcept {
@@ -229,9 +286,14 @@ Result<void> PacketListener::want_credentials(bool wanted) const noexcept {
   return pass_credentials(fd_.get(), wanted);
 }
 
-bool refuse_descriptors(int socket) noexcept {
-  const int wanted = 0;
-  return ::setsockopt(socket, SOL_SOCKET, SO_PASSRIGHTS, &wanted, sizeof wanted) == 0;
+bool refuse_descriptors(int socket) noexcept { return pass_descriptors(socket, false); }
+
+bool accept_descriptors(int socket) noexcept { return pass_descriptors(socket, true); }
+
+bool refuses_descriptors(int socket) noexcept {
+  int value = 1;
+  socklen_t bytes = sizeof value;
+  return ::getsockopt(socket, SOL_SOCKET, SO_PASSRIGHTS, &value, &bytes) == 0 && value == 0;
 }
 
 }  // namespace agnocast

@@ -25,6 +25,7 @@
 #include <span>
 #include <string_view>
 #include <utility>
+#include <vector>
 
 namespace agnocast {
 
@@ -88,6 +89,21 @@ class PacketSocket {
   /// Takes one packet into `buffer`. Errors: os_failure with errno.
   [[nodiscard]] Result<Packet> receive(std::span<std::byte> buffer,
                                        Wait wait = Wait::no) const noexcept;
+  /// The same, with every descriptor that came: those that have no place in the packet go to `more`.
+  /// For threads that may wait: what no number is free for is closed by the kernel in here.
+  [[nodiscard]] Result<Packet> receive_all(std::span<std::byte> buffer,
+                                           std::vector<UniqueFd>& more) const;
+  /// What the next packet is, without taking it: as much of it as fits into `buffer`, and whether
+  /// descriptors come with it, none of which is opened here. Only after want_credentials(true): the
+  /// room that credentials fill is what keeps the kernel from opening any. Never sleeps. Errors:
+  /// os_failure with errno.
+  struct Peeked {
+    Packet::Kind kind = Packet::Kind::nothing;
+    bool truncated = false;
+    bool has_descriptors = false;
+    std::size_t bytes = 0;
+  };
+  [[nodiscard]] Result<Peeked> peek(std::span<std::byte> buffer) const noexcept;
   /// From now on every packet says who sent it (SO_PASSCRED). A packet that was sent before this
   /// may say pid 0; PacketListener::want_credentials leaves no such gap.
   [[nodiscard]] Result<void> want_credentials(bool wanted) const noexcept;
@@ -98,6 +114,9 @@ class PacketSocket {
   void close() noexcept { fd_.reset(); }
 
  private:
+  Result<Packet> receive_into(std::span<std::byte> buffer, std::span<std::byte> control,
+                              std::vector<UniqueFd>* more, Wait wait) const;
+
   UniqueFd fd_;
 };
 
@@ -130,9 +149,13 @@ class PacketListener {
   UniqueFd fd_;
 };
 
-/// Descriptors sent to this socket are refused at the sender (SO_PASSRIGHTS, Linux 6.16), so that
-/// closing a hostile one never happens in our threads. False where the kernel cannot: receive() is
-/// safe without, this only moves the cost.
+/// From now on the kernel refuses descriptors that are sent to this socket, at their sender
+/// (SO_PASSRIGHTS, Linux 6.16). A listener hands that on to the connections that are made from now
+/// on. False where the kernel cannot.
 bool refuse_descriptors(int socket) noexcept;
+/// The opposite.
+bool accept_descriptors(int socket) noexcept;
+/// Whether the kernel refuses them now. What was sent before may still be in the queue.
+bool refuses_descriptors(int socket) noexcept;
 
 }  // namespace agnocast

@@ -64,6 +64,14 @@ Result<PeerIdentity> identify_peer(int socket, PeerFacility facility) {
   return identity;
 }
 
+uid_t uid_of(int socket) noexcept {
+  ucred credentials{};
+  socklen_t bytes = sizeof credentials;
+  return ::getsockopt(socket, SOL_SOCKET, SO_PEERCRED, &credentials, &bytes) == 0
+             ? credentials.uid
+             : static_cast<uid_t>(-1);
+}
+
 bool confirm(PeerIdentity& identity, const ucred& credentials) noexcept {
   if (identity.confirmed) return true;
   // uid and gid are not compared: SO_PEERCRED has the effective ones, a packet the real ones.

@@ -41,6 +41,9 @@ enum class PeerFacility : std::uint8_t { peer_pidfd, only_pidfd_open };
 [[nodiscard]] Result<PeerIdentity> identify_peer(int socket,
                                                  PeerFacility facility = PeerFacility::peer_pidfd);
 
+/// Effective uid of the process that connected `socket`; the highest number if the kernel does not say.
+uid_t uid_of(int socket) noexcept;
+
 /// Looks at the credentials of one packet; true once the identity is confirmed. A packet of another
 /// process, or after the end of the process, changes nothing and yields false.
 bool confirm(PeerIdentity& identity, const ucred& credentials) noexcept;

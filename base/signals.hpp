@@ -8,16 +8,23 @@
 #pragma once
 
 #include <csignal>
+#include <initializer_list>
 
 namespace agnocast {
+
+/// What threads of ours have blocked.
+inline sigset_t blocked_signals() noexcept {
+  sigset_t blocked;
+  ::sigfillset(&blocked);
+  for (const int own : {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGTRAP, SIGSYS, SIGABRT})
+    ::sigdelset(&blocked, own);
+  return blocked;
+}
 
 class SignalsBlocked {
  public:
   SignalsBlocked() noexcept {
-    sigset_t wanted;
-    ::sigfillset(&wanted);
-    for (const int own : {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGTRAP, SIGSYS, SIGABRT})
-      ::sigdelset(&wanted, own);
+    const sigset_t wanted = blocked_signals();
     ::pthread_sigmask(SIG_SETMASK, &wanted, &before_);
   }
   ~SignalsBlocked() { ::pthread_sigmask(SIG_SETMASK, &before_, nullptr); }

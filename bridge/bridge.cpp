@@ -30,20 +30,17 @@ constexpr std::size_t takes_max = 64, former_takes_max = 10'000;
 // What keep-all may hold up of one writer, beside its publisher's own queue. More is dropped: messages of a DDS
 // reader that does not take would hold up all topics.
 constexpr std::size_t held_up_max = 1'000;
+// A plan for changes in DDS is followed by four times its duration without another one, at most this.
+constexpr int plan_pause_factor = 4;
+constexpr milliseconds plan_pause_max(1'000);
+// Writers that came and went since the newest plan, and get their source all the same.
+constexpr std::size_t gone_writers_max = 1'000;
 // Writing is copying and sending: more threads than this are rarely busy at once.
 constexpr std::size_t lanes_max = 4;
 // On it each bridge has its marker.
 constexpr const char* marker_topic = "/_agnocast_bridge";
 constexpr const char* marker_task = "endpoint by which other bridges see this one";
 
-DdsQos dds_qos_of(const QosClass& qos_class, std::size_t depth, bool keep_all) {
-  DdsQos qos;
-  qos.reliable = qos_class.reliable;
-  qos.transient_local = qos_class.transient_local;
-  qos.keep_all = keep_all;
-  qos.depth = static_cast<std::int32_t>(std::min<std::size_t>(depth, 100'000));
-  return qos;
-}
 QoS qos_of(const QosClass& qos_class, std::size_t depth, bool keep_all) {
   QoS qos(depth);
   if (keep_all) qos.keep_all(depth);
@@ -79,7 +76,8 @@ Bridge::Bridge(BridgeOptions options, const Log& log)
     : options_(std::move(options)),
       log_(log),
       outlets_(log, reaper_, [this] { participant_->interrupt(); }),
-      rules_{options_.rules, options_.otherwise} {
+      announced_(reaper_),
+      rules_{options_.rules, options_.otherwise, options_.announce} {
   const std::size_t count =
       std::clamp<std::size_t>(std::thread::hardware_concurrency(), 1, lanes_max);
   for (std::size_t i = 0; i < count; ++i)
@@ -191,7 +189,10 @@ Bridge::Role Bridge::find_role() {
 void Bridge::stand_by() {
   outlets_.close_all();
   outlet_keys_.clear();
+  announced_.clear();
   sources_.clear();
+  history_bytes_ = 0;
+  unplaced_.clear();
   held_.clear();
   held_bytes_ = 0;
   erase_inlets_if([](const ReaderKey&, const OpenInlet&) { return true; });
@@ -211,6 +212,7 @@ bool Bridge::renew_local() {
   std::erase_if(taps_, [](const auto& tap) { return tap.first.of.qos_class.transient_local; });
   outlets_.close_all();
   outlet_keys_.clear();
+  announced_.clear();
   planned_for_.clear();
   return true;
 }
@@ -234,6 +236,7 @@ std::chrono::nanoseconds Bridge::tidy() {
   }
   if (settle_at_) wake_at(*settle_at_);
   if (plan_again_) wake_at(*plan_again_);
+  if (is_dds_changed_) wake_at(next_dds_plan_);
   return next ? std::max(*next - now, std::chrono::nanoseconds(0)) : no_end;
 }
 
@@ -252,8 +255,7 @@ DdsResult<void> Bridge::run() {
     if (!ready) return tl::unexpected(ready.error());
     if (is_watched) options_.alive();
     // Discovery first: who has written is known before what he has written.
-    std::vector<RemoteChange> changes;
-    if (ready->discovery) changes = participant_->discovered();
+    if (ready->discovery) note(participant_->discovered());
     if (ready->discovery || std::find(ready->readers.begin(), ready->readers.end(),
                                       ros_graph_->reader()) != ready->readers.end()) {
       if (const auto others = ros_graph_->update(); !others)
@@ -272,11 +274,12 @@ DdsResult<void> Bridge::run() {
     const bool has_changed = is_local_new || are_rules_new || is_time;
     // The plan may end some of them; inlet_of_ knows which are left.
     const std::vector<DdsReader*> readers(ready->readers.begin(), ready->readers.end());
-    if (has_changed || !changes.empty()) look_around(changes);
+    if (has_changed || is_plan_due()) look_around();
     for (DdsReader* const reader : readers) {
       if (inlet_of_.contains(reader)) take_from(*reader);
     }
     services_->move(readers);
+    tell_limits();
     answer_status();
   }
   graph_.interrupt();
@@ -286,9 +289,9 @@ DdsResult<void> Bridge::run() {
   return {};
 }
 
-void Bridge::set_rules(std::vector<Rule> rules, Direction otherwise) {
+void Bridge::set_rules(std::vector<Rule> rules, Direction otherwise, bool announce) {
   const std::lock_guard lock(mutex_);
-  next_rules_ = Rules{std::move(rules), otherwise};
+  next_rules_ = Rules{std::move(rules), otherwise, announce};
   participant_->interrupt();
 }
 
@@ -347,6 +350,20 @@ std::optional<BridgeStatus> Bridge::status(std::chrono::milliseconds patience) {
   return std::exchange(answer_, std::nullopt);
 }
 
+void Bridge::tell_limits() {
+  const Limits& limits = participant_->limits();
+  std::uint64_t all = 0;
+  for (const LimitRow& row : limit_table) all += limits.refused(row.limit);
+  if (all == limits_told_ || !tells_limits_.now()) return;
+  limits_told_ = all;
+  std::string text;
+  for (const LimitRow& row : limit_table) {
+    if (const std::uint64_t refused = limits.refused(row.limit); refused != 0)
+      text += (text.empty() ? "" : ", ") + std::string(row.name) + ' ' + std::to_string(refused);
+  }
+  log_.write(LogLevel::warning, "beyond a limit", {{"refused", text}});
+}
+
 void Bridge::answer_status() {
   {
     const std::lock_guard lock(mutex_);
@@ -367,6 +384,9 @@ BridgeStatus Bridge::look() const {
                    connection != ConnectionState::island;
   now.standby_for = standby_for_;
   now.lost_early = outlets_.lost();
+  now.announced = announced_.size();
+  for (const LimitRow& row : limit_table)
+    now.limits.push_back({row.name, row.most, participant_->limits().refused(row.limit)});
   now.discovery_info_refused = ros_graph_->refused();
   now.since_ns = since_ns_;
   for (const auto& [guid, remote] : participant_->remotes())
@@ -383,8 +403,10 @@ BridgeStatus Bridge::look() const {
   std::map<Guid, std::string> node_of;
   for (const auto& [participant, entities] : ros_graph_->others()) {
     for (const RosNode& node : entities.nodes) {
-      for (const Guid& writer : node.writers)
-        node_of[writer] = (node.name_space == "/" ? "" : node.name_space) + '/' + node.name;
+      for (const Guid& writer : node.writers) {
+        if (sources_.contains(writer))
+          node_of[writer] = (node.name_space == "/" ? "" : node.name_space) + '/' + node.name;
+      }
     }
   }
   for (const auto& [writer, source] : sources_) {
@@ -396,7 +418,7 @@ BridgeStatus Bridge::look() const {
   for (const auto& [key, inlet] : inlets_) {
     now.inlets.push_back({key.of, inlet.plan, inlet.reader->guid(), inlet.reader->matched(),
                           inlet.reader->incompatible(), inlet.reader->refused(),
-                          inlet.without_source});
+                          inlet.without_source, inlet.reader->overflow()});
   }
   for (const auto& [key, tap] : taps_)
     now.taps.push_back({key, tap.subscription->get_lost_count()});
@@ -425,23 +447,41 @@ std::optional<std::string> Bridge::problem_of(const std::string& type) {
 
 // A writer that came and went since the last look may have been matched with an inlet that was there already: it
 // gets its source, which then lingers.
-void Bridge::look_around(const std::vector<RemoteChange>& changes) {
+void Bridge::note(const std::vector<RemoteChange>& changes) {
+  is_dds_changed_ |= !changes.empty();
+  for (const RemoteChange& change : changes) {
+    const Remote& remote = change.remote;
+    if (!change.is_there && remote.kind == Remote::Kind::writer &&
+        !sources_.contains(remote.guid) && gone_writers_.size() < gone_writers_max)
+      gone_writers_.push_back(remote);
+  }
+}
+
+bool Bridge::is_plan_due() const {
+  return is_dds_changed_ && next_dds_plan_ <= std::chrono::steady_clock::now();
+}
+
+void Bridge::look_around() {
   plan_again_.reset();
+  is_dds_changed_ = false;
+  const std::vector<Remote> gone = std::exchange(gone_writers_, {});
   // While the daemon is away whatever is made here would wait for it, and everything that flows for this thread.
   if (connection_state() == ConnectionState::reconnecting) {
     plan_again_ = std::chrono::steady_clock::now() + daemon_interval;
     return;
   }
-  DdsParticipant::Remotes with_gone;
-  for (const RemoteChange& change : changes) {
-    const Remote& remote = change.remote;
-    if (change.is_there || remote.kind != Remote::Kind::writer || sources_.contains(remote.guid))
-      continue;
-    if (with_gone.empty()) with_gone = participant_->remotes();
-    with_gone.emplace(remote.guid, remote);
+  const Outlets::Time begin = std::chrono::steady_clock::now();
+  if (!gone.empty()) {
+    DdsParticipant::Remotes with_gone = participant_->remotes();
+    for (const Remote& remote : gone) with_gone.emplace(remote.guid, remote);
+    plan_and_apply(with_gone);
   }
-  if (!with_gone.empty()) plan_and_apply(with_gone);
   plan_and_apply(participant_->remotes());
+  const Outlets::Time end = std::chrono::steady_clock::now();
+  next_dds_plan_ =
+      end + std::min<std::chrono::steady_clock::duration>(plan_pause_factor * (end - begin),
+                                                          plan_pause_max);
+  publish_unplaced();
 }
 
 void Bridge::plan_and_apply(const DdsParticipant::Remotes& remotes) {
@@ -462,7 +502,8 @@ void Bridge::plan_and_apply(const DdsParticipant::Remotes& remotes) {
                             rules_.list,
                             [this](const std::string& type) { return problem_of(type); },
                             rules_.otherwise,
-                            [this](const Guid& writer) { return sources_.contains(writer); }};
+                            [this](const Guid& writer) { return sources_.contains(writer); },
+                            rules_.announce};
   const bool is_active = role == Role::active;
   const Plan plan = is_active ? plan_of(situation) : Plan();
   const ServicePlan services = is_active ? plan_services(situation) : ServicePlan();
@@ -499,6 +540,7 @@ void Bridge::apply_outward(const Plan& plan) {
     }
     return true;
   });
+  announced_.end_others(plan);
   for (auto& [key, tap] : taps_) tap.is_over = !plan.taps.contains(key);
   end_taps();
   // A tap brings a history once. A publisher that was there before and had no outlet, or another one, needs it again.
@@ -539,9 +581,8 @@ void Bridge::apply_outward(const Plan& plan) {
   for (const auto& [publisher, outlet] : plan.outlets) {
     if (outlet_keys_.contains(publisher)) continue;
     const TopicKey& topic = outlet.tap.of.key;
-    auto writer = participant_->create_writer(
-        *dds_topic_of({DdsTopicKind::topic, topic.topic}), *dds_type_of(topic.type),
-        dds_qos_of(outlet.offered, outlet.depth, outlet.keep_all));
+    DdsResult<std::unique_ptr<DdsWriter>> writer = announced_.take_over(publisher);
+    if (*writer == nullptr) writer = create_writer_of(*participant_, outlet);
     if (!writer) {
       refused("writer of " + topic.topic, writer.error().text());
       without.insert(publisher);
@@ -559,6 +600,9 @@ void Bridge::apply_outward(const Plan& plan) {
     outlet_keys_.insert(publisher);
   }
   outlets_.set_without(std::move(without));
+  announced_.open(plan, *participant_, [this](const std::string& what, const std::string& why) {
+    refused(what, why);
+  });
   planned_for_ = std::move(present);
 }
 
@@ -589,9 +633,7 @@ void Bridge::apply_inward(const Plan& plan) {
       plan_again_ = end;
       continue;
     }
-    auto made = try_create_generic_publisher(
-        *lanes_[0], source.key.topic, types_.at(source.key.type)->introspected,
-        qos_of(source.qos_class, source.depth, source.keep_all));
+    auto made = make_publisher(source, source.depth);
     if (!made) {
       refused("publisher of " + source.key.topic, text_of(made.error()));
       if (gives_up(made.error().code)) break;
@@ -601,6 +643,7 @@ void Bridge::apply_inward(const Plan& plan) {
     OpenSource& open = sources_[writer];
     open.plan = source;
     open.publisher = std::move(*made);
+    open.depth = source.depth;
     open.inlet = inlet;
     // What looked out for it may have read already what the new one is too late for; of a history that has all.
     const auto looks_out = inlets_.lower_bound({inlet.of, 0, false});
@@ -661,7 +704,8 @@ void Bridge::take_from(DdsReader& reader) {
   // Of a writer that came since run() looked.
   if (std::any_of(taken.begin(), taken.end(),
                   [&](const DdsSample& sample) { return !sources_.contains(sample.writer); })) {
-    if (const auto changes = participant_->discovered(); !changes.empty()) look_around(changes);
+    note(participant_->discovered());
+    if (is_plan_due()) look_around();
   }
   const auto known = inlet_of_.find(&reader);
   if (known == inlet_of_.end()) return;
@@ -677,18 +721,28 @@ void Bridge::take_from(DdsReader& reader) {
     const auto inlet = inlets_.find(former);
     if (inlet == inlets_.end()) continue;
     for (std::size_t i = 0; i < former_takes_max; ++i) {
-      const auto sample = inlet->second.reader->take();
+      auto sample = inlet->second.reader->take();
       if (!sample) break;
-      publish(former, *sample);
+      publish(former, std::move(*sample));
     }
   }
-  for (const DdsSample& sample : taken) publish(key, sample);
+  for (DdsSample& sample : taken) publish(key, std::move(sample));
 }
 
-void Bridge::publish(const ReaderKey& inlet, const DdsSample& sample) {
+void Bridge::publish_unplaced() {
+  auto unplaced = std::exchange(unplaced_, {});
+  for (auto& [inlet, sample] : unplaced) publish(inlet, std::move(sample));
+}
+
+void Bridge::publish(const ReaderKey& inlet, DdsSample sample) {
   if (sample.state != DdsSample::State::valid) return;
   const auto source = sources_.find(sample.writer);
   if (source == sources_.end()) {
+    if (is_dds_changed_) {
+      if (unplaced_.size() < most_of(Limit::unplaced_messages))
+        return void(unplaced_.emplace_back(inlet, std::move(sample)));
+      participant_->limits().refuse(Limit::unplaced_messages);
+    }
     if (const auto read = inlets_.find(inlet); read != inlets_.end()) ++read->second.without_source;
     return;
   }
@@ -706,31 +760,81 @@ void Bridge::publish(const ReaderKey& inlet, const DdsSample& sample) {
   if (open.waiting.empty() && publish_now(open, received)) return;
   const std::size_t bytes = held_bytes_of(received.bytes);
   if (open.waiting.size() >= held_up_max || held_bytes_ + bytes > held_bytes_max)
-    return drop(open, Errc::would_block);
+    return drop(open, sentence_of(Errc::would_block));
   if (held_.empty()) next_room_look_ = {};
   held_.insert(sample.writer);
   open.waiting.push_back(std::move(received));
   held_bytes_ += bytes;
 }
 
-bool Bridge::publish_now(OpenSource& source, Received& received) {
-  const PublishResult result = source.publisher->publish(std::move(received.message));
-  if (result.code == Errc::would_block) return false;
-  if (result) {
-    source.traffic.count(received.bytes);
-  } else {
-    drop(source, result.code);
+Result<GenericPublisher::SharedPtr> Bridge::make_publisher(const Source& plan, std::size_t depth) {
+  return try_create_generic_publisher(*lanes_[0], plan.key.topic,
+                                      types_.at(plan.key.type)->introspected,
+                                      qos_of(plan.qos_class, depth, plan.keep_all));
+}
+
+void Bridge::forget_history(OpenSource& source) {
+  history_bytes_ -= source.history_bytes;
+  source.history_bytes = 0;
+  source.history.clear();
+}
+
+// A writer in DDS says how deep its history is, and fills it: of one that is beyond the limits the publisher is made anew
+// with fewer places. Subscriptions get the new one's messages like the former one's; those that come later find less.
+bool Bridge::fit_history(OpenSource& source, std::size_t bytes) {
+  if (!source.plan.qos_class.transient_local) return true;
+  const auto pop = [&] {
+    history_bytes_ -= source.history.front();
+    source.history_bytes -= source.history.front();
+    source.history.pop_front();
+  };
+  while (source.history.size() >= source.depth) pop();
+  Limits& limits = participant_->limits();
+  const bool is_own = source.history_bytes + bytes > most_of(Limit::history_bytes_of_source);
+  const bool is_all = history_bytes_ + bytes > most_of(Limit::history_bytes);
+  if (!source.history.empty() && (is_own || is_all)) {
+    limits.refuse(is_own ? Limit::history_bytes_of_source : Limit::history_bytes);
+    const std::size_t depth = is_all ? 1 : std::max<std::size_t>(source.history.size() / 2, 1);
+    auto made = make_publisher(source.plan, depth);
+    if (!made) return false;
+    reaper_.end(std::exchange(source.publisher, std::move(*made)));
+    source.depth = depth;
+    forget_history(source);
+  }
+  if (history_bytes_ + bytes > most_of(Limit::history_bytes) && history_bytes_ != 0) {
+    limits.refuse(Limit::history_bytes);
+    return false;
   }
   return true;
 }
 
-void Bridge::drop(OpenSource& source, Errc why, std::size_t messages) {
+bool Bridge::publish_now(OpenSource& source, Received& received) {
+  if (!fit_history(source, received.bytes)) {
+    drop(source, "the histories of writers in DDS take as much as they may");
+    return true;
+  }
+  const PublishResult result = source.publisher->publish(std::move(received.message));
+  if (result.code == Errc::would_block) return false;
+  if (result) {
+    source.traffic.count(received.bytes);
+    if (source.plan.qos_class.transient_local) {
+      source.history.push_back(received.bytes);
+      source.history_bytes += received.bytes;
+      history_bytes_ += received.bytes;
+    }
+  } else {
+    drop(source, sentence_of(result.code));
+  }
+  return true;
+}
+
+void Bridge::drop(OpenSource& source, const char* why, std::size_t messages) {
   const std::uint64_t dropped = source.traffic.refused += messages;
   if (!source.traffic.tells.now()) return;
   log_.write(LogLevel::warning, "message not published",
              {{"topic", source.plan.key.topic},
               {"dropped", std::to_string(dropped)},
-              {"why", sentence_of(why)}});
+              {"why", why}});
 }
 
 std::optional<Outlets::Time> Bridge::end_sources(Outlets::Time now) {
@@ -741,12 +845,13 @@ std::optional<Outlets::Time> Bridge::end_sources(Outlets::Time now) {
     OpenSource& source = at->second;
     const bool is_late = source.end && *source.end <= now;
     if (is_late && *source.end + Outlets::held_linger <= now && !source.waiting.empty()) {
-      drop(source, Errc::would_block, source.waiting.size());
+      drop(source, sentence_of(Errc::would_block), source.waiting.size());
       for (const Received& received : source.waiting) held_bytes_ -= held_bytes_of(received.bytes);
       source.waiting.clear();
       held_.erase(at->first);
     }
     if (is_late && source.waiting.empty()) {
+      forget_history(source);
       reaper_.end(std::move(source.publisher));  // waits for an agnocastd that does not answer
       at = sources_.erase(at);
       continue;
@@ -835,6 +940,10 @@ void Bridge::tell_ros(const Plan& plan) {
   outlets_.for_each([&](std::uint64_t, const OpenOutlet& outlet) {
     if (const auto node = by_name.find(outlet.plan.node); node != by_name.end())
       node->second->writers.push_back(outlet.writer->guid());
+  });
+  announced_.for_each([&](const Outlet& outlet, const DdsWriter& writer) {
+    if (const auto node = by_name.find(outlet.node); node != by_name.end())
+      node->second->writers.push_back(writer.guid());
   });
   for (const auto& [key, inlet] : plan.inlets) {
     const auto open = inlets_.find({key, inlet.depth, inlet.keep_all});

@@ -22,6 +22,7 @@
 #include <agnocast/agnocast.hpp>
 #include <agnocast/generic.hpp>
 #include <agnocast/graph.hpp>
+#include <bridge/announced.hpp>
 #include <bridge/log.hpp>
 #include <bridge/outlets.hpp>
 #include <bridge/ros_graph.hpp>
@@ -54,6 +55,7 @@ struct BridgeOptions {
   std::vector<std::string> type_paths;  ///< see try_find_message_type
   RosGraph::Speak speak = RosGraph::Speak::detect;
   Direction otherwise = Direction::both;  ///< of topics that no rule speaks of
+  bool announce = true;  ///< publishers that nobody in DDS reads have a writer there as well
   /// Called by run() at least that often, for who watches whether it turns; 0: never.
   std::chrono::nanoseconds alive_interval{0};
   std::function<void()> alive = {};
@@ -74,7 +76,7 @@ class Bridge {
   /// Any thread. run() returns soon.
   void stop() noexcept;
   /// From now on these rules hold; what another one had made otherwise is made anew. Any thread.
-  void set_rules(std::vector<Rule> rules, Direction otherwise);
+  void set_rules(std::vector<Rule> rules, Direction otherwise, bool announce);
   /// What there is now, as run() sees it; nothing when it does not say so for `patience`. One thread, not run()'s.
   std::optional<BridgeStatus> status(std::chrono::milliseconds patience);
 
@@ -94,6 +96,7 @@ class Bridge {
   struct Rules {
     std::vector<Rule> list;
     Direction otherwise = Direction::both;
+    bool announce = true;
   };
   /// The publisher in the place of one remote writer.
   struct OpenSource {
@@ -104,6 +107,9 @@ class Bridge {
     std::optional<Outlets::Time> end;  // not planned any more; ends then, or when nothing waits
                                        // any longer, after Outlets::held_linger at the latest
     std::int64_t newest_ns = 0;        // source time
+    std::size_t depth = 1;             // of the publisher; less than planned after a Limit
+    std::deque<std::size_t> history;   // of a transient-local one: bytes of what it retains
+    std::size_t history_bytes = 0;
     ReaderKey inlet;
     // False after it has gone over to another inlet, until that gives what is not older than what has come. Until
     // then, or its time is over, messages come by the former one.
@@ -135,7 +141,12 @@ class Bridge {
   void end_taps();
   /// How long run() may sleep.
   std::chrono::nanoseconds tidy();
-  void look_around(const std::vector<RemoteChange>& changes);
+  /// Remembers what changed in DDS, for the next plan.
+  void note(const std::vector<RemoteChange>& changes);
+  /// Whether a plan for what changed in DDS is due: others decide how often something changes there, so plans for it
+  /// take a part of the time only.
+  bool is_plan_due() const;
+  void look_around();
   void plan_and_apply(const DdsParticipant::Remotes& remotes);
   bool gives_up(Errc why);
   void apply_outward(const Plan& plan);
@@ -143,12 +154,18 @@ class Bridge {
   void tell_ros(const Plan& plan);
   static void go_over(OpenSource& source, const ReaderKey& inlet, Outlets::Time end);
   void take_from(DdsReader& reader);
-  void publish(const ReaderKey& inlet, const DdsSample& sample);
+  void publish(const ReaderKey& inlet, DdsSample sample);
+  void publish_unplaced();
+  Result<GenericPublisher::SharedPtr> make_publisher(const Source& plan, std::size_t depth);
+  /// Makes room in the histories for a message of this source. False if there is none.
+  bool fit_history(OpenSource& source, std::size_t bytes);
+  void forget_history(OpenSource& source);
+  void tell_limits();
   template <class Condition>
   void erase_inlets_if(Condition condition);
   /// False if keep-all holds it up; then it is still there.
   bool publish_now(OpenSource& source, Received& received);
-  void drop(OpenSource& source, Errc why, std::size_t messages = 1);
+  void drop(OpenSource& source, const char* why, std::size_t messages = 1);
   /// Whether one of them was.
   bool publish_waiting();
   /// When it has to look again.
@@ -174,12 +191,20 @@ class Bridge {
   Reaper reaper_;
   Outlets outlets_;
   std::set<std::uint64_t> outlet_keys_;
+  Announced announced_;
   // Generations of the endpoints of this host that the newest plan was for.
   std::set<std::uint64_t> planned_for_;
   std::map<ReaderKey, OpenTap> taps_;
   std::map<ReaderKey, OpenInlet> inlets_;
   std::unordered_map<const DdsReader*, const ReaderKey*> inlet_of_;  // keys of inlets_
   std::map<Guid, OpenSource> sources_;
+  bool is_dds_changed_ = false;        // since the newest plan
+  std::vector<Remote> gone_writers_;   // since then, without a source
+  Outlets::Time next_dds_plan_;        // not before
+  std::deque<std::pair<ReaderKey, DdsSample>> unplaced_;  // of writers that no plan knows yet, by inlet
+  std::size_t history_bytes_ = 0;      // of all sources
+  std::uint64_t limits_told_ = 0;      // refusals when it was said last
+  Seldom tells_limits_;
   std::set<Guid> held_;  // writers whose sources have something waiting
   std::size_t held_bytes_ = 0;
   Outlets::Time next_room_look_;  // at held_

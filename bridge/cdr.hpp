@@ -14,6 +14,7 @@
 #pragma once
 
 #include <agnocast/generic.hpp>
+#include <agnocast/relay.hpp>
 #include <agnocast/result.hpp>
 
 #include <tl/expected.hpp>
@@ -66,6 +67,7 @@ enum class CdrReason : std::uint8_t {
   no_utf16,        ///< a wide character of more than 16 bits
   no_room,         ///< of writing: the memory is too small, or somebody changes the message
   uncountable,     ///< of writing: a count that does not fit into 32 bits
+  elsewhere,       ///< of writing: the message leads out of its publisher's memory
 };
 
 /// Why a message was not read or not written.
@@ -93,19 +95,24 @@ struct ServiceHeader {
 using CdrInput = std::span<const std::span<const std::byte>>;
 
 /// How many bytes write_cdr() writes. Constant for messages of fixed size, else one look at each
-/// sequence and string. Allocates nothing.
-std::size_t cdr_bytes(const CdrType& type, const void* message) noexcept;
-std::size_t service_cdr_bytes(const CdrType& type, const void* message) noexcept;
+/// sequence and string. Allocates nothing. `within`: where a message of another process may lie with all
+/// it leads to, windows_of() of it; null: it is this process's own. 0: it leads elsewhere.
+std::size_t cdr_bytes(const CdrType& type, const void* message,
+                      const WindowSet* within = nullptr) noexcept;
+std::size_t service_cdr_bytes(const CdrType& type, const void* message,
+                              const WindowSet* within = nullptr) noexcept;
 
 /// Writes the message to the beginning of `to`; the value is the length, cdr_bytes() unless somebody
-/// changes the message meanwhile. Allocates nothing but a failure: no_room, uncountable, above_bound.
-/// A bool that is neither 0 nor 1 is written as 1.
+/// changes the message meanwhile. Allocates nothing but a failure: no_room, uncountable, above_bound,
+/// elsewhere. A bool that is neither 0 nor 1 is written as 1.
 [[nodiscard]] CdrResult<std::size_t> write_cdr(const CdrType& type, const void* message,
-                                               std::span<std::byte> to);
+                                               std::span<std::byte> to,
+                                               const WindowSet* within = nullptr);
 [[nodiscard]] CdrResult<std::size_t> write_service_cdr(const CdrType& type,
                                                        const ServiceHeader& header,
                                                        const void* message,
-                                                       std::span<std::byte> to);
+                                                       std::span<std::byte> to,
+                                                       const WindowSet* within = nullptr);
 
 /// Reads into `message`, a constructed message whose contents are replaced; the value is how many
 /// bytes of the input it took: what follows is padding, or none of ours. After a failure, or a

@@ -293,6 +293,8 @@ std::string CdrFailure::text() const {
         return "no room, or the message changes";
       case CdrReason::uncountable:
         return "more than a count can say";
+      case CdrReason::elsewhere:
+        return "it leads out of its publisher's memory";
     }
     return "";
   };

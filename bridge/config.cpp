@@ -34,6 +34,9 @@ constexpr ConfigKey keys[] = {
     {"log_level", R"("error", "warning", "notice", "info" or "debug")", "What is logged"},
     {"default", R"("both", "out", "in" or "none")",
      "The direction of topics and services that no rule speaks of"},
+    {"announce", "true or false",
+     "Announce a publisher of this host in DDS also while nobody there reads it, so that ros2 topic "
+     "list shows its topic"},
     {"topic.name", R"("/lidar/**")",
      "Topics and services that the rule is of; the first rule that matches decides"},
     {"topic.type", R"("std_msgs/msg/String")", "Only topics or services of this type"},
@@ -88,6 +91,9 @@ class Reader {
                  R"(write "error", "warning", "notice", "info" or "debug")");
       } else if (name == "default") {
         read_direction(node, "default", config_.bridge.otherwise);
+      } else if (name == "announce") {
+        if (!node.is_boolean()) report(node.source(), name, "this is neither", "write true or false");
+        config_.bridge.announce = node.value_or(true);
       } else if (name == "topic") {
         read_topics(node);
       } else {

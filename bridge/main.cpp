@@ -111,7 +111,7 @@ tl::expected<Config, std::vector<ConfigError>> configuration(const Options& opti
   if (options.domain) config.domain = options.domain;
   if (options.log_level) config.log_level = options.log_level;
   if (!config.domain) {
-    const char* const text = std::getenv("ROS_DOMAIN_ID");
+    const char* const text = ::secure_getenv("ROS_DOMAIN_ID");
     if (text != nullptr && *text != '\0') {
       char* end = nullptr;
       const unsigned long domain = std::strtoul(text, &end, 10);
@@ -140,7 +140,8 @@ void read_again(const Options& options, const BridgeOptions& before, Bridge& bri
     log.write(LogLevel::warning, "only a restart changes this",
               {{"keys", "domain, discovery_info, type_paths"}});
   shared.set_level(config->log_level.value_or(agnocast::LogLevel::info));
-  bridge.set_rules(std::move(config->bridge.rules), config->bridge.otherwise);
+  bridge.set_rules(std::move(config->bridge.rules), config->bridge.otherwise,
+                   config->bridge.announce);
   log.write(LogLevel::notice, "configuration read again");
 }
 
@@ -183,7 +184,7 @@ int run(const Options& options) {
     };
   }
   const BridgeOptions in_force = config->bridge;
-  const char* const variable = std::getenv("AGNOCAST_BRIDGE_SOCKET");
+  const char* const variable = ::secure_getenv("AGNOCAST_BRIDGE_SOCKET");
   const std::string path = choose_status_path(
       options.status_socket.value_or(variable == nullptr ? "" : variable), in_force.domain);
   const auto no_status = [&](const StatusSocket::Failure& failure) {

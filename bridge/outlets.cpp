@@ -58,7 +58,8 @@ void Outlets::pass(GenericMessage message, const ReaderKey& tap, const CdrType& 
 }
 
 bool Outlets::keep(GenericMessage message, const ReaderKey& tap, const CdrType& type) {
-  const std::size_t bytes = held_bytes_of(cdr_bytes(type, message.get()));
+  const WindowSet within = windows_of(message);
+  const std::size_t bytes = held_bytes_of(cdr_bytes(type, message.get(), &within));
   const auto [at, is_new] = waiting_.try_emplace({message.info().publisher, tap});
   Queue& queue = at->second;
   if (is_new) queue.since = std::chrono::steady_clock::now();
@@ -257,11 +258,13 @@ void Outlets::set_without(std::set<std::uint64_t> publishers) {
 
 bool Outlets::write(OpenOutlet& outlet, const GenericMessage& message) const {
   const CdrType& type = outlet.type->cdr;
-  const std::size_t bytes = cdr_bytes(type, message.get());
+  // Its publisher may let it lead into the heap of another one, which may be for others than DDS.
+  const WindowSet within = windows_of(message);
+  const std::size_t bytes = cdr_bytes(type, message.get(), &within);
   const auto written = outlet.writer->write(
       bytes,
       [&](std::span<std::byte> room) -> std::size_t {
-        return write_cdr(type, message.get(), room).value_or(0);
+        return write_cdr(type, message.get(), room, &within).value_or(0);
       },
       static_cast<std::int64_t>(message.info().source_timestamp()));
   if (written && *written == WriteOutcome::sent) {
@@ -288,6 +291,7 @@ bool Outlets::write(OpenOutlet& outlet, const GenericMessage& message) const {
        {"dropped", std::to_string(dropped)},
        {"why", !written      ? written.error().text()
                : would_block ? "a reader in DDS does not acknowledge what it has got"
+               : bytes == 0  ? "it leads out of its publisher's memory"
                              : "it cannot be written as CDR, or there is no memory for it"}});
   return true;
 }

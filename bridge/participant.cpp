@@ -115,7 +115,9 @@ constexpr dds_attach_t attached_discovery = 1;
 // A writer's samples may be taken after it is gone.
 constexpr std::size_t gone_writers_max = 1024;
 // What is taken of a built-in topic at once, as others go on changing theirs; the rest is ready the next time.
-constexpr std::size_t changes_max = 10'000;
+constexpr std::size_t changes_max = 1'000;
+// Refused samples that one take() passes over: others may write them faster than they are taken.
+constexpr std::size_t passed_over_max = 1'000;
 
 }  // namespace
 
@@ -160,9 +162,43 @@ class DdsParticipantState {
   std::vector<dds_attach_t> triggered;
   std::vector<DdsReader*> ready;
   DdsParticipant::Remotes remotes;
+  std::uint64_t remotes_version = 0;
   std::vector<RemoteChange> changes;
+  const std::shared_ptr<RawShared> shared = std::make_shared<RawShared>();
 
  private:
+  bool is_too_long(const Remote& remote) {
+    constexpr std::size_t most = most_of(Limit::text_bytes);
+    return remote.topic.size() > most || remote.type.size() > most ||
+           remote.qos.user_data.size() > most;
+  }
+  /// Whether there is a place for one more; refused ones are counted.
+  bool has_place(const Remote& remote) {
+    const auto beyond = [&](Limit limit) {
+      shared->limits.refuse(limit);
+      return false;
+    };
+    if (is_too_long(remote)) return beyond(Limit::text_bytes);
+    if (remote.kind == Remote::Kind::participant)
+      return participants < most_of(Limit::participants) || beyond(Limit::participants);
+    if (remotes.size() - participants >= most_of(Limit::endpoints))
+      return beyond(Limit::endpoints);
+    const auto of_owner = endpoints.find(remote.participant);
+    return of_owner == endpoints.end() ||
+           of_owner->second < most_of(Limit::endpoints_of_participant) ||
+           beyond(Limit::endpoints_of_participant);
+  }
+  void count(const Remote& remote, bool is_there) {
+    ++remotes_version;
+    if (remote.kind == Remote::Kind::participant) {
+      is_there ? ++participants : --participants;
+    } else if (is_there) {
+      ++endpoints[remote.participant];
+    } else if (const auto of_owner = endpoints.find(remote.participant);
+               of_owner != endpoints.end() && --of_owner->second == 0) {
+      endpoints.erase(of_owner);
+    }
+  }
   void note(Remote::Kind kind, const void* sample, const dds_sample_info_t& info) {
     Remote remote;
     remote.kind = kind;
@@ -187,18 +223,25 @@ class DdsParticipantState {
       if (kind == Remote::Kind::writer) forget_later(info.instance_handle, remote.guid);
       const auto at = remotes.find(remote.guid);
       if (at == remotes.end()) return;
+      count(at->second, false);
       changes.push_back({false, std::move(at->second)});
       remotes.erase(at);
       return;
     }
     if (!info.valid_data) return;
-    if (kind == Remote::Kind::writer) writers[info.instance_handle] = remote.guid;
     if (kind == Remote::Kind::participant)
       remote.qos.user_data = user_data_of(qos);
     else
       remote.qos = qos_from(qos, remote.guid);
-    if (const auto at = remotes.find(remote.guid); at != remotes.end() && at->second == remote)
-      return;
+    const auto at = remotes.find(remote.guid);
+    if (at != remotes.end() && (at->second == remote || is_too_long(remote))) return;
+    if (at == remotes.end()) {
+      if (!has_place(remote)) return;
+      count(remote, true);
+    } else {
+      ++remotes_version;
+    }
+    if (kind == Remote::Kind::writer) writers[info.instance_handle] = remote.guid;
     remotes[remote.guid] = remote;
     changes.push_back({true, std::move(remote)});
   }
@@ -213,6 +256,8 @@ class DdsParticipantState {
 
   std::unordered_map<dds_instance_handle_t, Guid> writers;
   std::deque<dds_instance_handle_t> gone;
+  std::size_t participants = 0;                              // of remotes
+  std::unordered_map<Guid, std::size_t, GuidHash> endpoints;  // of remotes, by their participant
 };
 
 namespace {
@@ -293,7 +338,7 @@ DdsReader::~DdsReader() {
 }
 
 std::optional<DdsSample> DdsReader::take() {
-  for (;;) {
+  for (std::size_t passed_over = 0; passed_over <= passed_over_max; ++passed_over) {
     ddsi_serdata* taken = nullptr;
     dds_sample_info_t info;
     if (dds_takecdr(entity_, &taken, 1, &info, DDS_ANY_STATE) <= 0) return std::nullopt;
@@ -312,6 +357,7 @@ std::optional<DdsSample> DdsReader::take() {
     sample.source_time_ns = info.source_timestamp;
     return sample;
   }
+  return std::nullopt;
 }
 
 std::uint32_t DdsReader::matched() const {
@@ -358,7 +404,7 @@ DdsResult<std::unique_ptr<DdsWriter>> DdsParticipant::create_writer(const std::s
                                                                     const DdsQos& qos) {
   std::unique_ptr<DdsWriter> writer(new DdsWriter);
   const auto endpoint =
-      make_endpoint(*state_, topic, make_raw_type(type, nullptr, std::make_shared<RawCounts>()),
+      make_endpoint(*state_, topic, make_raw_type(type, nullptr, std::make_shared<RawCounts>(state_->shared)),
                     "create a writer", [&](dds_entity_t of) {
                       return dds_create_writer(state_->participant, of, qos_of(qos).get(), nullptr);
                     });
@@ -375,9 +421,10 @@ DdsResult<std::unique_ptr<DdsWriter>> DdsParticipant::create_writer(const std::s
 DdsResult<std::unique_ptr<DdsReader>> DdsParticipant::create_reader(const std::string& topic,
                                                                     const std::string& type,
                                                                     const DdsQos& qos,
-                                                                    RawDecoder decoder) {
+                                                                    RawDecoder decoder,
+                                                                    std::size_t unread_bytes_max) {
   std::unique_ptr<DdsReader> reader(new DdsReader);
-  reader->counts_ = std::make_shared<RawCounts>();
+  reader->counts_ = std::make_shared<RawCounts>(state_->shared, unread_bytes_max);
   const auto endpoint =
       make_endpoint(*state_, topic, make_raw_type(type, std::move(decoder), reader->counts_),
                     "create a reader", [&](dds_entity_t of) {
@@ -433,6 +480,8 @@ std::vector<RemoteChange> DdsParticipant::discovered() {
 }
 
 const DdsParticipant::Remotes& DdsParticipant::remotes() const noexcept { return state_->remotes; }
+std::uint64_t DdsParticipant::remotes_version() const noexcept { return state_->remotes_version; }
+Limits& DdsParticipant::limits() const noexcept { return state_->shared->limits; }
 const Guid& DdsParticipant::guid() const noexcept { return state_->guid; }
 
 }  // namespace agnocast::bridge

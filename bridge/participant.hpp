@@ -14,7 +14,8 @@
 // the participant alive, so the order of destruction is free.
 //
 // A name or a QoS that others announced is input: it is copied, and means nothing until somebody
-// checks it. How many there are is bounded by what Cyclone DDS keeps about them itself.
+// checks it. Who is beyond a limit (limits.hpp) is not followed: remotes() does not have it, and its
+// samples come from a writer that is not known.
 #pragma once
 
 #include <bridge/raw_type.hpp>
@@ -147,8 +148,8 @@ class DdsReader {
   DdsReader(const DdsReader&) = delete;
   DdsReader& operator=(const DdsReader&) = delete;
 
-  /// The oldest sample, which is not in the cache any more; nothing if there is none. Refused ones
-  /// are passed over.
+  /// The oldest sample, which is not in the cache any more; nothing if there is none, or if many
+  /// refused ones are in front of it. These are passed over.
   std::optional<DdsSample> take();
 
   const Guid& guid() const noexcept { return guid_; }
@@ -159,6 +160,8 @@ class DdsReader {
   /// Payloads that the decoder made something of, and that it refused.
   std::uint64_t decoded() const noexcept { return counts_->decoded; }
   std::uint64_t refused() const noexcept { return counts_->refused; }
+  /// Payloads that were dropped since too much was unread.
+  std::uint64_t overflow() const noexcept { return counts_->overflow; }
 
  private:
   friend class DdsParticipant;
@@ -206,11 +209,14 @@ class DdsParticipant {
   [[nodiscard]] DdsResult<std::unique_ptr<DdsWriter>> create_writer(const std::string& topic,
                                                                     const std::string& type,
                                                                     const DdsQos& qos);
-  /// Readers do not get what writers of this participant write. `decoder`: see RawDecoder.
+  /// Readers do not get what writers of this participant write. `decoder`: see RawDecoder. Beyond `unread_bytes_max`
+  /// in its cache, and one message, a payload is dropped.
   [[nodiscard]] DdsResult<std::unique_ptr<DdsReader>> create_reader(const std::string& topic,
                                                                     const std::string& type,
                                                                     const DdsQos& qos,
-                                                                    RawDecoder decoder);
+                                                                    RawDecoder decoder,
+                                                                    std::size_t unread_bytes_max =
+                                                                        most_of(Limit::unread_bytes_of_reader));
 
   struct Ready {
     bool interrupted = false;
@@ -230,6 +236,10 @@ class DdsParticipant {
   using Remotes = std::unordered_map<Guid, Remote, GuidHash>;
   /// Everything that discovered() said is there.
   const Remotes& remotes() const noexcept;
+  /// Another number whenever remotes() has changed.
+  std::uint64_t remotes_version() const noexcept;
+  /// What was refused of others, here and by whoever uses this. Any thread.
+  Limits& limits() const noexcept;
 
   const Guid& guid() const noexcept;
 

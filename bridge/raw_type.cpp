@@ -25,6 +25,15 @@ struct RawSample : ddsi_serdata {
   std::unique_ptr<std::byte[]> bytes;
   std::uint32_t size = 0;
   std::shared_ptr<void> object;
+  // Received, and in a cache until this goes.
+  std::shared_ptr<RawCounts> counts;
+  std::uint64_t unread_bytes = 0;
+
+  ~RawSample() {
+    if (unread_bytes == 0) return;
+    counts->unread_bytes -= unread_bytes;
+    counts->shared->unread_bytes -= unread_bytes;
+  }
 };
 
 struct RawType : ddsi_sertype {
@@ -47,20 +56,55 @@ RawSample* make_sample(const ddsi_sertype* type, ddsi_serdata_kind kind) {
   return sample;
 }
 
+/// Takes room for a payload until the sample goes; false, and counted, when there is none. A reader that has nothing
+/// unread gets one message in any case, so nobody's flood keeps another reader from its messages.
+bool take_room(RawSample& sample, const std::shared_ptr<RawCounts>& counts, std::uint64_t bytes) {
+  RawShared& shared = *counts->shared;
+  const auto beyond = [&](Limit limit) {
+    ++counts->overflow;
+    shared.limits.refuse(limit);
+    return false;
+  };
+  if (bytes > most_of(Limit::message_bytes)) return beyond(Limit::message_bytes);
+  // A message counts as a KiB at least, which is what keeping it costs.
+  bytes = std::max<std::uint64_t>(bytes, 1024);
+  const std::uint64_t before = counts->unread_bytes.fetch_add(bytes);
+  const std::uint64_t all_before = shared.unread_bytes.fetch_add(bytes);
+  sample.counts = counts;
+  sample.unread_bytes = bytes;
+  if (before == 0) return true;
+  if (before + bytes > counts->unread_bytes_max)
+    return beyond(Limit::unread_bytes_of_reader);
+  if (all_before + bytes > most_of(Limit::unread_bytes)) return beyond(Limit::unread_bytes);
+  return true;
+}
+
+void give_room_back(RawSample& sample) {
+  sample.counts->unread_bytes -= sample.unread_bytes;
+  sample.counts->shared->unread_bytes -= sample.unread_bytes;
+  sample.unread_bytes = 0;
+}
+
 // A refused payload is a sample as well, one without an object, which take() passes over. Without
 // any, Cyclone DDS would write a line into the log for each, at the will of another host.
 ddsi_serdata* receive(const ddsi_sertype* type, ddsi_serdata_kind kind, RawPieces pieces,
-                      bool is_whole) noexcept {
+                      std::size_t size, bool is_whole) noexcept {
   RawSample* const sample = make_sample(type, kind);
   if (sample == nullptr || kind != SDK_DATA) return sample;
   const RawType& of = type_of(type);
+  if (!take_room(*sample, of.counts, size)) {
+    if (sample->unread_bytes != 0) give_room_back(*sample);
+    return sample;
+  }
   try {
     if (is_whole && of.decoder) sample->object = of.decoder(pieces);
   } catch (const std::bad_alloc&) {
+    give_room_back(*sample);
     return sample;  // nothing is wrong with the payload
   } catch (...) {
   }
   ++(sample->object ? of.counts->decoded : of.counts->refused);
+  if (!sample->object) give_room_back(*sample);
   return sample;
 }
 
@@ -82,7 +126,7 @@ ddsi_serdata* from_ser(const ddsi_sertype* type, ddsi_serdata_kind kind, const n
   } catch (const std::bad_alloc&) {
     end = 0;
   }
-  return receive(type, kind, pieces, end == size);
+  return receive(type, kind, pieces, size, end == size);
 }
 
 ddsi_serdata* from_ser_iov(const ddsi_sertype* type, ddsi_serdata_kind kind,
@@ -99,7 +143,7 @@ ddsi_serdata* from_ser_iov(const ddsi_sertype* type, ddsi_serdata_kind kind,
   } catch (const std::bad_alloc&) {
     end = 0;
   }
-  return receive(type, kind, pieces, end == size);
+  return receive(type, kind, pieces, size, end == size);
 }
 
 // Only of what was written: what was received is never sent on.

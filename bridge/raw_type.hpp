@@ -15,6 +15,8 @@
 // Cyclone's headers stay behind this one.
 #pragma once
 
+#include <bridge/limits.hpp>
+
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
@@ -22,6 +24,7 @@
 #include <memory>
 #include <span>
 #include <string>
+#include <utility>
 
 struct ddsi_sertype;
 struct ddsi_serdata;
@@ -41,10 +44,25 @@ using RawDecoder = std::function<std::shared_ptr<void>(RawPieces)>;
 /// room for, or an exception: nothing is sent. The memory is not zeroed.
 using RawFill = std::function<std::size_t(std::span<std::byte>)>;
 
-/// What a type counts, for its reader. Any thread.
+/// What all readers of a participant have together. Any thread.
+struct RawShared {
+  Limits limits;
+  std::atomic<std::uint64_t> unread_bytes{0};
+};
+
+/// What a type counts, for its reader. Any thread. Unread is what was decoded and lies in the reader's cache; beyond
+/// Limit::unread_bytes_of_reader and Limit::unread_bytes nothing is decoded.
 struct RawCounts {
+  explicit RawCounts(std::shared_ptr<RawShared> all,
+                     std::size_t most = most_of(Limit::unread_bytes_of_reader))
+      : shared(std::move(all)), unread_bytes_max(most) {}
+
   std::atomic<std::uint64_t> decoded{0};
-  std::atomic<std::uint64_t> refused{0};
+  std::atomic<std::uint64_t> refused{0};   // by the decoder, or incomplete
+  std::atomic<std::uint64_t> overflow{0};  // beyond a limit
+  std::atomic<std::uint64_t> unread_bytes{0};
+  const std::shared_ptr<RawShared> shared;
+  const std::size_t unread_bytes_max;
 };
 
 /// A type of that name with one reference, for dds_create_topic_sertype. No two are equal, so each

@@ -18,8 +18,10 @@ constexpr std::size_t encapsulation_bytes = 4;
 constexpr std::size_t payload_bytes_max = std::size_t{1} << 20;
 constexpr std::size_t rest_bytes_max = 8;
 constexpr std::size_t name_bytes_max = 256;
+// Of the reader, until update() takes it: sixteen messages of the greatest size.
+constexpr std::size_t unread_bytes_max = 16 * payload_bytes_max;
 // What update() takes: others write as fast as they like, and what is left is ready the next time.
-constexpr std::size_t takes_max = 1'000;
+constexpr std::size_t takes_max = 64;
 
 std::size_t guid_bytes(GuidLayout layout) { return layout == GuidLayout::humble ? 24 : 16; }
 
@@ -148,6 +150,14 @@ std::optional<std::size_t> read_as(GuidLayout layout, std::span<const std::byte>
   return input.left() <= rest_bytes_max ? std::optional(input.left()) : std::nullopt;
 }
 
+std::size_t memory_of(const RosEntities& entities) {
+  std::size_t bytes = sizeof(RosEntities);
+  for (const RosNode& node : entities.nodes)
+    bytes += sizeof(RosNode) + node.name_space.size() + node.name.size() +
+             sizeof(Guid) * (node.readers.size() + node.writers.size());
+  return bytes;
+}
+
 bool is_of_bridge(const RosEntities& entities) {
   return std::any_of(entities.nodes.begin(), entities.nodes.end(),
                      [](const RosNode& node) { return node.name.starts_with(bridge_node); });
@@ -208,7 +218,7 @@ DdsResult<std::unique_ptr<RosGraph>> RosGraph::create(DdsParticipant& participan
       participant.create_reader(topic, type, qos, [](RawPieces payload) -> std::shared_ptr<void> {
         auto entities = read_entities(payload);
         return entities ? std::make_shared<RosEntities>(std::move(*entities)) : nullptr;
-      });
+      }, unread_bytes_max);
   if (!reader) return tl::unexpected(reader.error());
   graph->reader_ = std::move(*reader);
   return graph;
@@ -250,13 +260,22 @@ DdsResult<bool> RosGraph::update() {
       continue;
     }
     if (!remotes.contains(entities.participant)) continue;  // gone meanwhile
-    RosEntities& known = others_[entities.participant];
-    if (known == entities) continue;
-    known = entities;
+    const auto known = others_.find(entities.participant);
+    if (known != others_.end() && known->second == entities) continue;
+    const std::size_t before = known == others_.end() ? 0 : memory_of(known->second);
+    const std::size_t bytes = others_bytes_ - before + memory_of(entities);
+    if (bytes > most_of(Limit::discovery_info_bytes)) {
+      participant_.limits().refuse(Limit::discovery_info_bytes);
+      continue;
+    }
+    others_bytes_ = bytes;
+    others_[entities.participant] = entities;
     is_changed = true;
   }
   is_changed |= std::erase_if(others_, [&](const auto& other) {
-                  return !remotes.contains(other.first);
+                  if (remotes.contains(other.first)) return false;
+                  others_bytes_ -= memory_of(other.second);
+                  return true;
                 }) != 0;
   if (const auto said = say(); !said) return tl::unexpected(said.error());
   return is_changed;

@@ -79,7 +79,8 @@ class RosGraph {
   /// count: they have a node of theirs (bridge_node) and say what they have heard.
   GuidLayout layout() const;
   const DdsReader* reader() const noexcept { return reader_.get(); }
-  /// Messages that were none of either layout, or spoke for another participant.
+  /// Messages that were none of either layout, or spoke for another participant. What is beyond
+  /// Limit::discovery_info_bytes is counted there.
   std::uint64_t refused() const noexcept { return reader_->refused() + impostors_; }
 
  private:
@@ -95,6 +96,7 @@ class RosGraph {
   std::optional<RosEntities> said_;
   bool has_nodes_ = false;
   Others others_;
+  std::size_t others_bytes_ = 0;
   std::uint64_t impostors_ = 0;
 };
 

@@ -112,8 +112,15 @@ class Planner {
     for (const auto& [type, publishers] : side.publishers) {
       const TopicKey key{topic, type};
       const Verdict verdict = verdict_on(key);
-      if (!is_open(key, Direction::outward, verdict, side.readers, WhyNot::no_reader)) continue;
       const QosOverride& said = verdict.rule == nullptr ? no_override : verdict.rule->to_dds;
+      const bool is_announced = may_be_announced(key, verdict);
+      if (!is_open(key, Direction::outward, verdict, side.readers, WhyNot::no_reader)) {
+        for (const EndpointInfo* const publisher : publishers) {
+          if (is_announced)
+            plan_.announced[publisher->generation] = outlet_of(key, *publisher, said);
+        }
+        continue;
+      }
       const auto readers = side.readers.find(type);
       const auto is_read = [&](const QosClass& offered) {
         return readers != side.readers.end() &&
@@ -122,20 +129,34 @@ class Planner {
       };
       bool any = false;
       for (const EndpointInfo* const publisher : publishers) {
-        const QosClass own = class_of(publisher->qos);
-        const QosClass offered = overridden(own, said);
-        if (!is_always(verdict) && !is_read(offered)) continue;
+        Outlet outlet = outlet_of(key, *publisher, said);
+        if (!is_always(verdict) && !is_read(outlet.offered)) {
+          if (is_announced) plan_.announced[publisher->generation] = std::move(outlet);
+          continue;
+        }
         any = true;
-        const std::size_t depth = publisher->qos.depth();
-        const bool keep_all = publisher->qos.is_keep_all();
-        const ReaderKey tap{{key, own}, depth, keep_all};
-        plan_.outlets[publisher->generation] = {tap, keep_all && !said.depth,
-                                                said.depth.value_or(depth),
-                                                full_name_of(*publisher), offered};
-        plan_.taps.insert(tap);
+        plan_.taps.insert(outlet.tap);
+        plan_.outlets[publisher->generation] = std::move(outlet);
       }
       if (!any) not_bridged(key, Direction::outward, WhyNot::qos, "no reader in DDS matches");
     }
+  }
+
+  static Outlet outlet_of(const TopicKey& key, const EndpointInfo& publisher,
+                          const QosOverride& said) {
+    const QosClass own = class_of(publisher.qos);
+    const std::size_t depth = publisher.qos.depth();
+    const bool keep_all = publisher.qos.is_keep_all();
+    return {{{key, own}, depth, keep_all},
+            keep_all && !said.depth,
+            said.depth.value_or(depth),
+            full_name_of(publisher),
+            overridden(own, said)};
+  }
+  /// Only what a reader that comes would get.
+  bool may_be_announced(const TopicKey& key, const Verdict& verdict) {
+    return situation_.announce && goes(verdict.direction, Direction::outward) &&
+           has_ros_name(key) && !problem_of(key.type);
   }
 
   void inward(const std::string& topic, const Side& side) {
@@ -221,16 +242,21 @@ class Planner {
     }
   }
 
-  /// Those that have a source keep it, so that nobody pushes another one out.
+  /// Those that have a source keep it, so that nobody pushes another one out, but for what a participant has beyond its
+  /// share.
   void choose(const TopicKey& key, std::vector<std::pair<const Remote*, QosClass>>& writers) {
     if (writers.size() <= sources_per_topic_max) return;
-    const auto rank = [&](const auto& writer) {
-      const Guid& guid = writer.first->guid;
-      const bool has_source = situation_.has_source && situation_.has_source(guid);
-      return std::pair(!has_source, guid);
+    using Writer = std::pair<const Remote*, QosClass>;
+    const auto has_source = [&](const Writer& writer) {
+      return situation_.has_source && situation_.has_source(writer.first->guid);
     };
-    std::nth_element(writers.begin(), writers.begin() + sources_per_topic_max, writers.end(),
-                     [&](const auto& a, const auto& b) { return rank(a) < rank(b); });
+    std::sort(writers.begin(), writers.end(), [&](const Writer& a, const Writer& b) {
+      return std::pair(!has_source(a), a.first->guid) < std::pair(!has_source(b), b.first->guid);
+    });
+    std::map<Guid, std::size_t> of_participant;
+    std::stable_partition(writers.begin(), writers.end(), [&](const Writer& writer) {
+      return ++of_participant[writer.first->participant] <= sources_of_participant_share;
+    });
     not_bridged(key, Direction::inward, WhyNot::too_many,
                 std::to_string(writers.size() - sources_per_topic_max) + " of " +
                     std::to_string(writers.size()) + " writers have no place: a topic has " +
@@ -293,6 +319,15 @@ class Planner {
 };
 
 }  // namespace
+
+DdsQos dds_qos_of(const QosClass& qos_class, std::size_t depth, bool keep_all) {
+  DdsQos qos;
+  qos.reliable = qos_class.reliable;
+  qos.transient_local = qos_class.transient_local;
+  qos.keep_all = keep_all;
+  qos.depth = static_cast<std::int32_t>(std::min<std::size_t>(depth, 100'000));
+  return qos;
+}
 
 std::string full_name_of(const EndpointInfo& endpoint) {
   return (endpoint.node_namespace == "/" ? "" : endpoint.node_namespace) + '/' + endpoint.node_name;

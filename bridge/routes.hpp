@@ -24,8 +24,9 @@
 // No loops: DDS does not give a participant its own samples, a tap passes on only outlets' publishers, and
 // whatever belongs to a bridge's process (is_bridge) is on neither list.
 //
-// Nothing is made for a topic that is not there on both sides, but for the inlets of what subscriptions request: two
-// bridges that both waited for the other one's endpoints would wait for ever. If a rule says `always`, a publisher of
+// Nothing is made for a topic that is not there on both sides, but for the inlets of what subscriptions request (two
+// bridges that both waited for the other one's endpoints would wait for ever), and for the announced writers, by which
+// readers in DDS find the topics of this host. If a rule says `always`, a publisher of
 // this host has its outlet although nobody reads it in DDS, and a remote writer its source although nobody subscribes
 // here.
 #pragma once
@@ -130,8 +131,12 @@ struct Unbridged {
   bool operator==(const Unbridged&) const = default;
 };
 
+DdsQos dds_qos_of(const QosClass& qos_class, std::size_t depth, bool keep_all);
+
 struct Plan {
   std::map<std::uint64_t, Outlet> outlets;  ///< by generation of the publisher
+  /// By the same: publishers that nobody in DDS reads, and whose writers are announced there; `tap` is not made.
+  std::map<std::uint64_t, Outlet> announced;
   std::set<ReaderKey> taps;
   std::map<ClassKey, Inlet> inlets;
   std::map<Guid, Source> sources;  ///< by remote writer
@@ -149,11 +154,15 @@ struct Situation {
   Direction otherwise = Direction::both;  ///< of topics that no rule speaks of
   /// Whether a remote writer has its source: of too many those keep theirs.
   std::function<bool(const Guid& writer)> has_source = {};
+  bool announce = false;  ///< publishers that nobody reads have a writer in DDS as well
 };
 
 /// Other hosts have as many writers as they like: half of the publishers that a topic may have here, so that those of
 /// this host find their places.
 inline constexpr std::size_t sources_per_topic_max = abi::publisher_count_max / 2;
+
+/// When a topic has too many writers, those that one participant has beyond this give way to others'.
+inline constexpr std::size_t sources_of_participant_share = sources_per_topic_max / 2;
 
 /// Looks at everything there is, and costs n log n of it.
 Plan plan_of(const Situation& situation);

@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <ctime>
 #include <exception>
+#include <iterator>
 #include <span>
 #include <utility>
 
@@ -21,7 +22,7 @@ constexpr std::int32_t service_depth = 1'000;
 QoS service_qos() { return QoS(100); }
 // What is taken of one reader before others have their turn.
 constexpr std::size_t takes_max = 64;
-// Requests that are kept, and those that servers in DDS have not answered: the oldest of these are forgotten.
+// Requests that servers in DDS have not answered: the oldest of more are forgotten.
 constexpr std::size_t requests_max = 1'000;
 
 DdsQos qos_with(std::string user_data) {
@@ -32,19 +33,44 @@ DdsQos qos_with(std::string user_data) {
 }
 
 DdsResult<WriteOutcome> write(DdsWriter& writer, const BridgedType& type,
-                              const ServiceHeader& header, const void* body, std::size_t bytes) {
+                              const ServiceHeader& header, const void* body, std::size_t bytes,
+                              const WindowSet& within) {
   timespec now{};
   ::clock_gettime(CLOCK_REALTIME, &now);
   return writer.write(
       bytes,
       [&](std::span<std::byte> room) -> std::size_t {
-        return write_service_cdr(type.cdr, header, body, room).value_or(0);
+        return write_service_cdr(type.cdr, header, body, room, &within).value_or(0);
       },
       std::int64_t{now.tv_sec} * 1'000'000'000 + now.tv_nsec);
 }
 
+/// Of whom a writer is: the first 12 bytes of its GUID.
+Guid participant_of(Guid writer) noexcept {
+  std::fill(writer.bytes.begin() + 12, writer.bytes.end(), std::uint8_t{0});
+  return writer;
+}
+
+/// Client id and number, which are in front of the body; nothing if the payload is too short.
+std::optional<ServiceHeader> header_of(std::span<const std::byte> payload) {
+  constexpr std::size_t encapsulation_bytes = 4;
+  if (payload.size() < encapsulation_bytes + 16) return std::nullopt;
+  const bool is_little = payload[1] == std::byte{1};
+  const auto number = [&](std::size_t at) {
+    std::uint64_t value = 0;
+    for (std::size_t i = 0; i < 8; ++i)
+      value |= std::to_integer<std::uint64_t>(payload[at + i]) << 8 * (is_little ? i : 7 - i);
+    return value;
+  };
+  ServiceHeader header;
+  header.client_id = number(encapsulation_bytes);
+  header.sequence_number = static_cast<std::int64_t>(number(encapsulation_bytes + 8));
+  return header;
+}
+
 std::string why_not(const DdsResult<WriteOutcome>& written) {
-  return written ? "it cannot be written as CDR, or there is no memory for it"
+  return written ? "it cannot be written as CDR, leads out of its publisher's memory, or there is no "
+                   "memory for it"
                  : written.error().text();
 }
 
@@ -128,7 +154,8 @@ DdsResult<ServiceRoutes::Ends> ServiceRoutes::make_ends(const ServiceKey& key, S
                                            is_server ? reply_type : request_type, qos);
   if (!writer) return tl::unexpected(writer.error());
   auto reader = participant_.create_reader(is_server ? request_topic : reply_topic,
-                                           is_server ? request_type : reply_type, qos, keep);
+                                           is_server ? request_type : reply_type, qos, keep,
+                                           most_of(Limit::request_bytes_of_service));
   if (!reader) return tl::unexpected(reader.error());
   ends.writer = std::move(*writer);
   ends.reader = std::move(*reader);
@@ -193,19 +220,60 @@ void ServiceRoutes::keep_requests(const ServiceKey& key) {
     const auto sample = served.requests->take();
     if (!sample) break;
     if (sample->state != DdsSample::State::valid) continue;
-    auto request = std::static_pointer_cast<Raw>(sample->object);
-    const std::size_t bytes = held_bytes_of(request->bytes.size());
-    if (served.kept.size() >= requests_max || kept_bytes_ + bytes > held_bytes_max) {
+    if (!keep(served, std::static_pointer_cast<Raw>(sample->object), sample->writer)) {
       ServiceTraffic& traffic = served.answering->traffic;
       dropped(log_, traffic, traffic.refused, key.service, "too many requests at once");
       continue;
     }
-    served.kept.push_back(
-        {std::move(request), sample->writer, std::chrono::steady_clock::now() + patience});
-    kept_bytes_ += bytes;
     keeping_.insert(key);
     if (served.has_room) served.next_look = {};
   }
+}
+
+bool ServiceRoutes::keep(Served& served, std::shared_ptr<Raw> request, const Guid& writer) {
+  const std::size_t bytes = held_bytes_of(request->bytes.size());
+  if (kept_bytes_ + bytes > held_bytes_max) return false;
+  if (served.kept.size() >= most_of(Limit::requests)) {
+    participant_.limits().refuse(Limit::requests);
+    if (!make_place(served, participant_of(writer))) return false;
+  }
+  if (!served.kept.empty() &&
+      served.kept_bytes + bytes > most_of(Limit::request_bytes_of_service)) {
+    participant_.limits().refuse(Limit::request_bytes_of_service);
+    return false;
+  }
+  served.kept.push_back(
+      {std::move(request), writer, std::chrono::steady_clock::now() + patience});
+  ++served.kept_of[participant_of(writer)];
+  served.kept_bytes += bytes;
+  kept_bytes_ += bytes;
+  return true;
+}
+
+bool ServiceRoutes::make_place(Served& served, const Guid& client) {
+  const auto most = std::max_element(served.kept_of.begin(), served.kept_of.end(),
+                                     [](const auto& a, const auto& b) { return a.second < b.second; });
+  const auto own = served.kept_of.find(client);
+  const std::size_t own_count = own == served.kept_of.end() ? 0 : own->second;
+  if (most == served.kept_of.end() || most->second <= own_count + 1) return false;
+  const auto newest = std::find_if(
+      served.kept.rbegin(), served.kept.rend(),
+      [&](const Kept& kept) { return participant_of(kept.writer) == most->first; });
+  ServiceTraffic& traffic = served.answering->traffic;
+  dropped(log_, traffic, traffic.refused, served.answering->service, "too many requests at once");
+  if (served.next && served.next->request == newest->request) served.next.reset();
+  forget(served, *newest);
+  served.kept.erase(std::next(newest).base());
+  return true;
+}
+
+void ServiceRoutes::forget(Served& served, const Kept& kept) {
+  const std::size_t bytes = held_bytes_of(kept.request->bytes.size());
+  kept_bytes_ -= bytes;
+  served.kept_bytes -= bytes;
+  if (const auto of_client = served.kept_of.find(participant_of(kept.writer));
+      of_client != served.kept_of.end() && --of_client->second == 0)
+    served.kept_of.erase(of_client);
 }
 
 void ServiceRoutes::take_responses(Asked& asked) {
@@ -269,7 +337,7 @@ bool ServiceRoutes::look_at_kept(Served& served, Time now) {
   };
   std::erase_if(served.kept, [&](const Kept& kept) {
     if (!is_done(kept)) return false;
-    kept_bytes_ -= held_bytes_of(kept.request->bytes.size());
+    forget(served, kept);
     if (served.next && served.next->request == kept.request) served.next.reset();
     return true;
   });
@@ -277,18 +345,20 @@ bool ServiceRoutes::look_at_kept(Served& served, Time now) {
 }
 
 /// A response that its client's reader is not yet known for would be lost.
-bool ServiceRoutes::can_be_answered(const Served& served, const Guid& writer) const {
+bool ServiceRoutes::can_be_answered(Served& served, const Guid& writer) const {
   const auto& remotes = participant_.remotes();
   const auto client = remotes.find(writer);
   if (client == remotes.end()) return true;
-  const std::string replies = *dds_topic_of({DdsTopicKind::reply, served.answering->service});
-  for (const auto& [guid, remote] : remotes) {
-    if (remote.kind == Remote::Kind::reader && remote.topic == replies &&
-        remote.participant == client->second.participant &&
-        remote.qos.user_data == client->second.qos.user_data)  // its clientid
-      return true;
+  if (served.ways_back_at != participant_.remotes_version()) {
+    served.ways_back_at = participant_.remotes_version();
+    served.ways_back.clear();
+    const std::string replies = *dds_topic_of({DdsTopicKind::reply, served.answering->service});
+    for (const auto& [guid, remote] : remotes) {
+      if (remote.kind == Remote::Kind::reader && remote.topic == replies)
+        served.ways_back.emplace(remote.participant, remote.qos.user_data);  // its clientid
+    }
   }
-  return false;
+  return served.ways_back.contains({client->second.participant, client->second.qos.user_data});
 }
 
 ServiceRoutes::Sent ServiceRoutes::send_on(Served& served, const Kept& kept, Time now) try {
@@ -315,8 +385,10 @@ ServiceRoutes::Sent ServiceRoutes::send_on(Served& served, const Kept& kept, Tim
         try {
           const GenericMessage response = future.get();
           const BridgedType& type = *answering->type.response;
-          const std::size_t bytes = service_cdr_bytes(type.cdr, response.get());
-          const auto written = write(*answering->responses, type, *header, response.get(), bytes);
+          const WindowSet within = windows_of(response);
+          const std::size_t bytes = service_cdr_bytes(type.cdr, response.get(), &within);
+          const auto written =
+              write(*answering->responses, type, *header, response.get(), bytes, within);
           if (written && *written == WriteOutcome::sent) {
             counts.count_response(bytes);
           } else {
@@ -367,8 +439,10 @@ void ServiceRoutes::write_request(const Log& log, Asking& asking, GenericService
   }
   const BridgedType& type = *asking.type.request;
   const void* const body = request.message().get();
-  const std::size_t bytes = service_cdr_bytes(type.cdr, body);
-  const auto written = write(*asking.requests, type, {asking.client_id, number}, body, bytes);
+  const WindowSet within = windows_of(request.message());
+  const std::size_t bytes = service_cdr_bytes(type.cdr, body, &within);
+  const auto written =
+      write(*asking.requests, type, {asking.client_id, number}, body, bytes, within);
   if (written && *written == WriteOutcome::sent) return asking.traffic.count_request(bytes);
   dropped(log, asking.traffic, asking.traffic.refused, asking.service, why_not(written));
   const std::lock_guard lock(asking.mutex);
@@ -377,6 +451,17 @@ void ServiceRoutes::write_request(const Log& log, Asking& asking, GenericService
 
 void ServiceRoutes::answer(Asked& asked, const Raw& raw) {
   Asking& asking = *asked.asking;
+  const auto told = header_of(raw.bytes);
+  if (!told)
+    return dropped(log_, asking.traffic, asking.traffic.malformed, asking.service,
+                   "it has no client id and number");
+  if (told->client_id != asking.client_id) return;  // all clients of a service share the topic
+  {
+    // Another server was first, or nobody asked.
+    const std::lock_guard lock(asking.mutex);
+    if (!asking.pending.contains(told->sequence_number))
+      return void(++asking.traffic.unasked);
+  }
   ServiceHeader header;
   auto response = asked.service->borrow_loaned_response();
   const std::span<const std::byte> piece(raw.bytes);
@@ -385,12 +470,11 @@ void ServiceRoutes::answer(Asked& asked, const Raw& raw) {
   if (!read)
     return dropped(log_, asking.traffic, asking.traffic.malformed, asking.service,
                    read.error().text());
-  if (header.client_id != asking.client_id) return;  // all clients of a service share the topic
   GenericServiceRequest request;
   {
     const std::lock_guard lock(asking.mutex);
     const auto found = asking.pending.find(header.sequence_number);
-    if (found == asking.pending.end()) return;  // another server was first
+    if (found == asking.pending.end()) return void(++asking.traffic.unasked);
     request = std::move(found->second.request);
     asking.pending.erase(found);
   }

@@ -51,7 +51,7 @@ struct BridgedService {
 struct ServiceTraffic {
   using Counter = std::atomic<std::uint64_t>;
   Counter requests{0}, request_bytes{0}, responses{0}, response_bytes{0};
-  Counter malformed{0}, refused{0}, timed_out{0}, forgotten{0};  // see ServiceNumbers
+  Counter malformed{0}, refused{0}, timed_out{0}, forgotten{0}, unasked{0};  // see ServiceNumbers
   Counter last_ns{0};
   const std::uint64_t since_ns = monotonic_ns();
   Seldom tells;  // the log
@@ -60,7 +60,7 @@ struct ServiceTraffic {
   void count_response(std::size_t size) noexcept { count(responses, response_bytes, size); }
   ServiceNumbers numbers() const noexcept {
     return {requests, request_bytes, responses, response_bytes, malformed,
-            refused,  timed_out,     forgotten, since_ns,       last_ns};
+            refused,  timed_out,     forgotten, unasked,        since_ns, last_ns};
   }
 
  private:
@@ -127,6 +127,11 @@ class ServiceRoutes {
     std::unique_ptr<DdsReader> requests;
     GenericClient::SharedPtr client;
     std::deque<Kept> kept;
+    std::size_t kept_bytes = 0;
+    std::map<Guid, std::size_t> kept_of;  // messages, by participant
+    // Clients in DDS that have an ear for responses: participant and USER_DATA, when others were at this version.
+    std::set<std::pair<Guid, std::string>> ways_back;
+    std::uint64_t ways_back_at = 0;
     std::optional<Decoded> next;  // of kept
     bool has_room = true;         // at the last look at kept
     Time next_look;
@@ -171,7 +176,12 @@ class ServiceRoutes {
   enum class Sent : std::uint8_t { sent, dropped, no_server, no_room };
   Sent send_on(Served& served, const Kept& kept, Time now);
   void answer(Asked& asked, const Raw& response);
-  bool can_be_answered(const Served& served, const Guid& writer) const;
+  bool can_be_answered(Served& served, const Guid& writer) const;
+  /// False, and counted, when there is no room for it.
+  bool keep(Served& served, std::shared_ptr<Raw> request, const Guid& writer);
+  /// Drops the newest request of the client that has most, for one of a client that has less; false if that is nobody.
+  bool make_place(Served& served, const Guid& client);
+  void forget(Served& served, const Kept& kept);
   /// Whether a request waits for servers that are all gone.
   static bool is_in_vain(Asking& asking, const std::set<Guid>& servers);
   static void write_request(const Log& log, Asking& asking, GenericServiceRequest request);

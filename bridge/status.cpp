@@ -85,6 +85,9 @@ std::string json_of(const BridgeStatus& status, std::uint64_t now_ns) {
   Object outlets = Object::array(), sources = Object::array(), inlets = Object::array(),
          services = Object::array(), taps = Object::array(), unbridged = Object::array(),
          failures = Object::array();
+  Object limits = Object::array();
+  for (const BridgeStatus::LimitNow& limit : status.limits)
+    limits.push_back({{"limit", limit.name}, {"most", limit.most}, {"refused", limit.refused}});
   for (const BridgeStatus::OutletNow& outlet : status.outlets) {
     Object object{{"topic", outlet.plan.tap.of.key.topic},
                   {"type", outlet.plan.tap.of.key.type},
@@ -117,7 +120,8 @@ std::string json_of(const BridgeStatus& status, std::uint64_t now_ns) {
          {"matched", inlet.matched},
          {"incompatible", inlet.incompatible},
          {"malformed", inlet.malformed},
-         {"without_source", inlet.without_source}});
+         {"without_source", inlet.without_source},
+         {"overflow", inlet.overflow}});
   }
   for (const BridgeStatus::ServiceNow& service : status.services) {
     const ServiceNumbers& numbers = service.numbers;
@@ -137,6 +141,7 @@ std::string json_of(const BridgeStatus& status, std::uint64_t now_ns) {
                         {"refused", numbers.refused},
                         {"timed_out", numbers.timed_out},
                         {"forgotten", numbers.forgotten},
+                        {"unasked", numbers.unasked},
                         {"age_ns", age(numbers.since_ns, now_ns)},
                         {"last_age_ns", age_or_null(numbers.last_ns, now_ns)}});
   }
@@ -167,8 +172,10 @@ std::string json_of(const BridgeStatus& status, std::uint64_t now_ns) {
       {"participants", status.participants},
       {"has_daemon", status.has_daemon},
       {"standby_for", status.standby_for ? Object(*status.standby_for) : Object(nullptr)},
+      {"announced", status.announced},
       {"lost_early", status.lost_early},
       {"discovery_info_refused", status.discovery_info_refused},
+      {"limits", std::move(limits)},
       {"outlets", std::move(outlets)},
       {"sources", std::move(sources)},
       {"taps", std::move(taps)},

@@ -34,6 +34,7 @@ struct ServiceNumbers {
   std::uint64_t refused = 0;    // not sent on; the log says why
   std::uint64_t timed_out = 0;  // requests whose server or way back was not there in time
   std::uint64_t forgotten = 0;  // unanswered requests that gave way to newer ones
+  std::uint64_t unasked = 0;    // responses to requests that were answered before, or that nobody made
   std::uint64_t since_ns = 0;   // monotonic
   std::uint64_t last_ns = 0;    // monotonic; 0: never
 };
@@ -62,6 +63,7 @@ struct BridgeStatus {
     std::uint32_t matched = 0, incompatible = 0;  // writers
     std::uint64_t malformed = 0;                  // payloads that are no message of the type
     std::uint64_t without_source = 0;             // messages of writers that have none
+    std::uint64_t overflow = 0;                   // payloads that were dropped for a limit
   };
   /// A subscription here, for the outlets of one class and depth.
   struct TapNow {
@@ -86,8 +88,14 @@ struct BridgeStatus {
   std::optional<std::uint32_t> standby_for =
       {};                                    // the pid of the bridge that is active in our place
   std::uint64_t lost_early = 0;              // see Outlets::lost()
+  std::uint64_t announced = 0;               // writers in DDS that nobody reads
   std::uint64_t discovery_info_refused = 0;  // see RosGraph::refused()
   std::uint64_t since_ns = 0;                // monotonic
+  struct LimitNow {
+    const char* name = "";
+    std::uint64_t most = 0, refused = 0;
+  };
+  std::vector<LimitNow> limits;  // see limits.hpp
   std::vector<OutletNow> outlets;
   std::vector<SourceNow> sources;
   std::vector<InletNow> inlets;

@@ -3,6 +3,8 @@
 #include <bridge/status_socket.hpp>
 
 #include <base/clock.hpp>
+#include <base/closing.hpp>
+#include <base/packet_socket.hpp>
 #include <base/socket_path.hpp>
 #include <base/unix_address.hpp>
 
@@ -15,10 +17,14 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cerrno>
 #include <cstdlib>
 #include <cstring>
 #include <exception>
+#include <memory>
+#include <system_error>
+#include <thread>
 #include <utility>
 #include <vector>
 
@@ -56,6 +62,32 @@ struct ReaderOf {
   }
 };
 
+// Before Linux 6.16 a reader may send descriptors, which are closed with its connection, and that takes as long
+// as it likes (base/closing.hpp). Threads of their own wait for it; who comes meanwhile is served until there
+// are too many.
+class Closings {
+ public:
+  bool is_full() const { return count_->load(std::memory_order_relaxed) >= reader_count_max; }
+  void close(UniqueFd fd) {
+    if (!fd || refuses_descriptors(fd.get())) return;
+    ::shutdown(fd.get(), SHUT_RDWR);
+    count_->fetch_add(1, std::memory_order_relaxed);
+    try {
+      std::thread([count = count_, number = fd.get()] {
+        UniqueFd one(number);
+        close_by_ending_thread({&one, 1});
+        count->fetch_sub(1, std::memory_order_relaxed);
+      }).detach();
+    } catch (const std::system_error&) {  // no thread left: it stays, and counts
+    }
+    static_cast<void>(fd.release());
+  }
+
+ private:
+  std::shared_ptr<std::atomic<std::size_t>> count_ =
+      std::make_shared<std::atomic<std::size_t>>(0);
+};
+
 StatusSocket::Failure failure(const std::string& what) {
   return {false, what + ": " + std::strerror(errno)};
 }
@@ -84,6 +116,7 @@ tl::expected<void, StatusSocket::Failure> StatusSocket::listen(
   if (!socket_ || !stop_ || ::bind(socket_.get(), address->get(), UnixAddress::size()) != 0 ||
       ::chmod(path_.c_str(), 0660) != 0 || ::listen(socket_.get(), SOMAXCONN) != 0)
     return tl::unexpected(failure(path_));
+  refuse_descriptors(socket_.get());
   answer_ = std::move(answer);
   thread_ = std::thread([this] { serve(); });
   return {};
@@ -95,10 +128,13 @@ StatusSocket::~StatusSocket() {
     thread_.join();
   }
   if (socket_) ::unlink(path_.c_str());
+  // Those who wait to be accepted go with it.
+  if (socket_ && !refuses_descriptors(socket_.get())) close_without_waiting(std::move(socket_));
 }
 
 void StatusSocket::serve() {
   std::vector<ReaderOf> readers;
+  Closings closings;
   std::shared_ptr<const std::string> latest;
   std::uint64_t made_ms = 0;
   std::uint64_t accept_ms = 0;  // not before; until then who comes waits in the queue of the socket
@@ -124,7 +160,8 @@ void StatusSocket::serve() {
     now = monotonic_ms();
     for (std::size_t i = 0; i < readers.size(); ++i) {
       const bool is_ready = polled[i + 1].revents != 0;
-      if ((is_ready && !readers[i].send()) || readers[i].end_ms <= now) readers[i].fd.reset();
+      if ((is_ready && !readers[i].send()) || readers[i].end_ms <= now)
+        closings.close(std::move(readers[i].fd));
     }
     std::erase_if(readers, [](const ReaderOf& reader) { return !reader.fd; });
     if (polled.back().fd != socket_.get() || polled.back().revents == 0) return true;
@@ -134,7 +171,12 @@ void StatusSocket::serve() {
           [](const ReaderOf& a, const ReaderOf& b) { return a.moved_ms < b.moved_ms; });
       accept_ms = slowest->moved_ms + turn_ms;
       if (accept_ms > now) return true;
+      closings.close(std::move(slowest->fd));
       readers.erase(slowest);
+    }
+    if (closings.is_full()) {
+      accept_ms = now + retry_interval_ms;
+      return true;
     }
     UniqueFd fd(::accept4(socket_.get(), nullptr, nullptr, SOCK_CLOEXEC | SOCK_NONBLOCK));
     if (!fd) {
@@ -148,18 +190,23 @@ void StatusSocket::serve() {
     }
     now = monotonic_ms();
     ReaderOf reader{std::move(fd), latest, 0, now + patience_ms, now};
-    if (reader.send()) readers.push_back(std::move(reader));
+    if (reader.send()) {
+      readers.push_back(std::move(reader));
+    } else {
+      closings.close(std::move(reader.fd));
+    }
     return true;
   };
-  for (;;) {
+  for (bool ends = false; !ends;) {
     try {
-      if (!goes_on()) return;
+      ends = !goes_on();
     } catch (const std::exception&) {
       // No memory. Whoever has just asked hears nothing, and may ask again.
       pollfd stop{stop_.get(), POLLIN, 0};
-      if (::poll(&stop, 1, static_cast<int>(retry_interval_ms)) > 0) return;
+      ends = ::poll(&stop, 1, static_cast<int>(retry_interval_ms)) > 0;
     }
   }
+  for (ReaderOf& reader : readers) closings.close(std::move(reader.fd));
 }
 
 std::string choose_status_path(const std::string& named, std::uint32_t domain) {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <base/kept_fd.hpp>
 #include <base/step.hpp>
 #include <client/connection.hpp>
 
@@ -49,6 +50,12 @@ int milliseconds_until(std::chrono::steady_clock::time_point deadline) noexcept 
 
 tl::unexpected<Failure> gone() noexcept {
   return fail(Errc::daemon_not_running, "the connection to agnocastd has ended");
+}
+
+/// What the daemon gives is in use for as long as its process, or its peers, live.
+Packet kept(Packet packet) noexcept {
+  for (UniqueFd& fd : packet.fds()) fd = keep(std::move(fd));
+  return packet;
 }
 
 void put_id(std::vector<std::byte>& bytes, std::uint64_t id) noexcept {
@@ -142,7 +149,7 @@ void Connection::send(std::span<const std::byte> bytes, int fd) {
       return;  // a peer that is gone: the control thread notices
   }
   // Who asks may have given up when it is sent.
-  UniqueFd copy(fd >= 0 ? ::fcntl(fd, F_DUPFD_CLOEXEC, 0) : -1);
+  UniqueFd copy = keep(UniqueFd(fd >= 0 ? ::fcntl(fd, F_DUPFD_CLOEXEC, 0) : -1));
   if (fd >= 0 && !copy)
     throw std::bad_alloc();  // no descriptor is free: as if there were no memory
   unsent_.push_back({{bytes.begin(), bytes.end()}, std::move(copy)});
@@ -164,7 +171,7 @@ bool Connection::flush() noexcept {
 // --- one socket after the other
 
 void Connection::begin(PacketSocket socket) noexcept {
-  socket_ = std::move(socket);
+  socket_ = PacketSocket(keep(socket.release()));
   seen_ = 0;
 }
 
@@ -270,7 +277,7 @@ Result<bool> Connection::receive(Incoming& packet, bool& unasked) {
     if (received->kind == Packet::Kind::nothing) return true;
     if (received->kind == Packet::Kind::end) return false;
     ++seen_;
-    packet.packet = std::move(*received);
+    packet.packet = kept(std::move(*received));
     packet.size = packet.packet.bytes;
     if (packet.size < sizeof(Header) || packet.packet.truncated ||
         packet.header().bytes != packet.size) {
@@ -296,7 +303,7 @@ Result<void> Connection::receive_first(Incoming& packet,
   if (!received) return tl::unexpected<Failure>(received.error());
   if (received->kind != Packet::Kind::data) return gone();
   ++seen_;
-  packet.packet = std::move(*received);
+  packet.packet = kept(std::move(*received));
   packet.size = packet.packet.bytes;
   if (packet.size < sizeof(Header) || packet.packet.truncated)
     return fail(Errc::protocol_violation, "a packet of agnocastd");

@@ -156,8 +156,6 @@ class Connection {
   void open();
   /// The socket is of no use any more.
   void end() noexcept;
-  /// The descriptor is not ours any more: somebody else in this process has closed it.
-  void disown_socket() noexcept { (void)socket_.release().release(); }
   /// Nobody answers any more: every request fails with `why`, those to come as well, until open().
   void refuse(const Failure& why) noexcept;
   /// Whether somebody waits for the answer to this request.

@@ -59,6 +59,21 @@ Context& Context::first() noexcept {
   return *context;
 }
 
+bool Context::has_more_room() noexcept {
+  std::vector<std::shared_ptr<PublisherEndpoint>> all;
+  const Heap& heap = *this->heap();
+  heap.pause();
+  try {
+    all = publishers();
+  } catch (const std::bad_alloc&) {
+    // The control thread comes to them.
+  }
+  heap.resume();
+  bool some = false;
+  for (const auto& publisher : all) some = publisher->has_more_room() || some;
+  return some;
+}
+
 bool Context::is_connected() const noexcept {
   return !is_forked_child() && is_connected_.load(std::memory_order_acquire);
 }
@@ -325,7 +340,8 @@ Result<std::shared_ptr<PublisherEndpoint>> Context::make_publisher(
         publisher = std::make_shared<PublisherEndpoint>(
             PublisherEndpoint::Identity{core, made.topic, end_message, waker(), continued.events,
                                         this, lineage_of(continued, made, Kind::publisher),
-                                        request.says_lineage_later && continued.events == nullptr});
+                                        request.says_lineage_later && continued.events == nullptr,
+                                        request.signals});
         const std::lock_guard lock(endpoints_);
         AGNOCAST_CRASH_POINT(C_registered);
         publishers_[{made.topic, made.index}] = publisher;

@@ -24,6 +24,7 @@
 #include <client/control_wake.hpp>
 #include <client/departure.hpp>
 #include <client/heap.hpp>
+#include <client/library_thread.hpp>
 #include <client/peer.hpp>
 #include <client/publisher_endpoint.hpp>
 #include <client/reconnection.hpp>
@@ -62,6 +63,7 @@ struct EndpointRequest {
   std::uint64_t message_alignment = 1;
   std::uint64_t lineage = 0;        // 0: one of its own
   bool says_lineage_later = false;  // publishers: see EndpointName
+  SignalMask signals;               // for destructors of messages
 };
 
 /// Whether AGNOCAST=off is in the environment: then endpoints are made that do nothing, without daemon
@@ -126,6 +128,9 @@ class Context {
   }
   /// How publish adopts foreign memory. Only after a publisher was created.
   SharedHeap shared_heap() const noexcept { return heap_->shared_heap(); }
+  /// The heap is full: every message that nobody needs any more is destroyed, of every publisher. False:
+  /// there was none. User threads, without locks of theirs that a destructor wants.
+  bool has_more_room() noexcept;
   /// Of a former membership: how many of the heap's windows its daemon has told others of. Readers in
   /// it have these and no more.
   std::uint64_t announced_windows() const noexcept { return window_count_; }
@@ -201,7 +206,9 @@ class Context {
 
   // control thread
   void serve() noexcept;
+  void serve_nobody() noexcept;
   void serve_once(int timeout_ms);
+  void look_for_descriptors(bool now) noexcept;
   int passes_due_ms();
   void read_connection();
   void handle(Incoming& packet);
@@ -299,7 +306,8 @@ class Context {
   std::map<StrangerKey, std::shared_ptr<Stranger>> strangers_;
   int passes_pause_ = 0, link_look_ = 0;
   bool was_reclaimable_ = false, is_output_blocked_ = false;
-  std::chrono::steady_clock::time_point former_looked_{};
+  std::chrono::steady_clock::time_point former_looked_{}, descriptors_looked_{};
+  bool descriptors_lost_ = false;
   std::atomic<ConnectionState> state_{ConnectionState::unconnected};
   std::atomic<Errc> island_reason_{Errc::ok};
   std::mutex departing_;

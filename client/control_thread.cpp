@@ -4,8 +4,10 @@
 
 #include <client/context.hpp>
 #include <client/heap_return.hpp>
+#include <client/library_thread.hpp>
 #include <client/reregistration.hpp>
 
+#include <base/kept_fd.hpp>
 #include <base/step.hpp>
 
 #include <poll.h>
@@ -46,6 +48,8 @@ void Context::serve() noexcept {
     try {
       serve_once(passes_due_ms());
       if (is_dropped_.load(std::memory_order_acquire)) return;
+      LibraryThread::look_for_users();
+      if (LibraryThread::is_over()) return serve_nobody();
       if (is_former() && is_unused() && let_go_of_everything()) return;
     } catch (const std::bad_alloc&) {
       // A packet may be half done. After a new connection the daemon says again what counts.
@@ -53,6 +57,12 @@ void Context::serve() noexcept {
       ::poll(nullptr, 0, memory_pause_ms);
     }
   }
+}
+
+// The process is about to end. What its exit handlers still want of the daemon they do not wait for.
+void Context::serve_nobody() noexcept {
+  connection_->refuse({Errc::shut_down, 0, "the last thread of this process has ended"});
+  tell_state(ConnectionState::island);
 }
 
 // In how many milliseconds somebody must look at the publishers again.
@@ -86,14 +96,14 @@ void Context::serve_once(int timeout_ms) {
   }
   if (is_output_blocked_) timeout_ms = std::min(timeout_ms, output_look_ms);
   epoll_event events[4];
-  const int count = ::epoll_wait(epoll_.get(), events, 4, timeout_ms);
-  if (count < 0 && errno != EINTR) {
-    // Somebody has closed our descriptors; their numbers may be others' by now.
-    const Failure why{Errc::os_failure, errno, "waiting in the control thread"};
-    connection_->disown_socket();
-    become_island(why);
-    ::poll(nullptr, 0, timer_first_ms);
+  int count = 0;
+  if (has_lost_kept()) {
+    ::poll(nullptr, 0, std::min(timeout_ms, timer_first_ms));
+  } else {
+    count = ::epoll_wait(epoll_.get(), events, 4, timeout_ms);
+    if (count < 0 && errno != EINTR) ::poll(nullptr, 0, output_look_ms);
   }
+  look_for_descriptors(count < 0 && errno != EINTR);
   for (int i = 0; i < count; ++i) {
     if (events[i].data.fd == wake_->fd()) {
       std::uint64_t ignored = 0;
@@ -109,6 +119,20 @@ void Context::serve_once(int timeout_ms) {
   if (reconnection_.is_due(Reconnection::Clock::now())) reconnect();
   run_errands();
   is_output_blocked_ = connection_->flush();
+}
+
+/// At each tick, or `now`. Somebody may have closed descriptors of ours; their numbers may be others' by now.
+void Context::look_for_descriptors(bool now) noexcept {
+  const auto time = std::chrono::steady_clock::now();
+  if (!now && time - descriptors_looked_ < std::chrono::milliseconds{timer_last_ms}) return;
+  descriptors_looked_ = time;
+  if (!lost_kept() || descriptors_lost_) return;
+  descriptors_lost_ = true;
+  become_island(
+      {Errc::os_failure, EBADF, "this process has closed descriptors that agnocast has opened"});
+  LibraryThread::end_sleeps();
+  const std::lock_guard lock(endpoints_);
+  for (const auto& [key, subscription] : subscriptions_) subscription->sleeper().wake();
 }
 
 void Context::read_connection() {

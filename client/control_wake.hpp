@@ -6,6 +6,7 @@
 
 #include <agnocast/result.hpp>
 #include <base/immortal.hpp>
+#include <base/kept_fd.hpp>
 #include <base/unique_fd.hpp>
 #include <client/forked_child.hpp>
 
@@ -35,7 +36,7 @@ class ControlWake {
         return wake;
       }
     }
-    UniqueFd eventfd(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
+    UniqueFd eventfd = keep(UniqueFd(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)));
     if (!eventfd) return fail(Errc::os_failure, "preparing the control thread", errno);
     return std::make_shared<const ControlWake>(std::move(eventfd));
   }
@@ -51,7 +52,7 @@ class ControlWake {
   int fd() const noexcept { return eventfd_.get(); }
   /// Any thread; one system call.
   void operator()() const noexcept {
-    if (is_forked_child()) return;  // it would wake the parent's
+    if (is_forked_child() || !may_use(fd())) return;  // it would wake the parent's
     const std::uint64_t one = 1;
     [[maybe_unused]] const ssize_t written =
         ::write(eventfd_.get(), &one, sizeof one);  // full: it is awake anyway

@@ -26,7 +26,8 @@ constinit std::atomic<int> closed_in_child[closed_in_child_max] = {};
 // The child's only thread, before it runs anything else: no lock, nothing but close.
 void close_in_child() noexcept {
   for (std::atomic<int>& entry : closed_in_child) {
-    if (const int fd = entry.exchange(0, std::memory_order_relaxed) - 1; fd >= 0) ::close(fd);
+    if (const int fd = entry.exchange(0, std::memory_order_relaxed) - 1; fd >= 0)
+      ::close(fd);  // if it is ours, see base/kept_fd.hpp
   }
 }
 

@@ -9,6 +9,7 @@
 #include <agnocast/abi/fingerprint.hpp>
 #include <agnocast/abi/words.hpp>
 #include <base/answer_packet.hpp>
+#include <base/daemon_socket.hpp>
 #include <base/socket_path.hpp>
 #include <base/unique_fd.hpp>
 #include <client/connection.hpp>
@@ -120,7 +121,7 @@ class Graph::State {
     is_asked_ = false;
     seen_lsn_.reset();
     packet_.begin({});
-    auto socket = PacketSocket::connect(socket_path());
+    auto socket = connect_to_daemon(socket_path());
     if (!socket) return tl::unexpected(socket.error());
     socket_ = std::move(*socket);
     wire::Observe hello{};

@@ -157,6 +157,15 @@ thread_local std::uint64_t pause_count = 0;
 /// before it lies where readers of what comes after it may not look.
 std::uint64_t strays() noexcept { return attached.hook->spilled() + attached.hook->first_window(); }
 
+// What the calling thread allocates is of no use unless it is shared.
+thread_local bool refuses_private = false;
+[[noreturn]] void throw_no_room() { throw std::bad_alloc(); }
+
+bool refuse_private(void*, bool refuses) noexcept {
+  attached.hook->on_no_room(refuses ? throw_no_room : nullptr);
+  return std::exchange(refuses_private, refuses);
+}
+
 std::uint64_t begin_adoption(void*) noexcept {
   AGNOCAST_CRASH_POINT(C_adopt);
   for (std::uint64_t i = 0; i < pause_count; ++i) attached.hook->resume();
@@ -333,7 +342,7 @@ void Heap::resume() const noexcept {
 }
 
 SharedHeap Heap::shared_heap() const noexcept {
-  return {nullptr, begin_adoption, end_adoption, windows, why_full};
+  return {nullptr, begin_adoption, end_adoption, windows, why_full, refuse_private};
 }
 
 namespace {
@@ -347,6 +356,8 @@ constexpr bool is_ordinary(std::size_t alignment) noexcept {
 void* detail::allocate_shared(std::size_t bytes, std::size_t alignment) {
   if (const auto* hook = open_hook.load(std::memory_order_acquire); hook != nullptr) {
     if (void* const block = hook->allocate(alignment, bytes); block != nullptr) return block;
+    // Not in a LoanPause.
+    if (refuses_private && hook->active() != 0) throw_no_room();
   }
   if (is_ordinary(alignment)) return ::operator new(bytes);
   return ::operator new(bytes, std::align_val_t(alignment));

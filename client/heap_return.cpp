@@ -4,6 +4,7 @@
 #include <base/text.hpp>
 #include <client/context.hpp>
 #include <client/heap_return.hpp>
+#include <client/library_thread.hpp>
 
 #include <pthread.h>
 #include <sched.h>
@@ -75,18 +76,32 @@ void HeapReturn::look() noexcept {
   }
   has_thread_ =
       Context::start_service_thread(
-          "agnocast-purge", [](void* self) -> void* { static_cast<HeapReturn*>(self)->serve(); },
+          "agnocast-purge",
+          [](void* self) -> void* {
+            static_cast<HeapReturn*>(self)->serve();
+            return nullptr;
+          },
           this) == 0;
   if (!has_thread_) watches_.store(false, std::memory_order_release);  // at a later look
 }
 
+/// The thread looks whether it is over.
+void HeapReturn::end() noexcept {
+  watches_.store(true, std::memory_order_release);
+  watches_.notify_one();
+}
+
 void HeapReturn::serve() noexcept {
+  const LibraryThread registered(
+      [](void* self) noexcept { static_cast<HeapReturn*>(self)->end(); }, this);
   // Whoever made the first publisher may be a real-time thread, and its priority was inherited.
   const sched_param ordinary{};
   ::pthread_setschedparam(::pthread_self(), SCHED_OTHER, &ordinary);
   for (;;) {
     watches_.wait(false, std::memory_order_acquire);
+    if (LibraryThread::is_over()) return;
     watch();
+    if (LibraryThread::is_over()) return;
     watches_.store(false, std::memory_order_release);
   }
 }
@@ -95,7 +110,7 @@ void HeapReturn::watch() noexcept {
   const Clock::time_point end = Clock::now() + idle_time_;
   do {
     std::this_thread::sleep_for(pause());
-    if (!has_much()) return;
+    if (!has_much() || LibraryThread::is_over()) return;
   } while (Clock::now() < end);
   hook_.load(std::memory_order_relaxed)->purge();
 }

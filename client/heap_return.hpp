@@ -41,7 +41,8 @@ class HeapReturn {
   void look() noexcept;
 
  private:
-  [[noreturn]] void serve() noexcept;
+  void serve() noexcept;
+  void end() noexcept;
   void watch() noexcept;
   bool has_much() const noexcept;
   std::chrono::milliseconds pause() const noexcept;

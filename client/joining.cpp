@@ -10,11 +10,15 @@
 #include <client/context.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
+#include <base/daemon_socket.hpp>
+#include <base/kept_fd.hpp>
 #include <base/signals.hpp>
 #include <base/socket_path.hpp>
 #include <base/step.hpp>
 #include <base/text.hpp>
+#include <base/unix_address.hpp>
 #include <client/forked_child.hpp>
+#include <client/library_thread.hpp>
 #include <client/user_code.hpp>
 
 #include <pthread.h>
@@ -27,6 +31,7 @@
 #include <chrono>
 #include <cstdlib>
 #include <cstring>
+#include <optional>
 #include <thread>
 #include <utility>
 
@@ -37,10 +42,15 @@ using wire::Opcode;
 
 namespace {
 
-// A misspelt domain must not silently be domain 0: its node would meet nobody.
+// A misspelt domain must not silently be domain 0: its node would meet nobody. Nor may who starts a
+// program with raised rights choose its domain: other rules may hold in another one.
 Result<std::uint64_t> domain_id() {
   const char* const text = std::getenv("ROS_DOMAIN_ID");
-  if (text == nullptr || *text == '\0') return std::uint64_t{0};
+  if (text == nullptr || *text == '\0' || std::strcmp(text, "0") == 0) return std::uint64_t{0};
+  if (::secure_getenv("ROS_DOMAIN_ID") == nullptr)
+    return fail_with(Errc::invalid_argument,
+                     "ROS_DOMAIN_ID is set, which a program with raised rights (set-uid, file "
+                     "capabilities) does not follow");
   std::uint64_t domain = 0;
   const char* const end = text + std::strlen(text);
   const auto [stop, problem] = std::from_chars(text, end, domain);
@@ -48,6 +58,25 @@ Result<std::uint64_t> domain_id() {
   return fail_with(Errc::invalid_argument,
                    "ROS_DOMAIN_ID is " + in_quotes(text) + ", which is not a number");
 }
+
+/// A program that changes its directory comes back to the same daemon. A path that would be too long for
+/// an address stays as it is.
+std::string from_here(std::string path) {
+  if (path.empty() || path.front() == '/') return path;
+  char directory[socket_path_bytes_max + 1];
+  if (::getcwd(directory, sizeof directory) == nullptr) return path;
+  std::string whole = std::string(directory) + "/" + path;
+  return whole.size() <= socket_path_bytes_max ? whole : path;
+}
+
+/// A daemon is there in a moment, presumably: it has died, or begins. Between two daemons nobody listens at
+/// the socket, or it is not there while the lock that is beside it stays.
+bool may_begin(const std::string& path, const Failure& why) noexcept {
+  if (why.code != Errc::daemon_not_running) return false;
+  if (why.os_errno == ECONNREFUSED) return true;
+  return why.os_errno == ENOENT && ::access((path + ".lock").c_str(), F_OK) == 0;
+}
+constexpr std::chrono::seconds begin_patience{1};
 
 std::string process_name() {
   char name[16] = "";
@@ -67,19 +96,22 @@ Result<void> Context::connect() {
   if (is_connected_.load(std::memory_order_relaxed)) return {};
   if (Result<void> known = recognise_forked_children(); !known) return known;
   if (Result<void> ends = end_user_code_at_exit(); !ends) return ends;
+  LibraryThread::be_started_here();
   const Result<std::uint64_t> domain = domain_id();
   if (!domain) return tl::unexpected<Failure>(domain.error());
   domain_ = *domain;
   process_name_ = process_name();
-  socket_path_ = socket_path();
+  socket_path_ = from_here(socket_path());
   if (Result<void> known = become_known(); !known) return known;
   is_connected_.store(true, std::memory_order_release);
   return {};
 }
 
-// A daemon that was there and has died meanwhile comes back: hello has the time of every request.
+// A daemon that was there and has died meanwhile comes back: hello has the time of every request. One that
+// may have died just before is waited for less.
 Result<void> Context::become_known() {
   const auto deadline = Reconnection::Clock::now() + Connection::answer_timeout;
+  std::optional<Reconnection::Clock::time_point> refused;  // first
   auto pause = Reconnection::pause_first;
   for (bool was_there = false;; pause = std::min(pause * 2, Reconnection::pause_last)) {
     Result<void> done = say_hello(deadline);
@@ -91,8 +123,11 @@ Result<void> Context::become_known() {
     region_ = {};
     arena_.reset();
     board_ = {};
-    if (done.error().code != Errc::daemon_not_running || !was_there ||
-        Reconnection::Clock::now() + pause >= deadline)
+    const auto now = Reconnection::Clock::now();
+    if (!refused) refused = now;
+    if (done.error().code != Errc::daemon_not_running ||
+        !(was_there || may_begin(socket_path_, done.error())) ||
+        now + pause >= (was_there ? deadline : *refused + begin_patience))
       return done;
     std::this_thread::sleep_for(pause);
   }
@@ -102,9 +137,10 @@ Result<void> Context::say_hello(Reconnection::Clock::time_point deadline) {
   const auto left =
       std::chrono::ceil<std::chrono::milliseconds>(deadline - Reconnection::Clock::now());
   Result<PacketSocket> socket =
-      PacketSocket::connect(socket_path_, std::max(left, std::chrono::milliseconds{0}));
+      connect_to_daemon(socket_path_, std::max(left, std::chrono::milliseconds{0}));
   if (!socket) {
     const Failure& why = socket.error();
+    if (why.code == Errc::daemon_untrusted) return tl::unexpected<Failure>(why);
     return fail_with(why.code, "connecting to " + socket_path_, why.os_errno);
   }
   AGNOCAST_CRASH_POINT(C_connect);
@@ -179,7 +215,7 @@ Result<void> Context::reserve_arena(std::uint64_t base, std::uint64_t bytes) {
 }
 
 Result<void> Context::start_control_thread() {
-  epoll_.reset(::epoll_create1(EPOLL_CLOEXEC));
+  epoll_ = keep(UniqueFd(::epoll_create1(EPOLL_CLOEXEC)));
   if (!epoll_) return fail(Errc::os_failure, "preparing the control thread", errno);
   for (const int fd : {connection_->fd(), wake_->fd()}) {
     if (Result<void> watched = watch(fd); !watched) return watched;
@@ -225,7 +261,11 @@ Result<void> Context::start_thread() {
       "agnocast-ctl",
       [](void* context) -> void* {
         auto* const self = static_cast<Context*>(context);
-        self->serve();
+        {
+          const LibraryThread registered([](void* of) noexcept { (*static_cast<Context*>(of)->wake_)(); },
+                                         context);
+          self->serve();
+        }
         if (self->is_dropped_.load(std::memory_order_acquire)) delete self;
         return nullptr;
       },

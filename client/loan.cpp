@@ -38,6 +38,11 @@ void LoanPause::end() noexcept { Context::instance().heap()->resume(); }
 
 namespace detail {
 
+LenderId::LenderId() noexcept {
+  static constinit std::atomic<std::uint64_t> last{0};
+  value_ = last.fetch_add(1, std::memory_order_relaxed) + 1;
+}
+
 /// One per thread that ever borrowed; outlives the thread as long as one of its loans does.
 struct BorrowScope::Home {
   static constexpr std::uint64_t thread_lives = std::uint64_t{1} << 63;

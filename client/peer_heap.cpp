@@ -1,18 +1,29 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <base/kept_fd.hpp>
 #include <base/step.hpp>
 #include <client/address_users.hpp>
 #include <client/dataplane/windows.hpp>
 #include <client/peer_heap.hpp>
 
 #include <sys/mman.h>
+#include <sys/stat.h>
 
+#include <algorithm>
 #include <utility>
 
 namespace agnocast {
 namespace {
 
 void* at_address(std::uint64_t address) noexcept { return reinterpret_cast<void*>(address); }
+
+// A window's file is as long as what its owner has put to use, and never gets shorter. Whatever the
+// owner says, behind its end is SIGBUS.
+std::uint64_t length_of(int fd) noexcept {
+  struct stat file {};
+  if (::fstat(fd, &file) != 0 || file.st_size < 0) return 0;
+  return static_cast<std::uint64_t>(file.st_size) & ~(abi::page_bytes - 1);
+}
 
 }  // namespace
 
@@ -65,16 +76,19 @@ std::uint64_t PeerHeap::open() noexcept {
   const std::uint64_t count = window_count();
   for (std::uint64_t i = 0; i < count; ++i) {
     Window& window = windows_[i];
-    const std::uint64_t frontier =
+    const std::uint64_t claimed =
         dataplane::load_frontier<SharedMemory>(client_region_, i, window.length) &
         ~(abi::page_bytes - 1);
-    if (frontier <= window.opened.load(std::memory_order_acquire) || !window.fd) continue;
+    if (claimed <= window.opened.load(std::memory_order_acquire) || !window.fd) continue;
     const std::lock_guard lock(growing_);
+    const std::uint64_t frontier = std::min(claimed, length_of(window.fd.get()));
     const std::uint64_t opened = window.opened.load(std::memory_order_relaxed);
     if (frontier <= opened) continue;
     void* const at = at_address(window.base + opened);
     AGNOCAST_CRASH_POINT(C_peer_open);
-    const bool refused = ::mmap(at, frontier - opened, PROT_READ, MAP_SHARED | MAP_FIXED,
+    const bool refused =
+        !is_intact(window.fd.get()) ||
+        ::mmap(at, frontier - opened, PROT_READ, MAP_SHARED | MAP_FIXED,
                                 window.fd.get(), static_cast<off_t>(opened)) == MAP_FAILED;
     // A refusal: any message of the group may point beyond what is open.
     window.is_closed.store(refused, std::memory_order_release);
@@ -85,6 +99,20 @@ std::uint64_t PeerHeap::open() noexcept {
     window.opened.store(frontier, std::memory_order_release);
   }
   return count;
+}
+
+WindowSet PeerHeap::group_of(std::uint64_t address) const noexcept {
+  const std::uint64_t count = window_count();
+  std::uint64_t found = 0;
+  while (found < count && address - windows_[found].base >= windows_[found].length) ++found;
+  WindowSet all;
+  if (found == count) return all;
+  const std::uint64_t first = windows_[found].first;
+  for (std::uint64_t i = first; i < count && windows_[i].first == first; ++i) {
+    const std::uint64_t open = windows_[i].opened.load(std::memory_order_acquire);
+    static_cast<void>(all.add(windows_[i].base, windows_[i].base + open));
+  }
+  return all;
 }
 
 bool PeerHeap::shows(std::uint64_t window) const noexcept {

@@ -10,6 +10,7 @@
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
+#include <agnocast/residency.hpp>
 #include <agnocast/result.hpp>
 #include <base/unique_fd.hpp>
 #include <client/dataplane/windows.hpp>
@@ -70,6 +71,9 @@ class PeerHeap {
   /// windows have been opened. Any values. `open`: what of its window is, if it can.
   dataplane::Place place_of(std::uint64_t address, std::uint64_t size, std::uint64_t count,
                             Unannounced others, Range* open = nullptr) const noexcept;
+  /// Where the message at `address` may lie with all it owns: what is open of the windows of its group.
+  /// Empty: in none of them.
+  WindowSet group_of(std::uint64_t address) const noexcept;
   /// Of the first window; 0: it has none.
   std::uint64_t first_address() const noexcept {
     return window_count() != 0 ? windows_[0].base : 0;

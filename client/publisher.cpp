@@ -53,12 +53,16 @@ class PublisherSource final : public CallbackSource {
  public:
   PublisherSource(std::shared_ptr<PublisherEndpoint> endpoint, EventCallbacks events) noexcept
       : endpoint_(std::move(endpoint)), events_(std::move(events)) {}
+  ~PublisherSource() override {
+    const UserSignals as_creator(signals);
+    events_ = {};
+  }
   bool has_work() const noexcept override { return endpoint_->events().has_pending(); }
   bool run_one() override { return endpoint_->events().run_one(events_); }
 
  private:
   const std::shared_ptr<PublisherEndpoint> endpoint_;
-  const EventCallbacks events_;
+  EventCallbacks events_;
 };
 
 }  // namespace
@@ -129,6 +133,15 @@ void UntypedPublisher::make_room() const noexcept {
     endpoint_->make_room();
   else
     endpoint_->present(endpoint_)->make_room();
+}
+
+bool UntypedPublisher::has_more_room() const noexcept {
+  Context& present = Context::instance();
+  bool some = present.has_more_room();
+  const auto endpoint = endpoint_->present(endpoint_);
+  if (endpoint->context() != &present) some = endpoint->has_more_room() || some;
+  endpoint->lacked_room();
+  return some;
 }
 
 void UntypedPublisher::count_adoption(const Result<Adoption>& adopted) noexcept {

@@ -2,6 +2,7 @@
 
 #include <base/clock.hpp>
 #include <base/step.hpp>
+#include <client/context.hpp>
 #include <client/forked_child.hpp>
 #include <client/publisher_endpoint.hpp>
 #include <client/twice_owned.hpp>
@@ -61,8 +62,9 @@ struct PublisherEndpoint::Work {
     if (!destroys_later && destroy_count < destroy.size()) {
       destroy[destroy_count++] = message;
     } else if (endpoint.doomed_.size() == endpoint.doomed_.capacity()) {
-      endpoint.destroy(message);  // the control thread is far behind: rather here, under the mutex,
-                                  // than allocate
+      // The control thread is far behind: rather here, under the mutex, than allocate.
+      const UserSignals as_creator(endpoint.identity_.signals);
+      endpoint.destroy(message);
     } else {
       endpoint.doomed_.push_back(message);  // within its capacity: no allocation
       endpoint.has_doomed_.store(true, std::memory_order_relaxed);
@@ -74,7 +76,8 @@ struct PublisherEndpoint::Work {
     auto& doomed = endpoint.doomed_;
     for (; !doomed.empty() && destroy_count < destroy.size(); doomed.pop_back())
       destroy[destroy_count++] = doomed.back();
-    if (doomed.empty()) endpoint.has_doomed_.store(false, std::memory_order_relaxed);
+    if (doomed.empty() && !endpoint.lacked_room_.load(std::memory_order_relaxed))
+      endpoint.has_doomed_.store(false, std::memory_order_relaxed);
   }
 };
 
@@ -94,13 +97,15 @@ void PublisherEndpoint::say_lineage() noexcept {
 }
 
 template <class Do>
-void PublisherEndpoint::with_queue(Do work, bool may_destroy) noexcept {
-  Work left(*this, may_destroy);
+inline void PublisherEndpoint::turn(Do work, Work& left) noexcept {
   {
     const std::lock_guard lock(mutex_);
     work(left);
   }
   if (left.wake_control) identity_.wake_control();  // first: sleepers do not wait for destructors
+}
+
+inline void PublisherEndpoint::destroy_all(const Work& left) noexcept {
   for (std::size_t i = 0; i < left.destroy_count; ++i) {
     AGNOCAST_CRASH_POINT(C_destroy);
     destroy(left.destroy[i]);
@@ -108,9 +113,20 @@ void PublisherEndpoint::with_queue(Do work, bool may_destroy) noexcept {
 }
 
 template <class Do>
+void PublisherEndpoint::with_queue(Do work) noexcept {
+  Work left(*this, true);
+  turn(work, left);
+  destroy_all(left);
+}
+
+template <class Do>
 void PublisherEndpoint::in_control_thread(Do work) noexcept {
   const UserCode code;
-  with_queue(work, code.may_run());
+  Work left(*this, code.may_run());
+  turn(work, left);
+  if (left.destroy_count == 0) return;
+  const UserSignals as_creator(identity_.signals);
+  destroy_all(left);
 }
 
 dataplane::PublishOutcome PublisherEndpoint::publish(void* message, std::uint64_t object_bytes,
@@ -142,8 +158,33 @@ dataplane::PublishOutcome PublisherEndpoint::publish(void* message, std::uint64_
 }
 
 void PublisherEndpoint::make_room() noexcept {
-  if (has_doomed_.load(std::memory_order_relaxed))
-    with_queue([](Work& work) { work.destroy_doomed(); });
+  if (!has_doomed_.load(std::memory_order_relaxed)) return;
+  if (lacked_room_.exchange(false, std::memory_order_relaxed)) Context::instance().has_more_room();
+  with_queue([](Work& work) { work.destroy_doomed(); });
+}
+
+void PublisherEndpoint::lacked_room() noexcept {
+  lacked_room_.store(true, std::memory_order_relaxed);
+  has_doomed_.store(true, std::memory_order_relaxed);
+}
+
+bool PublisherEndpoint::has_more_room() noexcept {
+  bool some = false;
+  // What others add to it meanwhile is theirs to destroy.
+  constexpr std::size_t turns_max = abi::slot_count_max / destroy_at_once_max + 1;
+  bool is_done = false;
+  for (std::size_t turn = 0; turn < turns_max && !is_done; ++turn) {
+    with_queue([&](Work& work) {
+      if (turn == 0 && core_ != nullptr) {
+        core_->pass(work);
+        core_->pass(work);
+      }
+      work.destroy_doomed();
+      some = some || work.destroy_count != 0;
+      is_done = doomed_.empty();
+    });
+  }
+  return some;
 }
 
 void PublisherEndpoint::count(std::size_t counter, std::uint64_t more) noexcept {

@@ -15,6 +15,7 @@
 #include <client/dataplane/publisher_core.hpp>
 #include <client/departure.hpp>
 #include <client/endpoint_events.hpp>
+#include <client/library_thread.hpp>
 #include <client/peer.hpp>
 
 #include <array>
@@ -42,6 +43,7 @@ class PublisherEndpoint {
     Context* context = nullptr;                   // its membership
     std::uint64_t lineage = 0;
     bool says_lineage_later = false;
+    SignalMask signals = {};  // of who has made it: for destructors of messages in threads of ours
   };
   /// Of small messages: most publishes look at no link, and so take no line from a reader on another core.
   static constexpr std::uint64_t lazy_limit = 7;
@@ -78,6 +80,11 @@ class PublisherEndpoint {
   /// Destroys what publishes of small messages have freed: they leave it, so that a publish returns sooner
   /// to who borrows for each; the next publish does where nobody borrows.
   void make_room() noexcept;
+  /// Two whole passes, the second of which frees what the first has retired, and every message that they
+  /// have found is destroyed here. False: there was none.
+  bool has_more_room() noexcept;
+  /// A publish found the heap full: the next make_room() does this for all publishers.
+  void lacked_room() noexcept;
   /// Before the first message, if the identity says that it is to be said later. Successors say it by
   /// themselves.
   void say_lineage() noexcept;
@@ -174,7 +181,10 @@ class PublisherEndpoint {
   struct Work;
 
   template <class Do>
-  void with_queue(Do work, bool may_destroy = true) noexcept;
+  void turn(Do work, Work& left) noexcept;
+  void destroy_all(const Work& left) noexcept;
+  template <class Do>
+  void with_queue(Do work) noexcept;
   template <class Do>
   void in_control_thread(Do work) noexcept;
   void count(std::size_t counter, std::uint64_t more) noexcept;
@@ -190,8 +200,8 @@ class PublisherEndpoint {
   std::vector<Executor> executors_;
   std::vector<Attached> attached_;
   std::vector<void*> doomed_;  // to be destroyed later; capacity for every slot from the start
-  // For a look without the mutex; whoever misses one comes again.
-  std::atomic<bool> has_doomed_{false};
+  // For a look without the mutex; whoever misses one comes again. `has_doomed_` where any of both is so.
+  std::atomic<bool> has_doomed_{false}, lacked_room_{false};
   void destroy(void* message) noexcept;
   void inherit(const dataplane::Entry& entry) noexcept;
 

@@ -23,7 +23,8 @@ namespace agnocast {
 /// there: nobody waits for it.
 constexpr bool is_mended_by_people(Errc code) noexcept {
   return code == Errc::layout_mismatch || code == Errc::store_damaged ||
-         code == Errc::permission_denied || code == Errc::descriptors_withheld;
+         code == Errc::permission_denied || code == Errc::descriptors_withheld ||
+         code == Errc::daemon_untrusted;
 }
 
 class Reconnection {

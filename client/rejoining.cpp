@@ -17,6 +17,8 @@
 #include <client/reregistration.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
+#include <base/daemon_socket.hpp>
+#include <base/kept_fd.hpp>
 #include <base/step.hpp>
 
 #include <sys/epoll.h>
@@ -44,7 +46,8 @@ void Context::tell_state(ConnectionState state) noexcept {
 
 void Context::lose_connection() noexcept {
   if (reconnection_.state() == Reconnection::State::island) return;
-  if (connection_->fd() >= 0) ::epoll_ctl(epoll_.get(), EPOLL_CTL_DEL, connection_->fd(), nullptr);
+  if (connection_->fd() >= 0 && !has_lost_kept())
+    ::epoll_ctl(epoll_.get(), EPOLL_CTL_DEL, connection_->fd(), nullptr);
   connection_->end();
   reconnection_.ended(Reconnection::Clock::now());
   tell_state(reconnection_.is_refused() ? ConnectionState::island : ConnectionState::reconnecting);
@@ -93,12 +96,15 @@ void Context::stay_island(const Failure& why) noexcept {
 }
 
 void Context::reconnect() {
-  if (!introduce_again()) lose_connection();
+  const Result<void> asked = introduce_again();
+  if (asked) return;
+  if (asked.error().code == Errc::daemon_untrusted) return become_island(asked.error());
+  lose_connection();
 }
 
 Result<void> Context::introduce_again() {
   // A queue that is full now may have room at the next try.
-  Result<PacketSocket> socket = PacketSocket::connect(socket_path_, std::chrono::milliseconds{0});
+  Result<PacketSocket> socket = connect_to_daemon(socket_path_, std::chrono::milliseconds{0});
   if (!socket) return tl::unexpected<Failure>(socket.error());
   AGNOCAST_CRASH_POINT(C_reconnect);
   connection_->begin(std::move(*socket));

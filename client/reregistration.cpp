@@ -3,6 +3,7 @@
 #include <base/immortal.hpp>
 #include <base/step.hpp>
 #include <client/forked_child.hpp>
+#include <client/library_thread.hpp>
 #include <client/reregistration.hpp>
 #include <client/user_code.hpp>
 
@@ -132,14 +133,16 @@ void Reregistration::start() noexcept {
 
 void Reregistration::pause(std::chrono::milliseconds duration) {
   std::unique_lock lock(mutex_);
-  changed_.wait_for(lock, duration, [&] { return is_wanted_; });
+  changed_.wait_for(lock, duration, [&] { return is_wanted_ || LibraryThread::is_over(); });
 }
 
 void Reregistration::run() noexcept {
+  const LibraryThread registered(
+      [](void* self) noexcept { static_cast<Reregistration*>(self)->changed_.notify_all(); }, this);
   for (;;) {
     {
       const std::lock_guard lock(mutex_);
-      if (!is_wanted_ || is_hopeless_ || exit_has_begun()) {
+      if (!is_wanted_ || is_hopeless_ || exit_has_begun() || LibraryThread::is_over()) {
         is_running_ = false;
         return;
       }
@@ -155,7 +158,8 @@ void Reregistration::run() noexcept {
 }
 
 void Reregistration::run_once() {
-  while (Context::instance().is_alone_.load(std::memory_order_acquire) && !exit_has_begun()) {
+  while (Context::instance().is_alone_.load(std::memory_order_acquire) && !exit_has_begun() &&
+         !LibraryThread::is_over()) {
     Context& former = Context::instance();
     const Result<void> began = begin_next(former);
     if (began) {
@@ -232,7 +236,7 @@ void Reregistration::move_everything(Context& present) {
   abandon_pending([&](const Pending& entry) { return entry.heir->context() != &present; });
   auto look = std::chrono::milliseconds{1};
   auto again = std::chrono::milliseconds{1000};  // after a refusal
-  for (bool first = true; !exit_has_begun(); first = false) {
+  for (bool first = true; !exit_has_begun() && !LibraryThread::is_over(); first = false) {
     if (present.is_alone_.load(std::memory_order_acquire)) {
       abandon_pending([](const Pending&) { return true; });
       return begin();

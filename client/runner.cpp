@@ -3,19 +3,11 @@
 #include <client/forked_child.hpp>
 #include <client/runner.hpp>
 
-#include <base/signals.hpp>
 #include <client/context.hpp>
 #include <client/executors/executor_core.hpp>
-#include <client/executors/node_thread.hpp>
 
-#include <pthread.h>
-#include <sys/epoll.h>
-
-#include <cerrno>
 #include <map>
 #include <mutex>
-#include <new>
-#include <system_error>
 #include <vector>
 
 namespace agnocast {
@@ -44,33 +36,10 @@ Places& places() {
 }  // namespace
 
 Result<void> Runner::host_by_thread() {
-  if (!thread_.joinable()) {
-    UniqueFd epoll(::epoll_create1(EPOLL_CLOEXEC));
-    if (!epoll) return fail(Errc::os_failure, "preparing a callback thread", errno);
-    auto tick = SleepTick::in(epoll.get(), tick_tag);
-    if (!tick) return tl::unexpected<Failure>(tick.error());
-    if (Result<void> added = sleeper()->add_to(epoll.get(), eventfd_tag, datagram_tag); !added)
-      return added;
-    const int number = epoll.get();
-    int error = 0;
-    try {
-      const SignalsBlocked blocked;
-      thread_ =
-          std::thread([callbacks = callbacks_, epoll = std::move(epoll), tick = std::move(*tick)] {
-            serve(*callbacks, epoll.get(), tick);
-            // Its number may soon be somebody else's.
-            if (!is_forked_child()) callbacks->sleeper()->remove_from(epoll.get());
-          });
-    } catch (const std::system_error& refused) {
-      error = refused.code().value();
-    } catch (const std::bad_alloc&) {
-      error = ENOMEM;
-    }
-    if (error != 0) {
-      sleeper()->remove_from(number);  // closed by now: what comes later must not get into it
-      return fail(Errc::os_failure, "starting a callback thread", error);
-    }
-    ::pthread_setname_np(thread_.native_handle(), "agnocast-call");
+  if (thread_ == nullptr) {
+    auto started = NodeThread::start(callbacks_);
+    if (!started) return tl::unexpected<Failure>(started.error());
+    thread_ = std::move(*started);
   }
   callbacks_->hand_to(callbacks_.get());
   return {};
@@ -103,7 +72,7 @@ Result<std::shared_ptr<Runner>> Runner::of_node(const std::string& node) {
 
 Runner::~Runner() {
   if (is_forked_child()) {
-    new std::thread(std::move(thread_));  // left alone: the thread is the parent's
+    if (thread_ != nullptr) thread_->abandon();
     return;
   }
   {
@@ -115,12 +84,7 @@ Runner::~Runner() {
     all.forget_if_unused(callbacks_->node());
   }
   callbacks_->stop();
-  if (!thread_.joinable()) return;
-  if (thread_.get_id() == std::this_thread::get_id()) {
-    thread_.detach();
-  } else {
-    thread_.join();
-  }
+  if (thread_ != nullptr) thread_->join();
 }
 
 Result<void> Runner::claim(const std::string& node, ExecutorCore& executor) {

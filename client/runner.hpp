@@ -11,10 +11,10 @@
 
 #include <agnocast/result.hpp>
 #include <client/executors/node_callbacks.hpp>
+#include <client/executors/node_thread.hpp>
 
 #include <memory>
 #include <string>
-#include <thread>
 #include <utility>
 
 namespace agnocast {
@@ -48,9 +48,9 @@ class Runner {
       : callbacks_(std::move(callbacks)) {}
   Result<void> host_by_thread();
 
-  // Shared with the thread: the last subscription may go inside its own callback.
+  // Both shared with the thread: the last subscription may go inside its own callback.
   const std::shared_ptr<NodeCallbacks> callbacks_;
-  std::thread thread_;
+  std::shared_ptr<NodeThread> thread_;  // null: none was needed yet
 };
 
 }  // namespace agnocast

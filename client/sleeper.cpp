@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <base/kept_fd.hpp>
 #include <client/forked_child.hpp>
 #include <client/sleeper.hpp>
 
@@ -13,7 +14,7 @@
 namespace agnocast {
 
 Result<std::shared_ptr<Sleeper>> Sleeper::make() {
-  UniqueFd eventfd(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
+  UniqueFd eventfd = keep(UniqueFd(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)));
   if (!eventfd) return fail(Errc::os_failure, "making an eventfd", errno);
   return std::make_shared<Sleeper>(std::move(eventfd));
 }
@@ -26,6 +27,7 @@ Sleeper::~Sleeper() {
 }
 
 void Sleeper::leave(int epoll) const noexcept {
+  if (has_lost_kept()) return;  // these numbers may be others'
   ::epoll_ctl(epoll, EPOLL_CTL_DEL, eventfd_.get(), nullptr);
   for (const auto& [membership, place] : places_) place->bells.remove_from(epoll);
 }
@@ -90,10 +92,15 @@ void Sleeper::remove_from(int epoll) noexcept {
 
 void Sleeper::drain() noexcept {
   const std::lock_guard lock(mutex_);
-  for (const auto& [membership, place] : places_) place->bells.drain();
+  for (const auto& [membership, place] : places_) {
+    if (place->bells.drain()) continue;
+    // Who rings by datagram alone is heard at the next look around.
+    for (const Set& set : sets_) place->bells.mute(set.epoll);
+  }
 }
 
 void Sleeper::wake() const noexcept {
+  if (!may_use(eventfd_.get())) return;
   const std::uint64_t one = 1;
   [[maybe_unused]] const ssize_t written = ::write(eventfd_.get(), &one, sizeof one);
 }

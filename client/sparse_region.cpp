@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <base/kept_fd.hpp>
+#include <base/memfd.hpp>
 #include <client/forked_child.hpp>
 #include <client/sparse_region.hpp>
 
@@ -41,7 +43,7 @@ struct flock whole(short type) noexcept {
 SparseRegion::~SparseRegion() {
   if (!is_ours_) return;
   struct flock lock = whole(F_UNLCK);
-  ::fcntl(fd_.get(), F_OFD_SETLK, &lock);
+  if (is_intact(fd_.get())) ::fcntl(fd_.get(), F_OFD_SETLK, &lock);
   leave_to_forked_children(fd_.get());
 }
 
@@ -55,9 +57,7 @@ void SparseRegion::swap(SparseRegion& other) noexcept {
 Result<void> SparseRegion::claim() noexcept {
   if (Result<void> closed = close_in_forked_children(fd_.get()); !closed) return closed;
   is_ours_ = true;
-  struct flock lock = whole(F_WRLCK);
-  if (::fcntl(fd_.get(), F_OFD_SETLK, &lock) == 0) return {};
-  return fail(Errc::os_failure, "locking a client region", errno);
+  return lock_for_writing(fd_.get());
 }
 
 bool SparseRegion::is_claimed() const noexcept {
@@ -74,6 +74,7 @@ Result<void> SparseRegion::open(std::uint64_t offset, std::uint64_t bytes) noexc
   const std::uint64_t whole = (bytes + abi::page_bytes - 1) & ~(abi::page_bytes - 1);
   const int protection = access_ == Mapping::Access::read ? PROT_READ : PROT_READ | PROT_WRITE;
   std::byte* const at = reservation_.base() + offset;
+  if (!is_intact(fd_.get())) return fail(Errc::os_failure, "mapping a part of a region", EBADF);
   if (::mmap(at, whole, protection, MAP_SHARED | MAP_FIXED, fd_.get(),
              static_cast<off_t>(offset)) == MAP_FAILED) {
     if (errno == EAGAIN) return tl::unexpected(lock_refusal(whole));

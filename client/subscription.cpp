@@ -2,6 +2,7 @@
 //
 // The untyped half of Subscription and ipc_shared_ptr: what their templates call.
 
+#include <agnocast/message_windows.hpp>
 #include <agnocast/subscription.hpp>
 #include <client/context.hpp>
 #include <client/forked_child.hpp>
@@ -40,6 +41,20 @@ void end_block(detail::Block* last) noexcept {
   Context::instance().release(received);
   received.link->keep(own);
 }
+
+}  // namespace
+
+namespace detail {
+
+WindowSet windows_of(const Block* block) noexcept {
+  if (block == nullptr || block->end != end_block) return {};
+  const auto& received = static_cast<const ReceivedBlock*>(block)->received;
+  return received.link->peer().heap().group_of(received.taken.address);
+}
+
+}  // namespace detail
+
+namespace {
 
 // Received messages, chained in order.
 class BlockReceiver final : public Receiver {
@@ -95,6 +110,11 @@ class SubscriptionSource final : public CallbackSource {
       : endpoint_(std::move(endpoint)),
         callback_(std::move(callback)),
         events_(std::move(events)) {}
+  ~SubscriptionSource() override {
+    const UserSignals as_creator(signals);
+    callback_ = nullptr;
+    events_ = {};
+  }
 
   bool has_work() const noexcept override {
     return endpoint_->events().has_pending() || (callback_ != nullptr && endpoint_->has_news());
@@ -110,8 +130,8 @@ class SubscriptionSource final : public CallbackSource {
 
  private:
   const std::shared_ptr<SubscriptionEndpoint> endpoint_;
-  const detail::UntypedSubscription::Callback callback_;
-  const detail::EventCallbacks events_;
+  detail::UntypedSubscription::Callback callback_;
+  detail::EventCallbacks events_;
 };
 
 }  // namespace
@@ -198,6 +218,9 @@ std::vector<UntypedSubscription::Writer> UntypedSubscription::writers() const {
       all.push_back({lineage, is_gone});
     });
   return all;
+}
+void UntypedSubscription::look_again() noexcept {
+  if (endpoint_ != nullptr) endpoint_->events().drained();
 }
 void UntypedSubscription::tell(std::shared_ptr<Watch> watch) noexcept {
   if (endpoint_ != nullptr) endpoint_->events().tell(std::move(watch));

@@ -234,18 +234,32 @@ inline bool SubscriptionEndpoint::take_here(Receiver& receiver) noexcept {
   const std::shared_ptr<Link>& link = links_.front();
   if (!link->core_.has_news() || !can_take(*link)) return false;
   link->head_ = link->core_.look();
-  return take_from(link, receiver, receiver.wanted()) == Attempt::taken;
+  return take_from<false>(link, receiver, receiver.wanted()) == Attempt::taken;
 }
 
+/// Once more at those that had nothing to take.
+void SubscriptionEndpoint::look_at_empty() const noexcept {
+  for (const auto& link : links_) {
+    if (!link->next_stamp_) look_at(*link);
+  }
+}
+
+// One look at link after link may see what a thread has published last and not what it published before
+// that elsewhere. So a message is only taken when every link without one was looked at after that message
+// had been seen: what was published before it had been committed by then, and is seen. What such a look
+// finds itself may be older than all that was seen, and is taken: then whatever its publisher's thread
+// published before is older than that as well, and was committed before the look began.
 bool SubscriptionEndpoint::take_oldest(Receiver& receiver) noexcept {
   drop_beyond_depth();
   for (const auto& link : links_) look_at(*link);
   bool has_taken = false;
-  // A link whose candidate was gone when looked at closely is asked again.
-  for (std::size_t lost = 0; lost <= links_.size();) {
+  // A link whose candidate was gone when looked at closely is asked again. Were its publisher faster than
+  // that, the next call goes on.
+  for (std::uint64_t lost = 0; lost < 2 * abi::ring_count;) {
+    if (oldest() == nullptr) break;
+    look_at_empty();
     const std::shared_ptr<Link>* const link = oldest();
-    if (link == nullptr) break;
-    const Attempt attempt = take_from(*link, receiver, 1);
+    const Attempt attempt = take_from<true>(*link, receiver, 1);
     if (attempt == Attempt::no_room) break;
     if (attempt == Attempt::lost) {
       ++lost;
@@ -260,6 +274,7 @@ bool SubscriptionEndpoint::take_oldest(Receiver& receiver) noexcept {
 }
 
 /// By the look at the link that was had. `taken`: at least one, `most` at most.
+template <bool only_next>
 SubscriptionEndpoint::Attempt SubscriptionEndpoint::take_from(const std::shared_ptr<Link>& link,
                                                               Receiver& receiver,
                                                               std::size_t most) noexcept {
@@ -271,7 +286,7 @@ SubscriptionEndpoint::Attempt SubscriptionEndpoint::take_from(const std::shared_
     link->windows_.expect(link->is_orphaned_ ? Unannounced::ignored
                           : is_alone_        ? Unannounced::lost
                                              : Unannounced::awaited);
-    const auto taken = link->core_.take(link->windows_, link->head_);
+    const auto taken = link->core_.take<only_next>(link->windows_, link->head_);
     note_losses(*link);
     if (!taken) {
       if (link->ceased_ && !link->core_.has_news()) events_->drained();
@@ -441,9 +456,10 @@ bool SubscriptionEndpoint::take_in_order(Receiver& receiver) noexcept {
     // Each round takes, loses or passes over something. Were a publisher faster than that, or is more
     // wanted, the next call goes on.
     for (std::uint64_t round = 0; round < 2 * abi::ring_count; ++round) {
-      Candidate next = oldest_in_order();
+      if (oldest_in_order().link == nullptr) break;
+      Candidate next = oldest_in_order();  // a second look: see take_oldest
       if (next.link == nullptr) break;
-      const Attempt attempt = next.of->take_from(*next.link, receiver, 1);
+      const Attempt attempt = next.of->take_from<true>(*next.link, receiver, 1);
       has_taken |= attempt == Attempt::taken;
       if (attempt == Attempt::no_room || receiver.wanted() == 0) break;
     }

@@ -293,8 +293,10 @@ class SubscriptionEndpoint {
   bool take_here(Receiver& receiver) noexcept;
   // Apart, so that a take that finds nothing saves no registers for them.
   [[gnu::noinline]] bool take_oldest(Receiver& receiver) noexcept;
+  template <bool only_next>
   [[gnu::noinline, gnu::flatten]] Attempt take_from(const std::shared_ptr<Link>& link,
                                                     Receiver& receiver, std::size_t most) noexcept;
+  void look_at_empty() const noexcept;
   [[gnu::noinline]] bool take_in_order(Receiver& receiver) noexcept;
   bool may_take() const noexcept;
   bool can_take(const Link& link) const noexcept;

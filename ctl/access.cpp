@@ -110,6 +110,18 @@ struct Allowed {
     if (has_more) all += ", and more";
     return all.empty() ? "nobody" : all;
   }
+  /// The same users and groups, however they are written.
+  bool same_as(const Allowed& other) const {
+    const auto all_in = [](const Allowed& these, const Allowed& those) {
+      return std::all_of(these.who.begin(), these.who.end(), [&](const Someone& one) {
+        return std::any_of(those.who.begin(), those.who.end(), [&](const Someone& another) {
+          return one.is_group == another.is_group && one.id == another.id;
+        });
+      });
+    };
+    return everybody == other.everybody &&
+           (everybody || (all_in(*this, other) && all_in(other, *this)));
+  }
   Object object() const {
     Object list = Object::array();
     for (const Someone& one : who) list.push_back(one.object());
@@ -244,10 +256,27 @@ Verdict verdict_on_door(const User& user, const SocketFile& socket) {
                                                 : "as neither its owner nor in its group"};
 }
 
+/// Another topic of a process that publishes the one in question, to which others may subscribe: they
+/// read the same heap. The daemon lets no process have both, unless its rules were changed since.
+struct Beside {
+  std::string topic;
+  std::uint32_t pid = 0;
+  Allowed subscribe;
+
+  std::string why() const {
+    return escaped(topic) + ", which process " + std::to_string(pid) +
+           " publishes as well (" + subscribe.why + "); restart it";
+  }
+  Object object() const {
+    return {{"topic", topic}, {"pid", pid}, {"subscribe", subscribe.object()}};
+  }
+};
+
 struct Report {
   std::string topic, socket_path;
   std::uint64_t domain = 0;
   Allowed publish, subscribe;
+  std::vector<Beside> beside;
   SocketFile socket;
   User user;
   wire::UserShare used{}, quota{};
@@ -258,6 +287,8 @@ struct Report {
 Object object_of(const Report& report) {
   Object groups = Object::array();
   for (const gid_t gid : report.user.groups) groups.push_back(Someone::group(gid).object());
+  Object memory = Object::array();
+  for (const Beside& one : report.beside) memory.push_back(one.object());
   Object socket{{"path", report.socket_path}};
   socket["mode"] = report.socket.mode_text();
   socket["owner"] = report.socket.owner.object();
@@ -267,6 +298,7 @@ Object object_of(const Report& report) {
           {"domain", report.domain},
           {"publish", report.publish.object()},
           {"subscribe", report.subscribe.object()},
+          {"memory", memory},
           {"socket", socket},
           {"user",
            {{"name", report.user.who.object()["name"]},
@@ -294,6 +326,8 @@ void print(const Report& report, Console& console) {
   rules.add({"connect", connect.words(), connect.why});
   rules.add({"publish", report.publish.words(), report.publish.why});
   rules.add({"subscribe", report.subscribe.words(), report.subscribe.why});
+  for (const Beside& one : report.beside)
+    rules.add({"memory", one.subscribe.words(), one.why()});
   rules.print(console);
   console.line("");
   console.line(console.strong(report.user.who.words()));
@@ -312,6 +346,31 @@ void print(const Report& report, Console& console) {
   for (const auto& [key, limit] : quota.items())
     quotas.add({key, share_text(key, used[key]), share_text(key, limit)});
   quotas.print(console);
+}
+
+/// What else the publishers' processes publish for other readers.
+Outcome<std::vector<Beside>> topics_beside(Look& look, const Report& report) {
+  std::vector<Beside> all;
+  const auto publishes = [](const Topic& topic, std::uint64_t client) {
+    return std::any_of(
+        topic.publishers.begin(), topic.publishers.end(),
+        [&](const Endpoint& publisher) { return publisher.facts.client == client; });
+  };
+  for (const auto& [index, own] : look.system.topics) {
+    if (own.name != report.topic || own.facts.domain != report.domain) continue;
+    for (const auto& [client, process] : look.system.processes) {
+      if (!publishes(own, client)) continue;
+      for (const auto& [other_index, other] : look.system.topics) {
+        if (other_index == index || !publishes(other, client)) continue;
+        const auto access = look.observer.access(report.domain, other.name);
+        if (!access) return tl::unexpected(access.error());
+        Allowed subscribe = allowed_by(access->subscribe);
+        if (!subscribe.same_as(report.subscribe))
+          all.push_back({other.name, process.facts.pid, std::move(subscribe)});
+      }
+    }
+  }
+  return all;
 }
 
 }  // namespace
@@ -333,6 +392,9 @@ Outcome<void> show_access(const Arguments& arguments, Console& console) {
   report.domain = arguments.domain;
   report.publish = allowed_by(access->publish);
   report.subscribe = allowed_by(access->subscribe);
+  auto beside = topics_beside(*look, report);
+  if (!beside) return tl::unexpected(beside.error());
+  report.beside = std::move(*beside);
   report.socket_path = arguments.socket;
   report.socket = SocketFile::at(arguments.socket);
   report.user = std::move(*user);

@@ -322,7 +322,7 @@ class Parser {
 };
 
 std::optional<std::string> environment(const char* name) {
-  const char* const value = std::getenv(name);
+  const char* const value = ::secure_getenv(name);
   if (value == nullptr || *value == '\0') return std::nullopt;
   return value;
 }

@@ -162,8 +162,15 @@ Object service_object(const BridgeService& service) {
           {"refused", service.refused},
           {"timed_out", service.timed_out},
           {"forgotten", service.forgotten},
+          {"unasked", service.unasked},
           {"age_ns", service.age_ns},
           {"last_age_ns", number_or_null(service.last_age_ns)}};
+}
+Object limits_object(const BridgeState& bridge) {
+  Object list = Object::array();
+  for (const BridgeState::Limit& limit : bridge.limits)
+    list.push_back({{"limit", limit.limit}, {"most", limit.most}, {"refused", limit.refused}});
+  return list;
 }
 Object heading_object(const BridgeState& bridge) {
   return {{"domain", bridge.domain},
@@ -174,8 +181,10 @@ Object heading_object(const BridgeState& bridge) {
           {"participants", bridge.participants},
           {"has_daemon", bridge.has_daemon},
           {"standby_for", number_or_null(bridge.standby_for)},
+          {"announced", bridge.announced},
           {"lost_early", bridge.lost_early},
-          {"discovery_info_refused", bridge.discovery_info_refused}};
+          {"discovery_info_refused", bridge.discovery_info_refused},
+          {"limits", limits_object(bridge)}};
 }
 
 Object list_object(const std::vector<BridgeState>& bridges, const Rates& rates) {
@@ -274,12 +283,20 @@ void print_list(const std::vector<BridgeState>& bridges, const Rates& rates, boo
     if (!bridge.has_daemon) console.line(name + "has no daemon");
     if (bridge.standby_for)
       console.line(name + "stands by for pid " + std::to_string(*bridge.standby_for));
+    if (bridge.announced != 0)
+      console.line(name + "announces " + counted(bridge.announced, "publisher") +
+                   " in DDS that nobody reads there");
     if (bridge.lost_early != 0)
       console.line(name + "has lost " + counted(bridge.lost_early, "message") +
                    " of publishers that it had not heard of in time");
     if (bridge.discovery_info_refused != 0)
       console.line(name + "has refused " + counted(bridge.discovery_info_refused, "message") +
                    " about nodes in DDS (ros_discovery_info)");
+    for (const BridgeState::Limit& limit : bridge.limits) {
+      if (limit.refused != 0)
+        console.line(name + "has refused " + std::to_string(limit.refused) + " beyond the limit " +
+                     escaped(limit.limit) + " (" + std::to_string(limit.most) + ")");
+    }
     for (const auto& [what, why] : bridge.failures)
       console.line("\n" + escaped(what) + " could not be made: " + escaped(why));
   }
@@ -325,6 +342,8 @@ void print_service(const BridgeService& service, Console& console) {
                  std::to_string(service.refused) + " refused, " +
                  std::to_string(service.timed_out) + " timed out, " +
                  std::to_string(service.forgotten) + " forgotten");
+  if (service.unasked != 0)
+    console.line("  Unasked: " + counted(service.unasked, "response") + " that nobody waits for");
   console.line("  Since: " + duration_for_people(service.age_ns));
 }
 

@@ -158,7 +158,7 @@ Outcome<std::string> read_text(const std::string& path) {
 }  // namespace
 
 std::vector<std::string> bridge_sockets(const std::string& daemon_socket) {
-  if (const char* const named = std::getenv("AGNOCAST_BRIDGE_SOCKET");
+  if (const char* const named = ::secure_getenv("AGNOCAST_BRIDGE_SOCKET");
       named != nullptr && *named != '\0')
     return {named};
   std::vector<std::string> directories{std::filesystem::path(daemon_socket).parent_path().string()};
@@ -195,9 +195,18 @@ Outcome<BridgeState> parse_bridge(std::string_view text, const std::string& path
   fields("has_daemon", state.has_daemon);
   // A bridge that says nothing of these, and below of losses, is active and has lost nothing.
   if (fields.has("standby_for")) fields("standby_for", state.standby_for);
+  if (fields.has("announced")) fields("announced", state.announced);
   if (fields.has("lost_early")) fields("lost_early", state.lost_early);
   if (fields.has("discovery_info_refused"))
     fields("discovery_info_refused", state.discovery_info_refused);
+  if (fields.has("limits")) {
+    fields.each("limits", [&](Fields& of) {
+      BridgeState::Limit& limit = state.limits.emplace_back();
+      of("limit", limit.limit);
+      of("most", limit.most);
+      of("refused", limit.refused);
+    });
+  }
   fields.each("outlets", [&](Fields& of) {
     BridgeEndpoint& endpoint = state.endpoints.emplace_back();
     read_traffic(of, endpoint);
@@ -246,6 +255,7 @@ Outcome<BridgeState> parse_bridge(std::string_view text, const std::string& path
     of("refused", service.refused);
     of("timed_out", service.timed_out);
     of("forgotten", service.forgotten);
+    if (of.has("unasked")) of("unasked", service.unasked);
     of("age_ns", service.age_ns);
     of("last_age_ns", service.last_age_ns);
   });

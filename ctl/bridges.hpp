@@ -56,6 +56,7 @@ struct BridgeService {
   std::uint64_t matched_writers = 0, matched_readers = 0;
   std::uint64_t requests = 0, request_bytes = 0, responses = 0, response_bytes = 0;
   std::uint64_t malformed = 0, refused = 0, timed_out = 0, forgotten = 0;
+  std::uint64_t unasked = 0;  // responses that nobody waits for
   std::uint64_t age_ns = 0;
   std::optional<std::uint64_t> last_age_ns;
 
@@ -80,8 +81,14 @@ struct BridgeState {
   std::uint64_t pid = 0, domain = 0, uptime_ns = 0, participants = 0;
   bool has_daemon = false;
   std::optional<std::uint64_t> standby_for;  // the pid of the bridge that is active in its place
+  std::uint64_t announced = 0;   // writers in DDS that nobody reads
   std::uint64_t lost_early = 0;  // messages of publishers that nobody had told of in time
   std::uint64_t discovery_info_refused = 0;  // messages about ROS's graph
+  struct Limit {
+    std::string limit;
+    std::uint64_t most = 0, refused = 0;
+  };
+  std::vector<Limit> limits;  // of what others in DDS may make it keep
   std::vector<BridgeEndpoint> endpoints;
   std::vector<BridgeInlet> inlets;
   std::vector<BridgeTap> taps;

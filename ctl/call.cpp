@@ -3,6 +3,7 @@
 // service call: a client whose request is written on the command line, in a file or on standard input,
 // and that prints the response.
 
+#include <agnocast/relay.hpp>
 #include <agnocast/generic_service.hpp>
 #include <base/text.hpp>
 #include <ctl/commands.hpp>
@@ -66,7 +67,9 @@ class Caller {
     if (!waited) return waited;
     try {
       const GenericMessage response = sent->future.get();
-      print(asked, Value::of(type_.response.members(), response.get()), Clock::now() - begin);
+      const auto copy = try_copy_checked(response);
+      if (!copy) return problem_of(copy.error(), escaped(client_.get_service_name()));
+      print(asked, Value::of(type_.response.members(), copy->get()), Clock::now() - begin);
     } catch (const Error& error) {
       return problem_of(error.failure(), escaped(client_.get_service_name()));
     }

@@ -93,6 +93,12 @@ Ailments foreign_socket(const Facts& facts) {
       facts.away && (facts.door.error == EPROTOTYPE || is_code(facts, Errc::protocol_violation)),
       {"another program listens at " + at_door(facts), elsewhere(facts)});
 }
+Ailments daemon_untrusted(const Facts& facts) {
+  return when(is_code(facts, Errc::daemon_untrusted),
+              {"user " + std::to_string(facts.door.server) + " listens at " + at_door(facts) +
+                   ", and neither root, nor this user, nor whom root has given its directory",
+               elsewhere(facts)});
+}
 Ailments not_in_group(const Facts& facts) {
   return when(is_refused_by_mode(facts) && is_for_group(facts) && !facts.door.group_lists_user,
               {"user " + escaped(facts.shell.user) + " is not in the group " +
@@ -173,6 +179,7 @@ Ailments daemon_silent(const Facts& facts) {
       door.listener_stopped || is_code(facts, Errc::layout_mismatch) ||
       is_code(facts, Errc::store_damaged) || is_code(facts, Errc::quota_exceeded) ||
       is_code(facts, Errc::protocol_violation) || is_code(facts, Errc::descriptors_withheld) ||
+      is_code(facts, Errc::daemon_untrusted) ||
       is_short_of_descriptors(facts);
   return when(facts.away && door.kind == Kind::socket && door.closed.empty() && !is_named,
               {"whoever listens at " + at_door(facts) +
@@ -296,6 +303,10 @@ constexpr Check table[] = {
     {"foreign-socket", "the socket is agnocastd's", failed, always,
      "it speaks another protocol: another program has this path",
      "ELSEWHERE", foreign_socket},
+    {"daemon-untrusted", "who listens at the socket is trusted", failed, always,
+     "another user's program would be told who we are, and its memory would be mapped. If agnocastd has a user of its own, and that one is meant: "
+     "export AGNOCAST_DAEMON_UID with its number, or give it the directory of the socket as root",
+     "ELSEWHERE", daemon_untrusted},
     {"not-in-group", "this user is in the socket's group", failed, always,
      "the socket is open to its group only; a new membership is seen by the next login",
      "sudo usermod -aG GROUP USER", not_in_group},

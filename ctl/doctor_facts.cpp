@@ -96,7 +96,7 @@ bool is_agnocastd(pid_t pid) { return pid > 0 && command_name(pid).starts_with("
 // --- this shell
 
 std::optional<std::string> variable(const char* name) {
-  const char* const value = std::getenv(name);
+  const char* const value = ::secure_getenv(name);
   if (value == nullptr || *value == '\0') return std::nullopt;
   return value;
 }
@@ -212,8 +212,10 @@ Door look_at_door(const std::string& path, const Shell& shell) {
   } else {
     ucred who{};
     socklen_t bytes = sizeof who;
-    if (::getsockopt(socket->fd(), SOL_SOCKET, SO_PEERCRED, &who, &bytes) == 0)
+    if (::getsockopt(socket->fd(), SOL_SOCKET, SO_PEERCRED, &who, &bytes) == 0) {
       door.listener = who.pid;
+      door.server = who.uid;
+    }
   }
   if (const pid_t daemon = daemon_of(path); daemon != 0) door.listener = daemon;
   door.listener_stopped = is_listener_stopped(door);

@@ -43,6 +43,7 @@ struct Door {
   std::string group;
   bool group_lists_user = false;  // in the database of groups, whatever this shell has
   int error = 0;                  // of connect; 0: somebody listens
+  uid_t server = 0;               // who made it listen
   pid_t listener = 0;             // who began to listen; 0: nobody, or long ago
   bool listener_stopped = false;
 };

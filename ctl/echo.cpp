@@ -3,6 +3,7 @@
 // topic echo: a subscription that prints.
 
 #include <agnocast/generic.hpp>
+#include <agnocast/relay.hpp>
 #include <base/text.hpp>
 #include <ctl/commands.hpp>
 #include <ctl/filter.hpp>
@@ -61,7 +62,15 @@ class Printer {
       print_raw(message);
       return true;
     }
-    const Value whole = Value::of(*message.members(), message.get());
+    // What is printed may be another user's to see: only what the publisher itself has in its memory.
+    const auto copy = try_copy_checked(message);
+    if (!copy) {
+      note("message " + std::to_string(message.info().sequence) + " of publisher " +
+           std::to_string(message.info().publisher) +
+           " leads out of its publisher's memory, and is not shown");
+      return false;
+    }
+    const Value whole = Value::of(*message.members(), copy->get());
     if (filter && !filter->accepts(whole)) return false;
     const std::optional<Value> value = field ? field->in(whole) : whole;
     if (!value) return false;  // an element that this message does not have

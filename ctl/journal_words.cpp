@@ -174,6 +174,8 @@ std::string deed_of(const JournalRecord& record) {
       return "created";
     case RecordType::open_executor:
       return "opened executor " + number_of(record, "executor");
+    case RecordType::readers:
+      return "publishes, for one set of readers";
     case RecordType::free_topic:
       return "is over: nobody publishes or subscribes there";
     case RecordType::raise_slots:

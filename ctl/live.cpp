@@ -32,6 +32,7 @@ Status status_of(Errc code) {
       return Status::not_reachable;
     case Errc::permission_denied:
     case Errc::access_denied:
+    case Errc::daemon_untrusted:
       return Status::permission_denied;
     case Errc::type_not_found:
       return Status::no_such_thing;

@@ -48,7 +48,10 @@ Object share_object(const wire::UserShare& share) {
           {"executors", limit_or_null(share.executors)},
           {"heap_bytes", limit_or_null(share.heap_bytes)},
           {"held_messages", limit_or_null(share.held_messages)},
-          {"topics", limit_or_null(share.topics)}};
+          {"topics", limit_or_null(share.topics)},
+          {"queued_bytes", limit_or_null(share.queued_bytes)},
+          {"queued_seconds", limit_or_null(share.queued_seconds)},
+          {"dumps_per_second", limit_or_null(share.dumps_per_second)}};
 }
 
 Object status_object(const System& system, const std::string& socket) {
@@ -74,7 +77,6 @@ Object status_object(const System& system, const std::string& socket) {
             {"layout", hexadecimal(abi::fingerprint())},
             {"connections", daemon.connections},
             {"observers", daemon.observers},
-            {"unlocked_count", daemon.unlocked_count},
             {"log_level", level_word(daemon.log_level)},
             {"kept_descriptors", daemon.kept_descriptors},
             {"kept_descriptors_max", daemon.kept_descriptors_max}}},

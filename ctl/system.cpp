@@ -4,6 +4,7 @@
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <agnocast/error.hpp>
+#include <base/daemon_socket.hpp>
 #include <base/text.hpp>
 
 #include <fcntl.h>
@@ -29,7 +30,8 @@ using wire::Opcode;
 constexpr int patience_ms = 5'000;
 
 Status status_of(Errc code) noexcept {
-  if (code == Errc::permission_denied || code == Errc::access_denied)
+  if (code == Errc::permission_denied || code == Errc::access_denied ||
+      code == Errc::daemon_untrusted)
     return Status::permission_denied;
   if (code == Errc::daemon_not_running) return Status::not_reachable;
   if (code == Errc::endpoint_gone) return Status::no_such_thing;
@@ -118,7 +120,7 @@ tl::unexpected<Problem> Observer::without_descriptors() const {
 }
 
 Outcome<Observer> Observer::connect(const std::string& path) {
-  auto socket = PacketSocket::connect(path);
+  auto socket = connect_to_daemon(path);
   if (!socket) {
     const Failure& failure = socket.error();
     if (failure.os_errno == EPROTOTYPE)
@@ -126,6 +128,7 @@ Outcome<Observer> Observer::connect(const std::string& path) {
     std::string why = sentence_of(failure.code);
     if (failure.code == Errc::invalid_argument || failure.code == Errc::os_failure)
       why = failure.what;
+    if (failure.code == Errc::daemon_untrusted) why += std::string(": ") + escaped(detail_of(failure));
     if (failure.os_errno != 0) why += ": " + std::generic_category().message(failure.os_errno);
     return tl::unexpected(Problem{status_of(failure.code), escaped(path), why,
                                   remedy_of(failure.code), failure.code});

@@ -9,8 +9,10 @@
 #include <base/clock.hpp>
 #include <base/names.hpp>
 #include <base/step.hpp>
+#include <daemon/memory_reserve.hpp>
 
 #include <fcntl.h>
+#include <malloc.h>
 #include <sys/epoll.h>
 #include <sys/socket.h>
 #include <unistd.h>
@@ -18,7 +20,9 @@
 #include <algorithm>
 #include <array>
 #include <cerrno>
+#include <cstring>
 #include <iterator>
+#include <new>
 #include <utility>
 
 namespace agnocast::daemon {
@@ -36,11 +40,16 @@ constexpr std::uint64_t turn_budget_ns = 2'000'000;
 constexpr unsigned connections_per_turn = 8;
 // How often a process without a connection is looked at.
 constexpr int short_interval_ms = 250;
-// How long looking at them may take at a time, and how many times as long the daemon does other things
-// after a look that took longer.
+// How many times as long as a look has taken that took longer than this no process of that user is looked at
+// again; and how many of its processes wait for a look.
 constexpr std::uint64_t look_budget_ns = 20'000'000, look_rest = 20;
+constexpr std::size_t looks_waiting_max = 256;
 // How often holds are looked at, what is let go of, and observers.
 constexpr int watch_interval_ms = 1'000;
+// Windows of one user that are being received at a time. One process brings one after the other.
+constexpr std::size_t receiving_count_max = 64;
+
+constexpr std::string_view no_memory_text = "agnocastd has no memory left";
 
 // To a connection that is not taken: it is closed afterwards, but not without a word.
 void send_refused(const PacketSocket& socket, Errc code, std::string_view text) noexcept {
@@ -53,12 +62,14 @@ void send_refused(const PacketSocket& socket, Errc code, std::string_view text) 
 }  // namespace
 
 Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, Listener& listener,
-               Regions regions, DescriptorStore& store)
+               Regions regions, DescriptorStore& store, Errands& errands, Disposal& disposal)
     : options_(options),
       log_(log),
       dispatcher_(dispatcher),
       listener_(listener),
       store_(store),
+      errands_(errands),
+      disposal_(disposal),
       regions_(std::move(regions)),
       registry_(regions_.memory(), {options.config.limits.clients, options.config.limits.topics,
                                     options.config.limits.publishers_per_topic,
@@ -91,6 +102,8 @@ Broker::~Broker() {
   for (auto& [id, peer] : peers_) {
     dispatcher_.remove(peer->connection);
     dispatcher_.remove(peer->process);
+    // The end of the process closes it, and does not linger.
+    static_cast<void>(peer->session.close().release());
   }
 }
 
@@ -118,7 +131,25 @@ void Broker::accept_some() {
     }
     if (!*socket) return;
     accept(std::move(**socket));
+    if (!listens_) return;
   }
+}
+
+void Broker::pause_listening() {
+  dispatcher_.change(listening_, 0);
+  listens_ = false;
+}
+
+void Broker::close_connection(Peer& peer) {
+  const MemoryReserve::MustNotFail must_not_fail;
+  const bool may_carry = peer.session.may_carry();
+  UniqueFd socket = peer.session.close();
+  if (may_carry) disposal_.close_connection(peer.session.identity().uid, std::move(socket));
+}
+
+void Broker::close_connection(PacketSocket socket, std::uint32_t uid) {
+  if (refuses_descriptors(socket.fd())) return;
+  disposal_.close_connection(uid, socket.release());
 }
 
 void Broker::turn_away() {
@@ -126,8 +157,11 @@ void Broker::turn_away() {
   spare_.reset();
   {
     auto socket = listener_.socket().accept();
-    if (socket && *socket)
+    if (socket && *socket) {
       send_refused(**socket, Errc::limit_reached, "the daemon has no descriptor left");
+      const std::uint32_t uid = uid_of((*socket)->fd());
+      close_connection(std::move(**socket), uid);
+    }
   }
   spare_.reset(::open("/dev/null", O_RDONLY | O_CLOEXEC));
   log_.write_limited(
@@ -136,6 +170,11 @@ void Broker::turn_away() {
 }
 
 void Broker::accept(PacketSocket socket) {
+  if (!MemoryReserve::refill()) {
+    ++registry_.counters().connections_refused;
+    send_refused(socket, Errc::limit_reached, no_memory_text);
+    return;
+  }
   auto identity = identify_peer(socket.fd());
   if (!identity) {
     log_.write_limited("identify", LogLevel::warning, "connection refused",
@@ -143,10 +182,21 @@ void Broker::accept(PacketSocket socket) {
                         {"errno", identity.error().os_errno},
                         {"why", identity.error().what}});
     send_refused(socket, identity.error().code, identity.error().what);
+    const std::uint32_t uid = uid_of(socket.fd());
+    close_connection(std::move(socket), uid);
     return;
   }
   AGNOCAST_CRASH_POINT(B_accepted);
   const std::uint32_t uid = identity->uid;
+  if (disposal_.is_full(uid)) {
+    log_.write_limited("disposal uid=" + std::to_string(uid), LogLevel::error,
+                       "connections cannot be closed",
+                       {{"pid", identity->pid},
+                        {"uid", uid},
+                        {"count", disposal_.waiting(uid)},
+                        {"why", "what this user has sent does not come to its end"}});
+    pause_listening();
+  }
   Connections& used = connections_[uid];
   // Who has all the clients he may have can still look at them: such a connection can only observe.
   // Processes that have lost their connection may come back.
@@ -163,10 +213,17 @@ void Broker::accept(PacketSocket socket) {
                         {"used", used.clients},
                         {"asked", 1},
                         {"code", "quota_exceeded"}});
+    close_connection(std::move(socket), uid);
     return;
   }
+  // A former daemon may have listened without.
+  const bool may_carry = !refuses_descriptors(socket.fd());
+  if (may_carry) refuse_descriptors(socket.fd());
   const PeerId id = ++last_peer_;
-  auto peer = std::make_unique<Peer>(Peer{id, Session(std::move(socket), std::move(*identity))});
+  used.queued->bytes_max = options_.config.quota.queued_bytes;
+  auto peer = std::make_unique<Peer>(
+      Peer{id, Session(std::move(socket), std::move(*identity), used.queued)});
+  peer->session.set_may_carry(may_carry);
   if (peer->session.identity().pid > 0) {
     peer->session.user_namespace =
         agnocast::user_namespace_of(peer->session.identity().pid).value_or(0);
@@ -180,6 +237,7 @@ void Broker::accept(PacketSocket socket) {
   if (!process) {
     if (connection) dispatcher_.remove(*connection);
     send_refused(peer->session.socket(), process.error().code, process.error().what);
+    close_connection(*peer);
     return;
   }
   peer->connection = *connection;
@@ -237,6 +295,7 @@ unsigned Broker::read_packets(PeerId id, const Turn& share) {
       say_farewell(peer);
       return turn;
     }
+    if (peer.parked) return turn;
     const bool observes = peer.session.role() == Role::observer;
     if (observes && turn > 0) return turn;  // a dump is work
     // A blocked writer is woken here as well: the handler does not tell the events apart.
@@ -244,6 +303,7 @@ unsigned Broker::read_packets(PeerId id, const Turn& share) {
       flush(peer);
       if (peers_.find(id) == peers_.end() || peer.session.closed()) return turn;
     }
+    if (peer.session.may_carry() && !may_receive(peer, buffer)) return turn;
     auto packet = peer.session.socket().receive(buffer);
     if (!packet) {
       disconnect(peer, packet.error().what);
@@ -256,19 +316,95 @@ unsigned Broker::read_packets(PeerId id, const Turn& share) {
     }
     if (packet->credentials && !peer.session.identity().confirmed)
       confirm(peer.session.identity(), *packet->credentials);
-    if (observes && peer.session.has_output()) {
+    if (observes && (peer.session.has_output() || peer.asked)) {
       disconnect(peer, "an observer asks before it has read");
       return turn;
     }
     AGNOCAST_CRASH_POINT(B_request);
     const Envelope envelope{packet->descriptor_count, packet->truncated, packet->descriptors_lost};
-    serve(peer, decode({buffer.data(), packet->bytes}, envelope, peer.session.role()),
-          packet->fds());
+    serve_packet(peer, {buffer.data(), packet->bytes}, envelope, packet->fds());
   }
   return share.left;
 }
 
+// The one place where a request may fail for want of memory. Until something is changed it is as if it
+// had never come; from then on there is the reserve.
+void Broker::serve_packet(Peer& peer, std::span<const std::byte> bytes, const Envelope& envelope,
+                          std::span<UniqueFd> fds) {
+  try {
+    if (!MemoryReserve::refill()) throw std::bad_alloc();
+    const MemoryReserve::MayFail may_fail;
+    serve(peer, decode(bytes, envelope, peer.session.role()), fds);
+    return;
+  } catch (const std::bad_alloc&) {
+  }
+  // Nothing that ends a connection may fail, so the peer is still there.
+  wire::Header header{};
+  if (bytes.size() >= sizeof header) std::memcpy(&header, bytes.data(), sizeof header);
+  const Request request =
+      Rejected{header.request, Errc::limit_reached, std::string(no_memory_text), false};
+  remember(peer, request, Errc::limit_reached, no_memory_text);
+  refuse(peer, request, header.request, Errc::limit_reached, ENOMEM, no_memory_text);
+}
+
+// A descriptor that is received is one to close, and the kernel may close some on the way. So a packet that
+// brings any is left where it is, and goes with its connection. Only a window is wanted.
+bool Broker::may_receive(Peer& peer, std::span<std::byte> buffer) {
+  const auto next = peer.session.socket().peek(buffer);
+  if (!next) {
+    disconnect(peer, next.error().what);
+    return false;
+  }
+  if (next->kind == Packet::Kind::nothing) {
+    // A sender that was let through just before the kernel began to refuse has come to its end by then.
+    constexpr std::uint64_t sending_ms = 1'000;
+    if (!peer.brings_windows && refuses_descriptors(peer.session.socket().fd()) &&
+        monotonic_ms() - peer.refuses_since_ms >= sending_ms)
+      peer.session.set_may_carry(false);
+    return false;
+  }
+  if (!next->has_descriptors) return true;
+  wire::BringWindow window{};
+  if (next->bytes == sizeof window) std::memcpy(static_cast<void*>(&window), buffer.data(), sizeof window);
+  if (window.header.opcode == wire::Opcode::bring_window &&
+      peer.session.role() == Role::client && peer.brings_windows &&
+      errands_.waiting(Errands::Lane::receiving, peer.session.identity().uid) <
+          receiving_count_max) {
+    receive_window(peer);
+    return false;
+  }
+  const PeerId id = peer.id;
+  serve_packet(peer, buffer.first(next->bytes), {1, next->truncated, true}, {});
+  if (const auto found = peers_.find(id); found != peers_.end() && !found->second->session.closed())
+    disconnect(*found->second, "descriptors came with a packet");
+  return false;
+}
+
+void Broker::park(Peer& peer) {
+  peer.parked = true;
+  dispatcher_.remove(peer.connection);
+  peer.connection = 0;
+}
+
+Broker::Peer* Broker::unpark(PeerId id) {
+  const auto found = peers_.find(id);
+  if (found == peers_.end() || !std::exchange(found->second->parked, false)) return nullptr;
+  Peer& peer = *found->second;
+  if (peer.session.closed()) return nullptr;
+  const auto token =
+      dispatcher_.add(peer.session.socket().fd(),
+                      peer.wants_writable || peer.revoked ? EPOLLIN | EPOLLOUT : EPOLLIN,
+                      [this, id](std::uint32_t) { wait_for_turn(id, false); });
+  if (!token) {
+    disconnect(peer, token.error().what);
+    return nullptr;
+  }
+  peer.connection = *token;
+  return peer.revoked ? nullptr : &peer;
+}
+
 void Broker::flush(Peer& peer) {
+  const MemoryReserve::MustNotFail completes;  // what is made for a packet is made once
   switch (peer.session.flush()) {
     case Session::Flushed::all:
       if (peer.wants_writable) dispatcher_.change(peer.connection, EPOLLIN);
@@ -285,18 +421,58 @@ void Broker::flush(Peer& peer) {
       peer.session.drop_output();
       break;
     case Session::Flushed::over:
-      // Not here: the caller may be in the middle of an announcement. The connection is shut, and
-      // its end is read like any other.
-      log_.write_limited("output uid=" + std::to_string(peer.session.identity().uid),
-                         LogLevel::warning, "connection ended",
-                         {{"pid", peer.session.identity().pid},
-                          {"uid", peer.session.identity().uid},
-                          {"queued", peer.session.queued_count()},
-                          {"why", "the process does not read"}});
-      ::shutdown(peer.session.socket().fd(), SHUT_RDWR);
-      peer.session.drop_output();
+      end_output(peer, "the process does not read");
       break;
   }
+}
+
+// Not disconnected: the caller may be in the middle of an announcement. The connection is shut, and its
+// end is read like any other.
+void Broker::end_output(Peer& peer, std::string_view why) {
+  const std::uint32_t uid = peer.session.identity().uid;
+  log_.write_limited("output uid=" + std::to_string(uid), LogLevel::warning, "connection ended",
+                     {{"pid", peer.session.identity().pid},
+                      {"uid", uid},
+                      {"queued", peer.session.queued_count()},
+                      {"bytes", peer.session.queued_bytes()},
+                      {"waited_ms", peer.session.waits_ms(monotonic_ms())},
+                      {"why", why}});
+  ::shutdown(peer.session.socket().fd(), SHUT_RDWR);
+  peer.session.drop_output();
+}
+
+// Whoever has most of what waits for this user: it reads least.
+void Broker::end_longest_output(std::uint32_t uid) {
+  Peer* most = nullptr;
+  for (const auto& [id, peer] : peers_) {
+    if (peer->session.identity().uid == uid && !peer->session.closed() &&
+        (most == nullptr || peer->session.queued_bytes() > most->session.queued_bytes()))
+      most = peer.get();
+  }
+  if (most != nullptr)
+    end_output(*most, "the processes of its user do not read, it least: [quota] queued_bytes is " +
+                          std::to_string(options_.config.quota.queued_bytes));
+}
+
+void Broker::end_old_output(std::uint64_t now) {
+  const std::uint64_t seconds = options_.config.quota.queued_seconds;
+  if (seconds == unlimited) return;
+  for (const auto& [id, peer] : peers_) {
+    // Of who was revoked only the word that says so is left, for whenever it reads again.
+    if (!peer->session.closed() && !peer->revoked && peer->session.waits_ms(now) > seconds * 1000)
+      end_output(*peer,
+                 "the process does not read: [quota] queued_seconds is " + std::to_string(seconds));
+  }
+}
+
+// malloc keeps what was freed. Once most of what was queued is not queued any more, its pages go back.
+void Broker::give_memory_back() {
+  constexpr std::uint64_t worth_it = std::uint64_t{8} << 20;
+  for (auto& [uid, used] : connections_) {
+    gives_back_ |= used.queued->peak >= worth_it && used.queued->bytes < used.queued->peak / 4;
+    if (used.queued->bytes < used.queued->peak / 4) used.queued->peak = used.queued->bytes;
+  }
+  if (std::exchange(gives_back_, false)) ::malloc_trim(0);
 }
 
 std::uint8_t Broker::whose(const Peer& peer) noexcept {
@@ -305,12 +481,13 @@ std::uint8_t Broker::whose(const Peer& peer) noexcept {
 }
 
 void Broker::disconnect(Peer& peer, std::string_view why) {
+  const MemoryReserve::MustNotFail must_not_fail;
+  MemoryReserve::no_return();
   AGNOCAST_CRASH_POINT(B_ended);
   dispatcher_.remove(peer.connection);
   peer.connection = 0;
-  peer.session.close();
-  const bool gone = peer.session.greeted() && !peer.ended && has_let_go(peer);
-  const auto decision = journal::decide_end(whose(peer), false, gone);
+  close_connection(peer);
+  const auto decision = journal::decide_end(whose(peer), false, false);
   if (decision == EndDecision::drop) {
     if (peer.session.role() == Role::observer)
       log_.write(LogLevel::debug, "observer gone",
@@ -321,17 +498,16 @@ void Broker::disconnect(Peer& peer, std::string_view why) {
   const ClientIndex client = *peer.session.client();
   log_.write(LogLevel::debug, "connection closed",
              {{"client", number(client)}, {"pid", peer.session.identity().pid}, {"why", why}});
-  // After exec, or when the library was shut down, nothing of the region is left in the process.
-  if (decision != EndDecision::wait) {
-    reap_peer(peer, DeathReason::let_go, "process let go of its region");
-    return;
+  if (!std::exchange(peer.detached, true)) {
+    ++detached_count_;
+    ++connections_[peer.session.identity().uid].detached;
   }
-  peer.detached = true;
-  ++detached_count_;
-  ++connections_[peer.session.identity().uid].detached;
+  // After exec, or when the library was shut down, nothing of the region is left in the process.
+  if (!peer.ended) look_whether_gone(peer);
 }
 
 void Broker::reap_peer(Peer& peer, DeathReason reason, std::string_view how) {
+  MemoryReserve::no_return();
   AGNOCAST_CRASH_POINT(B_reap);
   const PeerId id = peer.id;
   const auto decision = journal::decide_end(whose(peer), reason == DeathReason::died, true);
@@ -343,44 +519,83 @@ void Broker::reap_peer(Peer& peer, DeathReason reason, std::string_view how) {
   by_client_[number(client)] = nullptr;
   drop(id);
   if (decision == EndDecision::free_place) {
-    // The rest was done when it was revoked; now its place may be used again.
-    registry_.client_died(client, reason);
-    store_.remove(DescriptorStore::process(client));
-    const ClientRecord& record = registry_.client(client);
-    note(LogLevel::info, record.uid, "client gone",
-         {{"client", number(client)},
-          {"pid", record.pid},
-          {"uid", record.uid},
-          {"how", how},
-          {"was", "revoked"}});
-    membership_.settle_client(client);
+    const auto ending =
+        std::find_if(endings_.begin(), endings_.end(),
+                     [&](const Ending& one) { return one.reaping.client() == client; });
+    if (ending == endings_.end()) {
+      free_revoked(client, reason, how);
+    } else {
+      ending->then = [this, client, reason, how = std::string(how), before = ending->then](
+                         const Reaped& reaped) {
+        before(reaped);
+        free_revoked(client, reason, how);
+      };
+    }
   } else {
     repair(client, reason, how);
   }
   AGNOCAST_CRASH_POINT(B_reaped);
 }
 
-void Broker::repair(ClientIndex client, DeathReason reason, std::string_view how) {
+// The rest was done when it was revoked; now its place may be used again.
+void Broker::free_revoked(ClientIndex client, DeathReason reason, std::string_view how) {
+  registry_.client_died(client, reason);
+  store_.remove(DescriptorStore::process(client));
+  const ClientRecord& record = registry_.client(client);
+  note(LogLevel::info, record.uid, "client gone",
+       {{"client", number(client)},
+        {"pid", record.pid},
+        {"uid", record.uid},
+        {"how", how},
+        {"was", "revoked"}});
+  membership_.settle_client(client);
+}
+
+void Broker::reap_in_turns(ClientIndex client, DeathReason reason, AfterReaping then,
+                           std::uint64_t budget_ns) {
+  Reaping reaping(client, reason, registry_, regions_, doorbells_, membership_);
+  const std::uint64_t now = monotonic_ns();
+  const bool done = reaping.go_on(budget_ns > UINT64_MAX - now ? UINT64_MAX : now + budget_ns);
+  if (done) return then(reaping.reaped());
+  endings_.push_back({std::move(reaping), std::move(then)});
+}
+
+void Broker::go_on_reaping() {
+  if (endings_.empty()) return;
+  // Each has its turn: who leaves much behind does not keep others from being told of another end.
+  endings_.splice(endings_.end(), endings_, endings_.begin());
+  const auto ending = std::prev(endings_.end());
+  if (!ending->reaping.go_on(monotonic_ns() + reap_budget_ns)) return;
+  const Ending done = std::move(*ending);
+  endings_.erase(ending);
+  done.then(done.reaping.reaped());
+}
+
+void Broker::repair(ClientIndex client, DeathReason reason, std::string_view how,
+                    std::uint64_t budget_ns) {
   const std::uint32_t uid = registry_.client(client).uid;
   const std::uint32_t pid = registry_.client(client).pid;
   obstacles_.forget(client);
-  const Reaped reaped = reap(client, reason, registry_, regions_, doorbells_, membership_);
-  if (!registry_.is_revoked(client)) store_.remove(DescriptorStore::process(client));
-  note(reaped.corrupt == 0 ? LogLevel::info : LogLevel::warning, uid, "client gone",
-       {{"client", number(client)},
-        {"pid", pid},
-        {"uid", uid},
-        {"how", how},
-        {"publishers", reaped.publishers},
-        {"subscriptions", reaped.subscriptions},
-        {"rolled_back", reaped.rolled_back},
-        {"rolled_forward", reaped.rolled_forward},
-        {"corrupt_intents", reaped.corrupt}});
+  const auto after = [this, client, uid, pid, how = std::string(how)](const Reaped& reaped) {
+    if (!registry_.is_revoked(client)) store_.remove(DescriptorStore::process(client));
+    note(reaped.corrupt == 0 ? LogLevel::info : LogLevel::warning, uid, "client gone",
+         {{"client", number(client)},
+          {"pid", pid},
+          {"uid", uid},
+          {"how", how},
+          {"publishers", reaped.publishers},
+          {"subscriptions", reaped.subscriptions},
+          {"rolled_back", reaped.rolled_back},
+          {"rolled_forward", reaped.rolled_forward},
+          {"corrupt_intents", reaped.corrupt}});
+  };
+  reap_in_turns(client, reason, after, budget_ns);
 }
 
 // Until the process ends the peer stays, and with it the connection's place in its user's quota and
 // the pidfd: so long the process has its memory, and may not come back.
 void Broker::revoke(Peer& peer, const std::string& why) {
+  MemoryReserve::no_return();
   AGNOCAST_CRASH_POINT(B_revoke);
   const ClientIndex client = *peer.session.client();
   by_client_[number(client)] = nullptr;
@@ -390,15 +605,17 @@ void Broker::revoke(Peer& peer, const std::string& why) {
     ++connections_[peer.session.identity().uid].detached;
   }
   obstacles_.forget(client);
-  const Reaped reaped =
-      reap(client, DeathReason::revoked, registry_, regions_, doorbells_, membership_);
-  log_.write(LogLevel::warning, "client revoked",
-             {{"client", number(client)},
-              {"pid", peer.session.identity().pid},
-              {"uid", peer.session.identity().uid},
-              {"why", why},
-              {"publishers", reaped.publishers},
-              {"subscriptions", reaped.subscriptions}});
+  const auto after = [this, client, pid = peer.session.identity().pid,
+                      uid = peer.session.identity().uid, why](const Reaped& reaped) {
+    log_.write(LogLevel::warning, "client revoked",
+               {{"client", number(client)},
+                {"pid", pid},
+                {"uid", uid},
+                {"why", why},
+                {"publishers", reaped.publishers},
+                {"subscriptions", reaped.subscriptions}});
+  };
+  reap_in_turns(client, DeathReason::revoked, after);
   if (peer.session.closed()) return;
   // What waits for it is about a membership that it does not have any more.
   peer.session.drop_output();
@@ -420,38 +637,48 @@ void Broker::say_farewell(Peer& peer) {
   ::shutdown(peer.session.socket().fd(), SHUT_RDWR);
 }
 
-// A process may have tens of thousands of mappings, and reading them takes a tenth of a second. What
-// that took is not to be most of what the daemon does: until it has done other things for long enough
-// nobody is looked at, and the next tick asks again.
-Broker::Trace Broker::look_at(const Peer& peer) {
-  const std::uint64_t begin = monotonic_ns();
-  if (begin < look_due_ns_) return Trace::unknown;
-  const auto maps =
-      maps_file(peer.session.identity().pid, regions_.region_file(*peer.session.client()));
-  const std::uint64_t took = monotonic_ns() - begin;
-  if (took > look_budget_ns) look_due_ns_ = begin + took * look_rest;
-  if (!maps) return Trace::unknown;
-  return *maps ? Trace::some : Trace::none;
+// A process may have tens of thousands of mappings, and reading them takes a tenth of a second; one that holds
+// the lock of its memory keeps whoever reads waiting. That is its user's time, and what it took is not to be most
+// of what a processor does: for a while none of its processes is looked at, and the next tick asks again.
+bool Broker::look_at(const Peer& peer, std::function<void(Trace)> then) {
+  const MemoryReserve::MustNotFail must_not_fail;
+  const std::uint32_t uid = peer.session.identity().uid;
+  if (monotonic_ns() < connections_[uid].look_due_ns ||
+      errands_.waiting(Errands::Lane::looking, uid) >= looks_waiting_max)
+    return false;
+  struct Look {
+    std::optional<bool> maps;
+    std::uint64_t took_ns = 0;
+  };
+  const auto look = std::make_shared<Look>();
+  errands_.run(
+      Errands::Lane::looking, uid,
+      [look, pid = peer.session.identity().pid,
+       file = regions_.region_file(*peer.session.client())] {
+        const std::uint64_t begin = monotonic_ns();
+        look->maps = maps_file(pid, file);
+        look->took_ns = monotonic_ns() - begin;
+      },
+      [this, look, uid, then = std::move(then), here = std::weak_ptr(here_)] {
+        if (here.expired()) return;
+        if (const auto user = connections_.find(uid); user != connections_.end())
+          user->second.look_due_ns =
+              look->took_ns > look_budget_ns ? monotonic_ns() + look->took_ns * look_rest : 0;
+        then(!look->maps ? Trace::unknown : *look->maps ? Trace::some : Trace::none);
+      });
+  return true;
 }
 
-Broker::Trace Broker::trace_of_revoked(const Peer& peer) {
-  Trace trace = Trace::none;
-  const PeerIdentity& who = peer.session.identity();
-  for (const auto& [id, other] : peers_) {
-    if (!other->revoked) continue;
-    const PeerIdentity& one = other->session.identity();
-    const auto inode = who.process.inode(), its_inode = one.process.inode();
-    // A process that has not ended keeps its pid.
-    const bool same = inode && its_inode
-                          ? *inode == *its_inode
-                          : who.pid > 0 && who.pid == one.pid && !one.process.ended();
-    // After exec it is another program.
-    if (!same) continue;
-    const Trace found = look_at(*other);
-    if (found == Trace::some) return found;
-    if (found == Trace::unknown) trace = found;
-  }
-  return trace;
+void Broker::look_whether_gone(Peer& peer) {
+  if (peer.looking) return;
+  peer.looking = look_at(peer, [this, id = peer.id](Trace trace) {
+    const auto found = peers_.find(id);
+    if (found == peers_.end()) return;
+    found->second->looking = false;
+    if (journal::decide_end(whose(*found->second), false, trace == Trace::none) !=
+        EndDecision::wait)
+      reap_peer(*found->second, DeathReason::let_go, "process let go of its region");
+  });
 }
 
 void Broker::drop(PeerId id) {
@@ -469,19 +696,26 @@ void Broker::drop(PeerId id) {
     --detached_count_;
     --user->second.detached;
   }
-  if (user->second.clients + user->second.observers == 0) connections_.erase(user);
+  if (user->second.clients + user->second.observers == 0) {
+    gives_back_ |= user->second.queued->peak >= std::uint64_t{8} << 20;
+    connections_.erase(user);
+  }
   if (peer.session.role() == Role::observer) --observer_count_;
+  close_connection(peer);
   peers_.erase(found);
 }
 
 void Broker::tick() {
+  go_on_reaping();
   const std::uint64_t now = monotonic_ms();
   if (now - looked_ms_ >= short_interval_ms) look_around(now);  // however many events there are
   answer_who_awaits_change();                                   // of the events, and of the look
+  answer_whose_turn_it_is();
 }
 
 void Broker::look_around(std::uint64_t now) {
   looked_ms_ = now;
+  if (!std::exchange(listens_, true)) dispatcher_.change(listening_, EPOLLIN);
   if (flush_later_) {
     flush_later_ = false;
     for (auto& [id, peer] : peers_) {
@@ -496,20 +730,20 @@ void Broker::look_around(std::uint64_t now) {
     // Those first that have waited longest: there may be no time for all.
     std::sort(lost.begin(), lost.end(),
               [](const Peer* a, const Peer* b) { return a->looked_ns < b->looked_ns; });
-    std::vector<PeerId> gone;
-    for (const std::uint64_t begin = monotonic_ns(); Peer* const peer : lost) {
-      const std::uint64_t now_ns = monotonic_ns();
-      if (now_ns - begin > look_budget_ns || now_ns < look_due_ns_) break;
-      peer->looked_ns = now_ns;
-      if (journal::decide_end(whose(*peer), false, has_let_go(*peer)) != EndDecision::wait)
-        gone.push_back(peer->id);
+    for (Peer* const peer : lost) {
+      if (peer->looking || peer->ended) continue;
+      peer->looked_ns = monotonic_ns();
+      look_whether_gone(*peer);
     }
-    for (const PeerId id : gone)
-      reap_peer(*peers_.at(id), DeathReason::let_go, "process let go of its region");
   }
   membership_.go_on_telling();
   announce_what_waits();
   drop_slow_observers(now);
+  end_old_output(now);
+  give_memory_back();
+  std::erase_if(answers_, [&](const auto& one) {
+    return one.second.waiting.empty() && one.second.allowance.is_whole(now);
+  });
   if (now - watched_ms_ >= watch_interval_ms) {
     watched_ms_ = now;
     watch_holds();
@@ -527,7 +761,9 @@ void Broker::announce_what_waits() {
 }
 
 int Broker::due_ms() const noexcept {
-  if (!waiting_.empty()) return 0;
+  if (!waiting_.empty() || !endings_.empty()) return 0;
+  if (!listens_) return short_interval_ms;
+  if (const int due = answers_due_ms(); due >= 0) return std::min(due, short_interval_ms);
   if (detached_count_ > 0 || flush_later_ || membership_.has_waiting() || membership_.tells())
     return short_interval_ms;
   return peers_.empty() ? 10'000 : watch_interval_ms;
@@ -584,9 +820,19 @@ void Broker::reply(Peer& peer, std::span<const std::byte> packet, std::vector<Sh
 void Broker::reply(Peer& peer, Outgoing packet) {
   AGNOCAST_CRASH_POINT(B_send);
   const bool waiting = peer.session.has_output();
-  peer.session.push(std::move(packet));
+  packet.since_ms = monotonic_ms();
+  try {
+    const MemoryReserve::MayFail may_fail;
+    peer.session.push(std::move(packet));
+  } catch (const std::bad_alloc&) {
+    // It comes back and is told everything again.
+    const MemoryReserve::MustNotFail ends;
+    end_output(peer, no_memory_text);
+    return;
+  }
   // While something waits for the socket there is nothing to gain from another try.
   if (!waiting || peer.session.queued_count() > Session::queue_count_max) flush(peer);
+  if (peer.session.is_over()) end_longest_output(peer.session.identity().uid);
   AGNOCAST_CRASH_POINT(B_sent);
 }
 

@@ -12,7 +12,9 @@
 //
 // Turns are the users': who has a thousand connections is served as much as who has one.
 //
-// One thread; another one frees memory (closer.hpp). The order of things inside one event is the
+// One thread; what may take as long as a client likes is done in others (errands.hpp, disposal.hpp), and so is
+// the freeing of memory (closer.hpp). A connection that waits for an errand is parked: nothing is read from it
+// until then. The order of things inside one event is the
 // protocol's; between events everything is consistent, so the daemon may be killed at any time.
 #pragma once
 
@@ -23,8 +25,10 @@
 #include <daemon/config.hpp>
 #include <daemon/descriptor_store.hpp>
 #include <daemon/dispatcher.hpp>
+#include <daemon/disposal.hpp>
 #include <daemon/doorbells.hpp>
 #include <daemon/dump.hpp>
+#include <daemon/errands.hpp>
 #include <daemon/hold_watch.hpp>
 #include <daemon/let_go_watch.hpp>
 #include <daemon/listener.hpp>
@@ -40,11 +44,14 @@
 
 #include <cstdint>
 #include <deque>
+#include <functional>
+#include <list>
 #include <memory>
 #include <optional>
 #include <span>
 #include <string>
 #include <unordered_map>
+#include <variant>
 #include <vector>
 
 namespace agnocast::daemon {
@@ -58,7 +65,7 @@ struct BrokerOptions {
 class Broker final : private Post {
  public:
   Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, Listener& listener,
-         Regions regions, DescriptorStore& store);
+         Regions regions, DescriptorStore& store, Errands& errands, Disposal& disposal);
   ~Broker() override;
   Broker(const Broker&) = delete;
   Broker& operator=(const Broker&) = delete;
@@ -80,6 +87,10 @@ class Broker final : private Post {
 
  private:
   using PeerId = std::uint64_t;
+  /// What a process has of its region. Unknown: there is no time to look now, or no descriptor.
+  enum class Trace : std::uint8_t { none, some, unknown };
+  /// What an observer has asked for and is answered at length.
+  using LongRequest = std::variant<wire::Dump, wire::ReadJournal>;
   struct Peer {
     PeerId id;
     Session session;
@@ -91,9 +102,16 @@ class Broker final : private Post {
     bool detached = false;  // without a connection, or revoked, but alive and mapping its region
     bool revoked = false;   // its client is dead in the tables; nothing it says counts
     bool counts_as_observer = false;
+    bool parked = false;         // it waits for an errand
+    bool brings_windows = false;  // it may, until it asks for something new
+    std::uint64_t refuses_since_ms = 0;  // since when the kernel refuses descriptors again
     std::uint64_t asked_ms = 0;   // of an observer: when its last answer was made
     std::optional<abi::wire::Dump> awaits_change = {};  // of an observer: to be answered then
+    std::optional<LongRequest> asked = {};              // of an observer: when its user's turn comes
     std::uint64_t looked_ns = 0;  // when tick() last asked whether it has let go
+    bool looking = false;         // somebody looks right now
+    // Of a hello: whether the process was looked at, and what it has of a region that was revoked.
+    std::optional<Trace> revoked_trace = {};
     // Of its process: to be told everything again is work. An honest one tries four times a second at
     // last (client/reconnection.hpp), a few times more often at first.
     Allowance returns{20, 250};
@@ -103,6 +121,13 @@ class Broker final : private Post {
     std::uint64_t clients = 0;
     std::uint64_t observers = 0;
     std::uint64_t detached = 0;  // of the clients: processes without a connection
+    std::uint64_t look_due_ns = 0;  // before that no process of this user is looked at
+    std::shared_ptr<QueuedOfUser> queued = std::make_shared<QueuedOfUser>();
+  };
+  /// Answers at length of one user; outlives its connections.
+  struct Answers {
+    Allowance allowance;
+    std::deque<PeerId> waiting;
   };
 
   // Post
@@ -112,6 +137,8 @@ class Broker final : private Post {
   void send(ClientIndex client, Outgoing packet) override;
 
   void accept_some();
+  /// Nobody is accepted for a moment: somebody's connections cannot be closed.
+  void pause_listening();
   void accept(PacketSocket socket);
   /// Takes one waiting connection although no descriptor is left, and says why it is refused.
   void turn_away();
@@ -124,22 +151,46 @@ class Broker final : private Post {
   void take_turn(PeerId id, Turn& turn);
   /// Says how many packets there were.
   unsigned read_packets(PeerId id, const Turn& share);
+  /// Looks at the next packet of a connection that descriptors may have come into. False: it is not to be
+  /// received here, and has been dealt with.
+  bool may_receive(Peer& peer, std::span<std::byte> buffer);
+  /// What is read from it waits until unpark(); nothing when it is gone by then.
+  void park(Peer& peer);
+  Peer* unpark(PeerId id);
+  void close_connection(Peer& peer);
+  void close_connection(PacketSocket socket, std::uint32_t uid);
   void flush(Peer& peer);
+  /// Nothing more is sent to it; its end is read like any other.
+  void end_output(Peer& peer, std::string_view why);
+  void end_longest_output(std::uint32_t uid);
+  void end_old_output(std::uint64_t now);
+  void give_memory_back();
   /// The connection is over; the process may live.
   void disconnect(Peer& peer, std::string_view why);
   void drop(PeerId id);
   void reap_peer(Peer& peer, journal::DeathReason reason, std::string_view how);
-  void repair(ClientIndex client, journal::DeathReason reason, std::string_view how);
+  void repair(ClientIndex client, journal::DeathReason reason, std::string_view how,
+              std::uint64_t budget_ns = reap_budget_ns);
+  /// One of them after the other, for a while.
+  void go_on_reaping();
+  // Of the ends of processes, in one turn of the loop. One with thousands of endpoints takes many turns.
+  static constexpr std::uint64_t reap_budget_ns = 2'000'000;
+  using AfterReaping = std::function<void(const Reaped&)>;
+  void reap_in_turns(ClientIndex client, journal::DeathReason reason, AfterReaping then,
+                     std::uint64_t budget_ns = reap_budget_ns);
+  void free_revoked(ClientIndex client, journal::DeathReason reason, std::string_view how);
   /// Ends the membership of a process that lives. `why` is for it and for the log.
   void revoke(Peer& peer, const std::string& why);
   /// Sends what a revoked process is to hear last, then shuts its connection.
   void say_farewell(Peer& peer);
-  /// What a process has of its region. Unknown: there is no time to look now, or no descriptor.
-  enum class Trace : std::uint8_t { none, some, unknown };
-  Trace look_at(const Peer& peer);
-  bool has_let_go(const Peer& peer) { return look_at(peer) == Trace::none; }
-  /// What the process at the other end has of a region of its own that was revoked.
-  Trace trace_of_revoked(const Peer& peer);
+  /// Has somebody look elsewhere what the process has of its region; `then` hears of it later. False: not now.
+  bool look_at(const Peer& peer, std::function<void(Trace)> then);
+  /// Of a process without a connection: it is reaped if it has let go.
+  void look_whether_gone(Peer& peer);
+  /// True: the process has been here before, and is looked at first; its hello waits for that.
+  bool look_before(Peer& peer, const wire::Hello& hello);
+  struct Before;
+  void welcome_after(PeerId id, const wire::Hello& hello, const Before& before);
   // --- resume
   [[nodiscard]] Result<journal::FoundDecision> adopt_client(ClientIndex client,
                                                             std::uint64_t& lost);
@@ -148,10 +199,11 @@ class Broker final : private Post {
   static std::uint8_t whose(const Peer& peer) noexcept;  // of journal::end
   std::uint64_t reap_while_away(const std::vector<ClientIndex>& ended);
 
-  /// `fds`: what came with the request.
+  /// `fds`: what came with the packet. Without memory it is refused.
+  void serve_packet(Peer& peer, std::span<const std::byte> bytes, const Envelope& envelope,
+                    std::span<UniqueFd> fds);
   void serve(Peer& peer, const Request& request, std::span<UniqueFd> fds);
   [[nodiscard]] Result<void> check_caller(const Peer& peer, std::uint64_t fingerprint);
-  void end_unwelcomed(const Peer& again);
   [[nodiscard]] Result<void> hello(Peer& peer, const wire::Hello& hello);
   [[nodiscard]] Result<void> rejoin(Peer& peer, const wire::Rejoin& request);
   [[nodiscard]] Result<Peer*> lost_peer(const Peer& peer, const wire::Rejoin& request);
@@ -160,17 +212,38 @@ class Broker final : private Post {
   [[nodiscard]] Result<void> check_window(std::uint32_t uid, std::uint64_t bytes);
   [[nodiscard]] Result<void> bring_window(Peer& peer, const wire::BringWindow& request,
                                           const UniqueFd& window);
+  /// A window comes with a descriptor, which is received elsewhere.
+  void receive_window(Peer& peer);
+  struct ReceivedWindow;
+  void serve_window(PeerId id, ReceivedWindow& received);
+  void expect_windows(Peer& peer);
+  void expect_no_windows(Peer& peer);
   [[nodiscard]] Result<WindowRecord> choose_window(ClientIndex client);
   [[nodiscard]] Result<void> open_executor(Peer& peer, const ExecutorRequest& request);
   [[nodiscard]] Result<void> admit_executor(ClientIndex client, const ExecutorRequest& request);
   [[nodiscard]] Result<void> check_topics(const ClientRecord& record, std::string_view topic);
   [[nodiscard]] Result<void> create(Peer& peer, const CreateRequest& request);
+  // broker_access.cpp: the rules, and what they mean for the memory behind the topics
+  static Subject subject_of(const Peer& peer);
+  [[nodiscard]] Result<void> check_access(const Peer& peer, const CreateRequest& request);
+  [[nodiscard]] Result<void> check_readers(ClientIndex client, std::string_view topic);
+  [[nodiscard]] Result<void> check_publishers(const Subject& who, std::uint64_t domain,
+                                              std::string_view topic);
+  /// Says in the log whose memory others have been given than may subscribe now.
+  void warn_of_other_readers(ClientIndex client);
+  /// What a process has and, by the rules in force, may not have; empty: nothing.
+  std::string forbidden_endpoint(ClientIndex client, const Subject& who) const;
   [[nodiscard]] Result<void> observe(Peer& peer, const wire::Observe& request);
   [[nodiscard]] Result<void> dump(Peer& peer, const wire::Dump& request);
   [[nodiscard]] Result<void> revoke(Peer& peer, const wire::Revoke& request);
   [[nodiscard]] Result<void> read_journal(Peer& peer, const wire::ReadJournal& request);
   [[nodiscard]] Result<void> set_log_level(Peer& peer, const wire::SetLogLevel& request);
   [[nodiscard]] Result<void> ask_access(Peer& peer, const wire::AskAccess& request);
+  void answer_in_turn(Peer& peer, const LongRequest& request);
+  void answer(Peer& peer, const LongRequest& request);
+  void answer_whose_turn_it_is();
+  /// -1: nobody waits.
+  int answers_due_ms() const noexcept;
   void answer_at_length(Peer& peer, std::vector<Outgoing> packets);
 
   // collisions.cpp: heaps where somebody else has something else
@@ -229,6 +302,9 @@ class Broker final : private Post {
   Dispatcher& dispatcher_;
   Listener& listener_;
   DescriptorStore& store_;
+  Errands& errands_;
+  Disposal& disposal_;
+  std::shared_ptr<char> here_ = std::make_shared<char>();  // what answers of errands look for
   Regions regions_;
   Registry registry_;
   AddressPlan plan_;
@@ -243,17 +319,23 @@ class Broker final : private Post {
   std::vector<Peer*> by_client_;
   std::unordered_map<std::uint32_t, std::deque<PeerId>> waiting_;  // for their turn, by uid
   std::unordered_map<std::uint32_t, Connections> connections_;     // by uid
+  std::unordered_map<std::uint32_t, Answers> answers_;             // by uid
+  bool gives_back_ = false;  // much that was queued is not queued any more
   std::uint64_t observer_count_ = 0;
+  struct Ending {
+    Reaping reaping;
+    AfterReaping then;
+  };
+  std::list<Ending> endings_;  // that have begun
   std::uint64_t answered_lsn_ = 0;  // up to here who awaits a change was answered
   PeerId last_peer_ = 0;
   std::uint64_t detached_count_ = 0;  // processes without a connection
   bool flush_later_ = false;
-  bool said_unlocked_ = false;
   std::uint64_t looked_ms_ = 0;    // when tick() last had a look
   std::uint64_t watched_ms_ = 0;   // the same, at what is held and what is let go of
-  std::uint64_t look_due_ns_ = 0;  // before that no process is looked at
   UniqueFd spare_;                 // given up for a moment when no descriptor is left
   Dispatcher::Token listening_ = 0;
+  bool listens_ = true;
   bool knocks_ = false;  // somebody wants to connect
 };
 

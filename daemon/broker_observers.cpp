@@ -10,6 +10,7 @@
 #include <base/clock.hpp>
 #include <base/names.hpp>
 #include <daemon/flight_recorder.hpp>
+#include <daemon/memory_reserve.hpp>
 
 #include <base/check.hpp>
 
@@ -17,6 +18,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <new>
 #include <utility>
 
 namespace agnocast::daemon {
@@ -45,6 +47,7 @@ constexpr std::uint64_t observer_patience_ms = 5'000;
 
 Result<void> Broker::observe(Peer& peer, const wire::Observe& request) {
   if (auto known = check_caller(peer, request.fingerprint); !known) return known;
+  MemoryReserve::no_return();
   Connections& used = connections_[peer.session.identity().uid];
   if (!peer.counts_as_observer) {
     if (used.observers >= abi::observer_count_max)
@@ -72,9 +75,67 @@ Result<void> Broker::dump(Peer& peer, const wire::Dump& request) {
   if (request.waits != 0 && request.seen == registry_.log().committed_lsn()) {
     peer.awaits_change = request;
   } else {
-    answer_at_length(peer, make_dump(registry_, facts(), request));
+    answer_in_turn(peer, request);
   }
   return {};
+}
+
+// A small request for much work. Who has had his share waits, and is answered with what is true then.
+void Broker::answer_in_turn(Peer& peer, const LongRequest& request) {
+  MemoryReserve::no_return();
+  const std::uint64_t rate = options_.config.quota.dumps_per_second;
+  const auto allowance =
+      rate == unlimited ? Allowance(1, 0) : Allowance(rate, std::uint64_t{1000} / rate);
+  const std::uint32_t uid = peer.session.identity().uid;
+  Answers& answers = answers_.try_emplace(uid, Answers{allowance, {}}).first->second;
+  peer.asked = request;
+  answers.waiting.push_back(peer.id);
+}
+
+void Broker::answer_whose_turn_it_is() {
+  const std::uint64_t now = monotonic_ms();
+  for (auto& [uid, answers] : answers_) {
+    while (!answers.waiting.empty()) {
+      const auto found = peers_.find(answers.waiting.front());
+      Peer* const peer = found == peers_.end() ? nullptr : found->second.get();
+      if (peer == nullptr || peer->session.closed() || !peer->asked) {
+        answers.waiting.pop_front();
+        continue;
+      }
+      // What others of this user have not read yet is read, or thrown away, soon.
+      if (peer->session.is_crowded()) break;
+      if (options_.config.quota.dumps_per_second != unlimited && !answers.allowance.take(now)) break;
+      answers.waiting.pop_front();
+      answer(*peer, *std::exchange(peer->asked, std::nullopt));
+    }
+  }
+}
+
+void Broker::answer(Peer& peer, const LongRequest& request) {
+  try {
+    const MemoryReserve::MayFail may_fail;
+    if (const auto* const dump = std::get_if<wire::Dump>(&request)) {
+      answer_at_length(peer, make_dump(registry_, facts(), *dump));
+    } else {
+      answer_at_length(
+          peer, make_journal(registry_, std::get<wire::ReadJournal>(request), monotonic_ns()));
+    }
+  } catch (const std::bad_alloc&) {
+    end_output(peer, "agnocastd has no memory left for an answer at length");
+  }
+}
+
+int Broker::answers_due_ms() const noexcept {
+  const std::uint64_t now = monotonic_ms();
+  std::uint64_t due = UINT64_MAX;
+  for (const auto& [uid, answers] : answers_) {
+    if (answers.waiting.empty()) continue;
+    const auto first = peers_.find(answers.waiting.front());
+    // Who waits for room does not wait for time, and is looked at with everything else.
+    const bool is_crowded = first != peers_.end() && first->second->session.is_crowded();
+    due = std::min(due, is_crowded ? 1000 : answers.allowance.due_ms(now));
+  }
+  return due == UINT64_MAX ? -1 : static_cast<int>(std::min<std::uint64_t>(due, 1000));
 }
 
 void Broker::answer_who_awaits_change() {
@@ -84,13 +145,12 @@ void Broker::answer_who_awaits_change() {
   for (const auto& [id, peer] : peers_) {
     if (peer->session.closed() || !peer->awaits_change || peer->awaits_change->seen == lsn)
       continue;
-    const wire::Dump request = *std::exchange(peer->awaits_change, std::nullopt);
-    answer_at_length(*peer, make_dump(registry_, facts(), request));
+    answer_in_turn(*peer, *std::exchange(peer->awaits_change, std::nullopt));
   }
 }
 
 Result<void> Broker::read_journal(Peer& peer, const wire::ReadJournal& request) {
-  answer_at_length(peer, make_journal(registry_, request, monotonic_ns()));
+  answer_in_turn(peer, request);
   return {};
 }
 
@@ -137,15 +197,17 @@ Result<void> Broker::ask_access(Peer& peer, const wire::AskAccess& request) {
 void Broker::answer_at_length(Peer& peer, std::vector<Outgoing> packets) {
   peer.asked_ms = monotonic_ms();
   Outgoing together;
+  together.since_ms = peer.asked_ms;
   for (Outgoing& packet : packets) {
     if (together.bytes.size() + packet.bytes.size() > wire::answer_bytes_max ||
         together.fds.size() + packet.fds.size() > wire::descriptor_count_max)
-      peer.session.push(std::exchange(together, {}));
+      peer.session.push(std::exchange(together, Outgoing{{}, {}, {}, peer.asked_ms, 0}));
     together.bytes.insert(together.bytes.end(), packet.bytes.begin(), packet.bytes.end());
     together.fds.insert(together.fds.end(), packet.fds.begin(), packet.fds.end());
   }
   peer.session.push(std::move(together));
   flush(peer);
+  if (peer.session.is_over()) end_longest_output(peer.session.identity().uid);
 }
 
 void Broker::drop_slow_observers(std::uint64_t now) {
@@ -174,7 +236,6 @@ DumpFacts Broker::facts() const {
   daemon.arena_bytes = options_.arena.bytes;
   daemon.window_bytes = options_.arena.window_bytes;
   daemon.windows_used = plan_.used_count();
-  daemon.unlocked_count = regions_.unlocked_count();
   daemon.log_level = static_cast<std::uint32_t>(log_.level());
   daemon.kept_descriptors = store_.kept_count();
   daemon.kept_descriptors_max = store_.keeps() ? store_.capacity() : 0;
@@ -189,9 +250,22 @@ DumpFacts Broker::facts() const {
                    options_.config.heap.windows_per_process};
   const Config::Quota& quota = options_.config.quota;
   daemon.quota = {quota.clients, quota.publishers,    quota.subscriptions, quota.executors,
-                  heap_quota(),  quota.held_messages, quota.topics};
+                  heap_quota(),  quota.held_messages, quota.topics,
+                  quota.queued_bytes, quota.queued_seconds, quota.dumps_per_second};
+  const std::uint64_t now_ms = monotonic_ms();
+  for (const auto& [id, peer] : peers_) {
+    std::uint64_t& waits_ms = facts.users[peer->session.identity().uid].waits_ms;
+    waits_ms = std::max(waits_ms, peer->session.waits_ms(now_ms));
+  }
+  for (const auto& [uid, answers] : answers_) {
+    if (connections_.contains(uid))
+      facts.users[uid].answers_ahead = answers.allowance.ahead(now_ms);
+  }
   for (const auto& [uid, used] : connections_) {
-    facts.users[uid] = {used.clients, used.observers};
+    DumpFacts::User& user = facts.users[uid];
+    user.connections = used.clients;
+    user.observers = used.observers;
+    user.queued_bytes = used.queued->bytes;
     daemon.connections += used.clients;
     daemon.observers += used.observers;
   }

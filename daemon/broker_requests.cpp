@@ -10,13 +10,18 @@
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/check.hpp>
 #include <base/clock.hpp>
+#include <base/closing.hpp>
 #include <base/names.hpp>
 #include <base/step.hpp>
+#include <daemon/memory_reserve.hpp>
 #include <journal/cases.hpp>
 
+#include <fcntl.h>
 #include <unistd.h>
 
 #include <algorithm>
+#include <array>
+#include <memory>
 #include <type_traits>
 #include <utility>
 
@@ -26,6 +31,8 @@ using journal::DeathReason;
 
 namespace {
 
+// Places that a hello waits for: a daemon that died twice while it welcomed a process has left two.
+constexpr std::size_t unused_count_max = 4;
 // Its region and its pidfd.
 constexpr std::uint64_t kept_per_client = 2;
 
@@ -124,6 +131,10 @@ void Broker::serve(Peer& peer, const Request& request, std::span<UniqueFd> fds) 
   Result<void> served;
   std::uint64_t id = 0;
   exceeded_ = {};
+  if (std::holds_alternative<CreateRequest>(request) ||
+      std::holds_alternative<wire::WindowRequest>(request) ||
+      std::holds_alternative<ExecutorRequest>(request))
+    expect_no_windows(peer);
   const auto handle = [&](const auto& body) {
     using Body = std::decay_t<decltype(body)>;
     if constexpr (std::is_same_v<Body, wire::Hello>) {
@@ -203,24 +214,67 @@ Result<void> Broker::check_caller(const Peer& peer, std::uint64_t fingerprint) {
   return {};
 }
 
-// A daemon that died while it welcomed a process has left a place that nobody uses.
-void Broker::end_unwelcomed(const Peer& again) {
-  if (detached_count_ == 0) return;
-  std::vector<PeerId> unused;
-  for (const Peer* const peer : by_client_) {
-    if (peer != nullptr && peer->detached &&
-        same_process(peer->session.identity().process, again.session.identity().process) &&
-        has_let_go(*peer))
-      unused.push_back(peer->id);
+/// What is found out of a process that has been here before.
+struct Broker::Before {
+  std::size_t open = 0;  // looks that have not ended
+  Trace revoked = Trace::none;
+  std::vector<PeerId> unused;  // places
+  void add(PeerId id, bool is_revoked, Trace trace) {
+    if (!is_revoked) {
+      if (trace == Trace::none) unused.push_back(id);
+    } else if (trace == Trace::some || revoked == Trace::none) {
+      revoked = trace;
+    }
   }
-  for (const PeerId id : unused)
-    reap_peer(*peers_.at(id), DeathReason::let_go, "process says hello again");
+};
+
+// A daemon that died while it welcomed a process has left a place that nobody uses. And a process that was
+// revoked may not come back while it has its region; after exec it is another program.
+bool Broker::look_before(Peer& peer, const wire::Hello& hello) {
+  if (detached_count_ == 0 || peer.revoked_trace) return false;
+  const auto before = std::make_shared<Before>();
+  for (const auto& [id, other] : peers_) {
+    // Of the places that a process leaves behind again and again, each is found by its own look.
+    if (!other->detached || (before->open >= unused_count_max && !other->revoked) ||
+        other->session.identity().pid != peer.session.identity().pid ||
+        !same_process(other->session.identity().process, peer.session.identity().process))
+      continue;
+    const bool asked = look_at(
+        *other, [this, before, hello, caller = peer.id, id = id, revoked = other->revoked](
+                    Trace trace) {
+          before->add(id, revoked, trace);
+          if (--before->open == 0) welcome_after(caller, hello, *before);
+        });
+    if (asked) {
+      ++before->open;
+    } else {
+      before->add(id, other->revoked, Trace::unknown);
+    }
+  }
+  if (before->open == 0) {
+    peer.revoked_trace = before->revoked;
+    return false;
+  }
+  park(peer);
+  return true;
+}
+
+void Broker::welcome_after(PeerId id, const wire::Hello& hello, const Before& before) {
+  for (const PeerId unused : before.unused) {
+    const auto found = peers_.find(unused);
+    if (found != peers_.end() && found->second->detached && !found->second->revoked)
+      reap_peer(*found->second, DeathReason::let_go, "process says hello again");
+  }
+  Peer* const peer = unpark(id);
+  if (peer == nullptr) return;
+  peer->revoked_trace = before.revoked;
+  serve_packet(*peer, std::as_bytes(std::span(&hello, 1)), {}, {});
 }
 
 Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
   Session& session = peer.session;
   if (auto known = check_caller(peer, hello.fingerprint); !known) return known;
-  end_unwelcomed(peer);
+  if (look_before(peer, hello)) return {};
   // Room for one more connection there may be for processes that come back. Those that are gone count
   // as long as others have something of them.
   const std::uint64_t quota = options_.config.quota.clients;
@@ -228,7 +282,7 @@ Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
   if (peer.counts_as_observer || used >= quota)
     return over_quota({"[quota] clients", quota, used, 1}, clients_text());
   if (auto kept = check_kept(session.identity().uid, kept_per_client); !kept) return kept;
-  switch (trace_of_revoked(peer)) {
+  switch (std::exchange(peer.revoked_trace, std::nullopt).value_or(Trace::none)) {
     case Trace::none:
       break;
     case Trace::some:
@@ -243,6 +297,7 @@ Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
   const auto plan = registry_.plan_client();
   if (!plan) return tl::unexpected(plan.error());
   const ClientIndex client = plan->index;
+  MemoryReserve::no_return();
   if (auto opened = regions_.open_client(client, plan->generation); !opened) return opened;
   if (auto kept = store_.put(DescriptorStore::process(client), session.identity().process.fd());
       !kept) {
@@ -253,6 +308,7 @@ Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
                         static_cast<std::uint32_t>(session.identity().pid), hello.domain, name},
                        *plan);
   const ClientRecord& record = registry_.client(client);
+  expect_windows(peer);
   session.greet(client);
   by_client_[number(client)] = &peer;
   auto packet = make_body<wire::Welcome>(wire::Opcode::welcome, hello.header.request);
@@ -264,8 +320,6 @@ Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
   packet.arena_bytes = options_.arena.bytes;
   packet.client_region_bytes = Registry::client_region_bytes;
   reply(peer, packet_of(packet), {regions_.board_reader(), regions_.region_writer(client)});
-  if (regions_.unlocked_count() > 0 && !std::exchange(said_unlocked_, true))
-    log_.write(LogLevel::info, "memory not locked", {{"why", "limit of locked memory"}});
   log_.write(LogLevel::debug, "client registered",
              {{"client", number(client)},
               {"generation", record.generation},
@@ -316,6 +370,13 @@ Result<void> Broker::rejoin(Peer& peer, const wire::Rejoin& request) {
   peer.returns = (*before)->returns;
   if (!peer.returns.take(monotonic_ms()))
     return refusal(Errc::limit_reached, "this process comes back too often; later it may");
+  // The rules may be others than those by which it was let in.
+  if (const std::string why = forbidden_endpoint(client, subject_of(peer)); !why.empty()) {
+    revoke(**before, why);
+    return refusal(Errc::revoked, why);
+  }
+  warn_of_other_readers(client);
+  MemoryReserve::no_return();
   if (std::exchange(peer.counts_as_observer, false)) {
     // It was taken for one more because the daemon had not seen yet that the old one had ended.
     Connections& used = connections_[peer.session.identity().uid];
@@ -325,6 +386,8 @@ Result<void> Broker::rejoin(Peer& peer, const wire::Rejoin& request) {
   peer.session.greet(client);
   by_client_[number(client)] = &peer;
   drop((*before)->id);
+  if (registry_.endpoints_of(client).empty() && registry_.client(client).executors == 0)
+    expect_windows(peer);
   registry_.note_rejoined(client);
   auto packet = make_body<wire::Rejoined>(wire::Opcode::rejoined, request.header.request);
   packet.incarnation = registry_.incarnation();
@@ -348,6 +411,80 @@ Result<void> Broker::room_for_brought(const ClientRecord& record, std::uint64_t 
 Result<void> Broker::check_window(std::uint32_t uid, std::uint64_t bytes) {
   if (auto kept = check_kept(uid, 1); !kept) return kept;
   return check_limit(registry_.usage_of(uid).heap_bytes, bytes, heap_quota(), "[quota] heap_bytes");
+}
+
+// A process brings what it has from a former incarnation before it asks this one for anything. Until then the
+// kernel lets descriptors through to the daemon.
+void Broker::expect_windows(Peer& peer) {
+  peer.brings_windows = true;
+  peer.session.set_may_carry(true);
+  accept_descriptors(peer.session.socket().fd());
+}
+
+void Broker::expect_no_windows(Peer& peer) {
+  if (!std::exchange(peer.brings_windows, false)) return;
+  refuse_descriptors(peer.session.socket().fd());
+  peer.refuses_since_ms = monotonic_ms();
+}
+
+struct Broker::ReceivedWindow {
+  PacketSocket socket;  // another number of the connection: the loop may close its own meanwhile
+  std::array<std::byte, wire::packet_bytes_max> bytes;
+  Result<Packet> packet;
+  std::size_t count = 0;  // of descriptors that came
+  UniqueFd window;        // the only one, and memory: closing it waits for nobody
+};
+
+// All of it happens elsewhere: for want of a number the kernel closes what comes, and whatever is not a
+// window is closed there, too.
+void Broker::receive_window(Peer& peer) {
+  const std::uint32_t uid = peer.session.identity().uid;
+  auto received = std::make_shared<ReceivedWindow>();
+  received->socket =
+      PacketSocket(UniqueFd(::fcntl(peer.session.socket().fd(), F_DUPFD_CLOEXEC, 0)));
+  if (!received->socket) {
+    disconnect(peer, "no descriptor is left to receive a window with");
+    return;
+  }
+  const auto receive = [received] {
+    std::vector<UniqueFd> more;
+    received->packet = received->socket.receive_all(received->bytes, more);
+    if (received->packet) {
+      const std::span<UniqueFd> fds = received->packet->fds();
+      received->count = fds.size() + more.size();
+      // Only shared memory has seals.
+      if (received->count == 1 && ::fcntl(fds[0].get(), F_GET_SEALS) >= 0)
+        received->window = std::move(fds[0]);
+      close_received(fds);
+    }
+    close_received(more);
+    received->socket.close();
+  };
+  park(peer);
+  errands_.run(Errands::Lane::receiving, uid, receive,
+               [this, id = peer.id, received, here = std::weak_ptr(here_)] {
+                 if (!here.expired()) serve_window(id, *received);
+               });
+}
+
+void Broker::serve_window(PeerId id, ReceivedWindow& received) {
+  const auto found = peers_.find(id);
+  const std::uint32_t uid =
+      found == peers_.end() ? static_cast<std::uint32_t>(-1) : found->second->session.identity().uid;
+  Peer* const peer = unpark(id);
+  if (peer != nullptr && !received.packet) {
+    disconnect(*peer, received.packet.error().what);
+  } else if (peer != nullptr && received.packet->kind == Packet::Kind::data) {
+    const Packet& packet = *received.packet;
+    AGNOCAST_CRASH_POINT(B_request);
+    serve_packet(*peer, {received.bytes.data(), packet.bytes},
+                 {received.count, packet.truncated, packet.descriptors_lost},
+                 std::span(&received.window, 1));
+  }
+  if (!received.window) return;
+  std::vector<UniqueFd> last;
+  last.push_back(std::move(received.window));
+  disposal_.close_received(uid, std::move(last));  // much memory may go with it
 }
 
 // What lies in a window outlives the daemon that gave it: its owner, which knows nobody here yet, keeps
@@ -380,6 +517,7 @@ Result<void> Broker::bring_window(Peer& peer, const wire::BringWindow& request,
     facts.ours = ours.has_value();
   }
   facts.free = true;
+  MemoryReserve::no_return();
   auto decision = journal::decide_brought(facts);
   if (decision == journal::BroughtDecision::take) {
     facts.free = request.bytes == options_.arena.window_bytes && plan_.adopt(request.base);
@@ -440,10 +578,11 @@ Result<void> Broker::open_window(Peer& peer, const wire::WindowRequest& request)
                          ", this process has as many");
     const std::uint64_t bytes = options_.arena.window_bytes;
     if (auto allowed = check_window(record.uid, bytes); !allowed) return allowed;
+    MemoryReserve::no_return();
     const auto window = choose_window(client);
     if (!window) return tl::unexpected(window.error());
     AGNOCAST_CRASH_POINT(B_window_base);
-    writer = regions_.open_window(client, window->base, bytes, record.uid);
+    writer = regions_.open_window(client, window->base, record.uid);
     if (!writer) {
       plan_.give_back(window->base);
       return tl::unexpected(writer.error());
@@ -497,6 +636,7 @@ Result<void> Broker::admit_executor(ClientIndex client, const ExecutorRequest& r
 Result<void> Broker::open_executor(Peer& peer, const ExecutorRequest& request) {
   const ClientIndex client = *peer.session.client();
   if (auto admitted = admit_executor(client, request); !admitted) return admitted;
+  MemoryReserve::no_return();
   auto bells = doorbells_.open(client, request.executor);
   if (!bells) return tl::unexpected(bells.error());
   AGNOCAST_CRASH_POINT(B_bell_bound);
@@ -526,15 +666,7 @@ Result<void> Broker::create(Peer& peer, const CreateRequest& request) {
                    "[limits] depth_max is " + std::to_string(options_.config.limits.depth_max) +
                        ", depth " + std::to_string(request.qos.depth) + " is asked for");
   const bool publisher = request.kind == Kind::publisher;
-  Subject subject{record.uid, peer.session.identity().groups};
-  subject.groups.push_back(record.gid);
-  const Decision decision = decide(options_.config.access, subject, record.domain, request.topic,
-                                   publisher ? Action::publish : Action::subscribe);
-  if (!decision.allowed)
-    return refusal(Errc::access_denied, "user " + std::to_string(record.uid) + " may not " +
-                                            (publisher ? "publish on " : "subscribe to ") +
-                                            request.topic + " (rule in line " +
-                                            std::to_string(decision.line) + ")");
+  if (auto allowed = check_access(peer, request); !allowed) return allowed;
   if (auto allowed = check_topics(record, request.topic); !allowed) return allowed;
   const Usage usage = registry_.usage_of(record.uid);
   auto allowed =
@@ -548,7 +680,13 @@ Result<void> Broker::create(Peer& peer, const CreateRequest& request) {
                           "[quota] held_messages");
     if (!allowed) return allowed;
   }
+  // Before anybody is told of the publisher, and with it of the heap.
+  const bool is_first = publisher && record.readers == 0;
+  if (is_first)
+    registry_.set_readers(client,
+                          readers_of(options_.config.access, record.domain, request.topic));
   auto created = membership_.create(client, request);
+  if (!created && is_first) registry_.set_readers(client, 0);
   if (created) {
     log_.write(LogLevel::debug, "endpoint created",
                {{"kind", name_of_kind(request.kind)},

@@ -73,7 +73,7 @@ Result<journal::FoundDecision> Broker::adopt_client(ClientIndex client, std::uin
       return fail_with(Errc::store_damaged,
                        "what the former agnocastd left is damaged: the windows of a process");
   }
-  const auto adopted = regions_.adopt_client(client, record.window_count);
+  const auto adopted = regions_.adopt_client(client, record.window_count, registry_.used_bytes_of(client));
   if (!adopted && adopted.error().code != Errc::endpoint_gone)
     return tl::unexpected(adopted.error());
   namespace stored = journal::stored;
@@ -177,11 +177,11 @@ std::uint64_t Broker::reap_while_away(const std::vector<ClientIndex>& ended) {
     // The end of one may be the end of another that was waited for.
     const ClientState state = registry_.client(client).state;
     if (state == ClientState::alive) {
-      repair(client, DeathReason::died, "ended while the daemon was away");
+      repair(client, DeathReason::died, "ended while the daemon was away", UINT64_MAX);
       ++dead;
     } else if (state == ClientState::dead) {
       repair(client, registry_.client(client).reason,
-             "its end was not finished by the former daemon");
+             "its end was not finished by the former daemon", UINT64_MAX);
     }
   }
   return dead;

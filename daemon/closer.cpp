@@ -5,11 +5,31 @@
 #include <base/signals.hpp>
 #include <daemon/descriptor_store.hpp>
 
-#include <iterator>
+#include <sys/mman.h>
+
+#include <algorithm>
+#include <cstdint>
 #include <system_error>
 #include <utility>
 
 namespace agnocast::daemon {
+namespace {
+
+#ifndef MADV_DONTNEED_LOCKED
+#define MADV_DONTNEED_LOCKED 24  // Linux 5.18
+#endif
+
+// Piece by piece: whoever maps or locks something meanwhile waits for one piece.
+void unmap(Mapping mapping) noexcept {
+  constexpr std::uint64_t piece_bytes = 16 << 20;
+  for (std::uint64_t at = 0; at < mapping.bytes(); at += piece_bytes) {
+    const std::uint64_t bytes = std::min(piece_bytes, mapping.bytes() - at);
+    if (::madvise(mapping.base() + at, bytes, MADV_DONTNEED_LOCKED) != 0)
+      ::madvise(mapping.base() + at, bytes, MADV_DONTNEED);
+  }
+}
+
+}  // namespace
 
 Closer::~Closer() {
   {
@@ -20,11 +40,10 @@ Closer::~Closer() {
   if (thread_.joinable()) thread_.join();
 }
 
-void Closer::close(std::vector<SharedFd> fds) {
+void Closer::close(std::vector<SharedFd> fds, Mapping mapping) {
   {
     const std::lock_guard lock(mutex_);
-    waiting_.insert(waiting_.end(), std::make_move_iterator(fds.begin()),
-                    std::make_move_iterator(fds.end()));
+    waiting_.push_back({std::move(fds), std::move(mapping)});
   }
   changed_.notify_one();
   if (thread_.joinable()) return;
@@ -41,8 +60,9 @@ void Closer::run() {
   for (;;) {
     changed_.wait(lock, [this] { return stops_ || !waiting_.empty(); });
     if (waiting_.empty()) return;
-    std::vector<SharedFd> now = std::exchange(waiting_, {});
+    std::vector<Memory> now = std::exchange(waiting_, {});
     lock.unlock();
+    for (Memory& memory : now) unmap(std::move(memory.mapping));
     wait_for_manager();
     now.clear();
     lock.lock();

@@ -3,14 +3,15 @@
 // Closer: lets go of memory that takes long to free.
 //
 // Whoever closes the last descriptor of a memfd frees its pages, a tenth of a second and more for
-// each GiB, and the daemon must not keep everybody waiting for so long. So a thread of its own closes
-// what is large. It waits until the manager has removed its copies from the store: otherwise the
+// each GiB, and the daemon must not keep everybody waiting for so long; unmapping what a process has filled
+// takes as long. So a thread of its own does both with what is large. It waits until the manager has removed its copies from the store: otherwise the
 // manager might be the last, which under systemd is PID 1.
 //
 // The thread touches nothing but the descriptors that it was given. It begins with the first of them.
 // A death of the daemon needs no care: a process that ends closes everything.
 #pragma once
 
+#include <base/mapping.hpp>
 #include <daemon/shared_fd.hpp>
 
 #include <condition_variable>
@@ -28,15 +29,20 @@ class Closer {
   Closer(const Closer&) = delete;
   Closer& operator=(const Closer&) = delete;
 
-  /// Takes over these uses of descriptors that were removed from the store; closes them soon.
-  void close(std::vector<SharedFd> fds);
+  /// Takes over these uses of descriptors that were removed from the store, and a mapping of one of them;
+  /// closes them soon.
+  void close(std::vector<SharedFd> fds, Mapping mapping = {});
 
  private:
   void run();
 
   std::mutex mutex_;
   std::condition_variable changed_;
-  std::vector<SharedFd> waiting_;
+  struct Memory {
+    std::vector<SharedFd> fds;
+    Mapping mapping;
+  };
+  std::vector<Memory> waiting_;
   bool stops_ = false;
   std::thread thread_;
 };

@@ -14,6 +14,7 @@
 
 #include <base/check.hpp>
 #include <daemon/broker.hpp>
+#include <daemon/memory_reserve.hpp>
 
 #include <algorithm>
 
@@ -75,6 +76,7 @@ Result<void> Broker::blocked(Peer& peer, const wire::Blocked& range) {
   std::string_view text;
   AGNOCAST_CHECK(text_of(range.what, text));
   const std::string what = printable(text);
+  MemoryReserve::no_return();
   const std::size_t before = obstacles_.of(client).size();
   if (auto added = obstacles_.add(client, identity.uid, range.base, range.bytes, what); !added)
     return added;

@@ -41,6 +41,9 @@ struct Config {
     std::uint32_t socket_mode = 0660;
     std::string socket_group;  // empty: the group "agnocast" if there is one
     LogLevel log_level = LogLevel::info;
+    // 0: off. As long as WatchdogSec= of the unit: a loop that hangs costs nobody messages, and no load of a
+    // machine keeps a process from running for so long.
+    std::uint32_t watchdog_seconds = 30;
     friend bool operator==(const Daemon&, const Daemon&) = default;
   };
   struct Heap {
@@ -70,6 +73,13 @@ struct Config {
     std::uint64_t heap_bytes = 0;
     std::uint64_t held_messages = 1'048'576;
     std::uint64_t executors = 4'096;  // each is two descriptors of the daemon
+    // Eight of the longest dumps (5.3 MB, of full tables) and as much again for processes that come
+    // back all at once; they are told in parts.
+    std::uint64_t queued_bytes = std::uint64_t{96} << 20;
+    // Longer than a process is kept from reading by load, shorter than anybody waits for memory.
+    std::uint64_t queued_seconds = 30;
+    // What full tables cost then is a tenth or two of a core; tools look once a second.
+    std::uint64_t dumps_per_second = 20;
     friend bool operator==(const Quota&, const Quota&) = default;
   };
 

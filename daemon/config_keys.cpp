@@ -40,6 +40,9 @@ constexpr Key keys[] = {
      "group of the socket; auto: agnocast where there is such a group"},
     {"daemon", "log_level", Kind::level, 0, 0, 0, "", 0, AGNOCAST_NUMBER(daemon.log_level),
      "error, warning, notice, info or debug"},
+    {"daemon", "watchdog_seconds", Kind::count, 1, 3600, 0, "off", 0,
+     AGNOCAST_NUMBER(daemon.watchdog_seconds),
+     "without systemd: a daemon whose loop has not turned for so long is killed and started again"},
 
     {"heap", "window_bytes", Kind::bytes, 64 * mib, 16 * tib, granule, "auto", 0,
      AGNOCAST_NUMBER(heap.window_bytes),
@@ -87,6 +90,17 @@ constexpr Key keys[] = {
      "sum of what the subscriptions of one user may hold at most"},
     {"quota", "executors", Kind::count, 1, many, 0, "unlimited", unlimited,
      AGNOCAST_NUMBER(quota.executors), "each costs the daemon two descriptors"},
+    {"quota", "queued_bytes", Kind::bytes, 1 * mib, std::uint64_t{1} << 40, 0, "unlimited",
+     unlimited, AGNOCAST_NUMBER(quota.queued_bytes),
+     "what the daemon keeps for the processes of one user that do not read what it says to them; "
+     "beyond that the one with most of it loses its connection"},
+    {"quota", "queued_seconds", Kind::count, 1, 86'400, 0, "unlimited", unlimited,
+     AGNOCAST_NUMBER(quota.queued_seconds),
+     "how long it is kept; then the process loses its connection, and is told again when it comes "
+     "back"},
+    {"quota", "dumps_per_second", Kind::count, 1, 1000, 0, "unlimited", unlimited,
+     AGNOCAST_NUMBER(quota.dumps_per_second),
+     "how often observers of one user are answered at length; beyond that they wait"},
 };
 
 #undef AGNOCAST_NUMBER
@@ -191,7 +205,8 @@ std::string to_toml(const Config& config) {
       "\n# Who may use which topics. The first rule that matches the topic and speaks of the "
       "action\n"
       "# decides; without one, everybody may. * and ? stand for characters of one name between\n"
-      "# slashes, ** for anything. A list that is empty means nobody.\n"
+      "# slashes, ** for anything. A list that is empty means nobody. A process publishes on topics\n"
+      "# with the same subscribers only: they share its memory.\n"
       "#\n"
       "# [[access]]\n"
       "# topic = \"/lidar/**\"\n"

@@ -2,6 +2,8 @@
 
 #include <daemon/doorbells.hpp>
 
+#include <base/closing.hpp>
+#include <base/packet_socket.hpp>
 #include <base/step.hpp>
 
 #include <dirent.h>
@@ -21,6 +23,18 @@ Result<SharedFd> duplicate(int fd) {
   UniqueFd copy(::fcntl(fd, F_DUPFD_CLOEXEC, 0));
   if (!copy) return fail(Errc::os_failure, "duplicating a descriptor", errno);
   return share(std::move(copy));
+}
+
+// Of a client that never takes it this is the last one, with whatever others have sent to it.
+Result<SharedFd> duplicate_receiver(int fd) {
+  if (refuses_descriptors(fd)) return duplicate(fd);
+  UniqueFd copy(::fcntl(fd, F_DUPFD_CLOEXEC, 0));
+  if (!copy) return fail(Errc::os_failure, "duplicating a descriptor", errno);
+  return SharedFd(new UniqueFd(std::move(copy)), [](const UniqueFd* last) {
+    auto* const own = const_cast<UniqueFd*>(last);
+    close_without_waiting(std::move(*own));
+    delete own;
+  });
 }
 
 // It may be there a moment later.
@@ -47,7 +61,7 @@ Result<std::vector<SharedFd>> Doorbells::open(ClientIndex client, std::uint64_t 
   if (!sender) return tl::unexpected(sender.error());
   auto eventfd = duplicate(receiver->eventfd());
   if (!eventfd) return tl::unexpected(eventfd.error());
-  auto datagram = duplicate(receiver->datagram_fd());
+  auto datagram = duplicate_receiver(receiver->datagram_fd());
   if (!datagram) return tl::unexpected(datagram.error());
   if (auto kept = store_.put(DescriptorStore::eventfd(client, executor), (*eventfd)->get()); !kept)
     return tl::unexpected(kept.error());

@@ -127,7 +127,8 @@ class Writer {
       body.connections = user.connections;
       body.observers = user.observers;
       body.use = {usage.clients,    usage.publishers,    usage.subscriptions, usage.executors,
-                  usage.heap_bytes, usage.held_messages, usage.topics};
+                  usage.heap_bytes, usage.held_messages, usage.topics,
+                  user.queued_bytes, user.waits_ms / 1000, user.answers_ahead};
       put(Opcode::dump_user, body);
       ++end_.user_count;
     }

@@ -33,6 +33,9 @@ struct DumpFacts {
   struct User {
     std::uint64_t connections = 0;
     std::uint64_t observers = 0;
+    std::uint64_t queued_bytes = 0;
+    std::uint64_t waits_ms = 0;  // the oldest of that
+    std::uint64_t answers_ahead = 0;
   };
   abi::wire::DumpDaemon daemon{};       // header left open
   std::map<std::uint32_t, User> users;  // those with connections; owners of processes are added

@@ -2,6 +2,8 @@
 
 #include <daemon/listener.hpp>
 
+#include <base/closing.hpp>
+#include <base/daemon_socket.hpp>
 #include <base/unix_address.hpp>
 
 #include <dirent.h>
@@ -40,9 +42,20 @@ std::string parent_of(const std::string& path) {
   return slash == 0 ? "/" : path.substr(0, slash);
 }
 
+/// A directory that we have just made, with this mode whatever the umask. Somebody may have put
+/// something else there since: no link is followed.
+bool set_mode(const std::string& directory, mode_t mode) noexcept {
+  const UniqueFd made(
+      ::open(directory.c_str(), O_RDONLY | O_DIRECTORY | O_NOFOLLOW | O_CLOEXEC));
+  struct stat entry {};
+  return made && ::fstat(made.get(), &entry) == 0 && entry.st_uid == ::geteuid() &&
+         ::fchmod(made.get(), mode) == 0;
+}
+
 tl::expected<void, Complaint> make_directory(const std::string& directory) {
   if (::mkdir(directory.c_str(), 0755) == 0) {
-    ::chmod(directory.c_str(), 0755);  // whatever the umask
+    if (!set_mode(directory, 0755))
+      return complain(Errc::os_failure, "cannot use directory " + directory + ": " + reason(errno));
   } else if (errno != EEXIST) {
     return complain(Errc::os_failure, "cannot make directory " + directory + ": " + reason(errno));
   }
@@ -51,6 +64,10 @@ tl::expected<void, Complaint> make_directory(const std::string& directory) {
     return complain(Errc::os_failure, "cannot use directory " + directory + ": " + reason(errno));
   if (!S_ISDIR(entry.st_mode))
     return complain(Errc::os_failure, "cannot use " + directory + ": it is not a directory");
+  if (entry.st_uid != 0 && entry.st_uid != ::geteuid() && !is_unknown_user(entry.st_uid))
+    return complain(Errc::permission_denied, "cannot use directory " + directory + ": user " +
+                                                 std::to_string(entry.st_uid) +
+                                                 " owns it and could replace the socket");
   if ((entry.st_mode & 0022) != 0 && (entry.st_mode & S_ISVTX) == 0)
     return complain(Errc::permission_denied, "cannot use directory " + directory +
                                                  ": others may write there and could replace the "
@@ -92,10 +109,23 @@ tl::expected<void, Complaint> make_bells(const std::string& directory) {
   if (!S_ISDIR(entry.st_mode) || entry.st_uid != ::geteuid())
     return complain(Errc::permission_denied,
                     "cannot use " + directory + ": it is not a directory of this user");
-  if (::chmod(directory.c_str(), 0700) != 0)
+  if (!set_mode(directory, 0700))
     return complain(Errc::os_failure, "cannot use directory " + directory + ": " + reason(errno));
   clear_bells(directory);
   return {};
+}
+
+/// chmod follows links, and not every kernel knows an fchmodat that does not. The entry itself is
+/// opened, and reached through that.
+bool set_mode_of_socket(const std::string& path, mode_t mode) noexcept {
+  const UniqueFd entry(::open(path.c_str(), O_PATH | O_NOFOLLOW | O_CLOEXEC));
+  struct stat file {};
+  if (!entry || ::fstat(entry.get(), &file) != 0) return false;
+  if (!S_ISSOCK(file.st_mode) || file.st_uid != ::geteuid()) {
+    errno = EPERM;
+    return false;
+  }
+  return ::chmod(("/proc/self/fd/" + std::to_string(entry.get())).c_str(), mode) == 0;
 }
 
 tl::expected<void, Complaint> clear_socket(const std::string& path) {
@@ -152,6 +182,7 @@ tl::expected<void, Complaint> Listener::listen_at(const std::string& path, Uniqu
   is_passed_ = true;
   path_ = path;
   socket_ = PacketListener(std::move(passed));
+  refuse_descriptors(socket_.fd());
   if (auto wanted = socket_.want_credentials(true); !wanted)
     return complain(Errc::os_failure,
                     "cannot listen at " + path + ": " + reason(wanted.error().os_errno));
@@ -238,6 +269,7 @@ tl::expected<void, Complaint> Listener::listen(const ListenerOptions& options) {
   }
   path_ = path;  // from here on there is something to remove
   socket_ = std::move(*socket);
+  refuse_descriptors(socket_.fd());  // where the kernel can; the broker asks of every connection
   if (auto wanted = socket_.want_credentials(true); !wanted)
     return complain(Errc::os_failure,
                     "cannot listen at " + path + ": " + reason(wanted.error().os_errno));
@@ -245,7 +277,7 @@ tl::expected<void, Complaint> Listener::listen(const ListenerOptions& options) {
     return complain(Errc::permission_denied, "cannot give " + path + " to group " +
                                                  std::to_string(*options.group) + ": " +
                                                  reason(errno));
-  if (::chmod(path.c_str(), options.mode) != 0)
+  if (!set_mode_of_socket(path, options.mode))
     return complain(Errc::os_failure, "cannot set the mode of " + path + ": " + reason(errno));
   if (auto listening = socket_.listen(); !listening)
     return complain(Errc::os_failure,
@@ -286,7 +318,7 @@ tl::expected<Listener, Complaint> Listener::adopt(const ListenerOptions& options
     listener.lock_ = std::move(lock);
   }
   listener.former_count_ = std::max<std::uint64_t>(read_count(listener.lock_.get()), 1) - 1;
-  if (::mkdir(bells.c_str(), 0700) == 0) ::chmod(bells.c_str(), 0700);
+  if (::mkdir(bells.c_str(), 0700) == 0) static_cast<void>(set_mode(bells, 0700));
   if (passed) {
     if (auto listening = listener.listen_at(path, std::move(passed)); !listening)
       return tl::unexpected(listening.error());
@@ -294,12 +326,13 @@ tl::expected<Listener, Complaint> Listener::adopt(const ListenerOptions& options
   }
   if (socket && somebody_listens(path)) {
     listener.socket_ = PacketListener(std::move(socket));
+    refuse_descriptors(listener.socket_.fd());
     listener.path_ = path;
     return listener;
   }
   listener.renewed_ = true;
   // What waits in a queue that nobody can reach any more is told so by its end.
-  socket.reset();
+  close_without_waiting(std::move(socket));
   if (auto cleared = clear_socket(path); !cleared) return tl::unexpected(cleared.error());
   ListenerOptions again = options;
   again.path = path;
@@ -317,6 +350,9 @@ Result<void> Listener::keep(DescriptorStore& store) const {
 }
 
 Listener::~Listener() {
+  // Who waits to be accepted goes with it, with all that he has sent: the end of the process closes that, and
+  // does not linger.
+  static_cast<void>(socket_.release().release());
   if (path_.empty() || !removes_) return;
   if (!is_passed_) ::unlink(path_.c_str());
   clear_bells(bells_);

@@ -165,6 +165,7 @@ class Membership {
   [[nodiscard]] tl::unexpected<Failure> explain_full(TopicIndex topic, const Failure& why) const;
   void let_go(const EndpointRef& ref, ClientIndex by);
   void settle(const EndpointRef& ref);
+  void free_publisher(const EndpointRef& ref);
   void settle_topic(TopicIndex topic);
   void say_done(ClientIndex client, const wire::Reference& reference);
   bool is_own(ClientIndex client, const wire::Reference& reference) const;

@@ -5,7 +5,9 @@
 
 #include <base/check.hpp>
 #include <daemon/membership_parts.hpp>
+#include <daemon/memory_reserve.hpp>
 
+#include <algorithm>
 #include <cstddef>
 #include <cstring>
 
@@ -137,9 +139,16 @@ void Membership::announce_window(ClientIndex owner) {
   packet.bytes = record.window[packet.window].bytes;
   packet.first = record.window[packet.window].first;
   const SharedFd reader = regions_.window_readers(owner).back();
+  // Who has the region because it publishes to this process, reads nothing in its heap.
+  const auto reads = [&](ClientIndex to) {
+    const auto& endpoints = registry_.endpoints_of(owner);
+    return std::any_of(endpoints.begin(), endpoints.end(), [&](const EndpointRef& ref) {
+      return ref.kind == Kind::publisher && registry_.told_of(ref).contains(number(to));
+    });
+  };
   for_each_told(record.told, [&](ClientIndex to) {
     Session* const session = post_.session_of(to);
-    if (session == nullptr) return;
+    if (session == nullptr || !reads(to)) return;
     session->announcements().announced(region_of(owner), session->packet_count() + 1);
     post_.send(to, packet_of(packet), {reader});
   });
@@ -226,7 +235,13 @@ void Membership::welcome_back(ClientIndex client) {
 }
 
 void Membership::go_on_telling() {
-  for (auto& [client, rest] : std::exchange(to_tell_, {})) tell_more(client, std::move(rest));
+  for (auto& [client, rest] : std::exchange(to_tell_, {})) {
+    if (MemoryReserve::refill()) {
+      tell_more(client, std::move(rest));
+    } else {
+      to_tell_.insert_or_assign(client, std::move(rest));
+    }
+  }
 }
 
 // Without a connection it begins anew when it is back.
@@ -234,7 +249,8 @@ void Membership::tell_more(ClientIndex client, ToTell rest) {
   while (rest.next_region < registry_.client_high()) {
     Session* const session = post_.session_of(client);
     if (session == nullptr) return;
-    if (session->queued_count() >= Session::queue_count_max / 2) {
+    const bool is_full = session->queued_count() >= Session::queue_count_max / 2;
+    if (is_full || (session->is_crowded() && session->has_output())) {
       to_tell_.insert_or_assign(client, std::move(rest));
       return;
     }

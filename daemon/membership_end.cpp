@@ -203,7 +203,7 @@ void Membership::settle(const EndpointRef& ref) {
     if (state != EndpointState::orphan && state != EndpointState::over) return;
     given_up_.erase(registry_.generation_of(ref));
     if (owner_dead) {
-      registry_.end_publisher(ref.topic, ref.index, EndpointState::free);
+      free_publisher(ref);
     } else if (state == EndpointState::orphan) {
       // Its process still has messages to destroy in that extent, and says when it is done.
       registry_.end_publisher(ref.topic, ref.index, EndpointState::over);
@@ -214,10 +214,19 @@ void Membership::settle(const EndpointRef& ref) {
     const EndpointState state = registry_.subscription(ref.topic, ref.index).state;
     if (!is_over(state)) return;
     given_up_.erase(registry_.generation_of(ref));
+    const std::uint64_t extent = registry_.subscription(ref.topic, ref.index).extent;
     registry_.free_subscription(ref.topic, ref.index);
+    regions_.discard(owner, extent, abi::subscription_extent_bytes);
   }
   settle_topic(ref.topic);
   settle_client(owner);
+}
+
+void Membership::free_publisher(const EndpointRef& ref) {
+  const ClientIndex owner = registry_.owner_of(ref);
+  const std::uint64_t extent = registry_.publisher(ref.topic, ref.index).extent;
+  registry_.end_publisher(ref.topic, ref.index, EndpointState::free);
+  regions_.discard(owner, extent, abi::publisher_extent_bytes);
 }
 
 void Membership::settle_topic(TopicIndex topic) {

@@ -3,6 +3,7 @@
 #include <daemon/reaper.hpp>
 
 #include <base/check.hpp>
+#include <base/clock.hpp>
 #include <base/step.hpp>
 #include <journal/recovery.hpp>
 
@@ -12,9 +13,12 @@
 #include <cinttypes>
 #include <cstdio>
 #include <memory>
-#include <vector>
+#include <utility>
 
 namespace agnocast::daemon {
+
+using journal::DeathReason;
+
 namespace {
 
 journal::LeaveCause count(journal::IntentDecision decision, Reaped& reaped) noexcept {
@@ -36,48 +40,74 @@ journal::LeaveCause count(journal::IntentDecision decision, Reaped& reaped) noex
 
 }  // namespace
 
-Reaped reap(ClientIndex client, journal::DeathReason reason, Registry& registry, Regions& regions,
-            Doorbells& doorbells, Membership& membership) {
-  Reaped reaped;
-  if (registry.is_alive(client)) registry.client_died(client, reason);
-  const std::vector<EndpointRef> endpoints = registry.endpoints_of(client);  // they go one by one
-  for (const EndpointRef& ref : endpoints) {
-    if (ref.kind != Kind::subscription) continue;
-    const EndpointState state = registry.subscription(ref.topic, ref.index).state;
-    if (state != EndpointState::active && state != EndpointState::leaving) continue;
-    membership.bury_subscription(ref);
-    ++reaped.subscriptions;
+Reaping::Reaping(ClientIndex client, DeathReason reason, Registry& registry, Regions& regions,
+                 Doorbells& doorbells, Membership& membership)
+    : client_(client),
+      reason_(reason),
+      registry_(registry),
+      regions_(regions),
+      doorbells_(doorbells),
+      membership_(membership) {
+  if (registry_.is_alive(client_)) registry_.client_died(client_, reason_);
+  endpoints_ = registry_.endpoints_of(client_);
+}
+
+bool Reaping::go_on(std::uint64_t until_ns) {
+  while (next_subscription_ < endpoints_.size()) {
+    if (end_subscription(endpoints_[next_subscription_++]) && monotonic_ns() >= until_ns)
+      return false;
   }
-  for (const EndpointRef& ref : endpoints) {
-    if (ref.kind != Kind::publisher) continue;
-    const PublisherRecord& record = registry.publisher(ref.topic, ref.index);
-    if (record.state != EndpointState::active) continue;
-    std::uint64_t final_head = abi::pack_entry(abi::first_sequence_of(record.generation), 0);
-    if (!regions.is_open(client)) {
-      membership.orphan(ref, final_head, journal::LeaveCause::nothing_open);
-      ++reaped.publishers;
-      continue;
-    }
-    const dataplane::PublisherWords<SharedMemory> words{regions.region(client), record.extent};
+  while (next_publisher_ < endpoints_.size()) {
+    if (end_publisher(endpoints_[next_publisher_++]) && monotonic_ns() >= until_ns) return false;
+  }
+  if (!std::exchange(done_, true)) finish();
+  return true;
+}
+
+// A place that was free by the time may be somebody else's by now.
+bool Reaping::is_ours(const EndpointRef& ref) const noexcept {
+  return registry_.was_used(ref) && registry_.owner_of(ref) == client_;
+}
+
+bool Reaping::end_subscription(const EndpointRef& ref) {
+  if (ref.kind != Kind::subscription || !is_ours(ref)) return false;
+  const EndpointState state = registry_.subscription(ref.topic, ref.index).state;
+  if (state != EndpointState::active && state != EndpointState::leaving) return false;
+  membership_.bury_subscription(ref);
+  ++reaped_.subscriptions;
+  return true;
+}
+
+bool Reaping::end_publisher(const EndpointRef& ref) {
+  if (ref.kind != Kind::publisher || !is_ours(ref)) return false;
+  const PublisherRecord& record = registry_.publisher(ref.topic, ref.index);
+  if (record.state != EndpointState::active) return false;
+  std::uint64_t final_head = abi::pack_entry(abi::first_sequence_of(record.generation), 0);
+  journal::LeaveCause cause = journal::LeaveCause::nothing_open;
+  if (regions_.is_open(client_)) {
+    const dataplane::PublisherWords<SharedMemory> words{regions_.region(client_), record.extent};
     AGNOCAST_CRASH_POINT(B_recover);
-    journal::LeaveCause cause = journal::LeaveCause::left;
-    if (reason == journal::DeathReason::revoked) {
+    if (reason_ == DeathReason::revoked) {
+      cause = journal::LeaveCause::left;
       final_head = words.head().load(std::memory_order_acquire);
     } else {
-      cause = count(journal::recover_queue(words, record.slot_count, final_head), reaped);
+      cause = count(journal::recover_queue(words, record.slot_count, final_head), reaped_);
     }
-    membership.orphan(ref, final_head, cause);
-    ++reaped.publishers;
   }
-  membership.forget_client(client);
-  doorbells.close_client(client);
+  membership_.orphan(ref, final_head, cause);
+  ++reaped_.publishers;
+  return true;
+}
+
+void Reaping::finish() {
+  membership_.forget_client(client_);
+  doorbells_.close_client(client_);
   AGNOCAST_CRASH_POINT(B_bells_closed);
   // Others keep what they map; nobody new is told of it.
-  regions.bury_client(client);
+  regions_.bury_client(client_);
   AGNOCAST_CRASH_POINT(B_buried);
-  membership.settle_all();
-  membership.limit_gone();
-  return reaped;
+  membership_.settle_all();
+  membership_.limit_gone();
 }
 
 std::optional<bool> maps_file(pid_t pid, const Regions::FileId& file) noexcept {

@@ -24,6 +24,7 @@
 
 #include <cstdint>
 #include <optional>
+#include <vector>
 
 namespace agnocast::daemon {
 
@@ -36,11 +37,38 @@ struct Reaped {
   std::uint64_t corrupt = 0;
 };
 
-/// `client` is alive in the tables, or was being reaped when the daemon died, and its process stores
-/// no more, unless the reason is `revoked`. A process whose region was lost has no queues to repair:
-/// its publishers end as they are.
-Reaped reap(ClientIndex client, journal::DeathReason reason, Registry& registry, Regions& regions,
-            Doorbells& doorbells, Membership& membership);
+/// The end of one process, endpoint by endpoint. `client` is alive in the tables, or was being reaped when
+/// the daemon died, and its process stores no more, unless the reason is `revoked`. A process whose region was
+/// lost has no queues to repair: its publishers end as they are. Between two calls others are served; what is
+/// left of the process looks to them as if it lived.
+class Reaping {
+ public:
+  /// Journals the death.
+  Reaping(ClientIndex client, journal::DeathReason reason, Registry& registry, Regions& regions,
+          Doorbells& doorbells, Membership& membership);
+
+  /// Goes on until that time (CLOCK_MONOTONIC), with one endpoint at least. True: it is done.
+  bool go_on(std::uint64_t until_ns);
+  ClientIndex client() const noexcept { return client_; }
+  const Reaped& reaped() const noexcept { return reaped_; }
+
+ private:
+  bool is_ours(const EndpointRef& ref) const noexcept;
+  bool end_subscription(const EndpointRef& ref);
+  bool end_publisher(const EndpointRef& ref);
+  void finish();
+
+  ClientIndex client_;
+  journal::DeathReason reason_;
+  Registry& registry_;
+  Regions& regions_;
+  Doorbells& doorbells_;
+  Membership& membership_;
+  std::vector<EndpointRef> endpoints_;  // as they were at the beginning: they go one by one
+  std::size_t next_subscription_ = 0, next_publisher_ = 0;
+  bool done_ = false;
+  Reaped reaped_;
+};
 
 /// Whether the process has a mapping of this file. True as well when it cannot be known; nothing when
 /// there is no descriptor or no memory to look now.

@@ -2,6 +2,7 @@
 
 #include <daemon/refuser.hpp>
 
+#include <base/peer_identity.hpp>
 #include <daemon/membership.hpp>
 
 #include <sys/epoll.h>
@@ -22,7 +23,11 @@ constexpr unsigned connections_per_turn = 8;
 
 Refuser::~Refuser() {
   dispatcher_.remove(listening_);
-  for (const auto& [id, caller] : callers_) dispatcher_.remove(caller.token);
+  for (auto& [id, caller] : callers_) {
+    dispatcher_.remove(caller.token);
+    // The end of the process closes it, and does not linger.
+    static_cast<void>(caller.socket.release().release());
+  }
 }
 
 Result<void> Refuser::start() {
@@ -41,8 +46,12 @@ void Refuser::accept_all() {
     const std::uint64_t id = ++last_caller_;
     const auto token =
         dispatcher_.add((*socket)->fd(), EPOLLIN, [this, id](std::uint32_t) { answer(id); });
-    if (!token) continue;
-    callers_.emplace(id, Caller{std::move(**socket), *token});
+    const std::uint32_t uid = uid_of((*socket)->fd());
+    if (!token) {
+      disposal_.close_connection(uid, (*socket)->release());
+      continue;
+    }
+    callers_.emplace(id, Caller{std::move(**socket), *token, uid});
     if (callers_.size() > caller_count_max) drop(callers_.begin());
   }
 }
@@ -51,6 +60,9 @@ void Refuser::answer(std::uint64_t id) {
   const auto found = callers_.find(id);
   if (found == callers_.end()) return;
   std::array<std::byte, wire::packet_bytes_max> buffer;
+  // What comes with descriptors is not taken, and goes with the connection.
+  if (const auto next = found->second.socket.peek(buffer); next && next->has_descriptors)
+    return drop(found);
   const auto packet = found->second.socket.receive(buffer);
   if (packet && packet->kind == Packet::Kind::nothing) return;
   if (packet && packet->kind == Packet::Kind::data) {
@@ -74,6 +86,7 @@ void Refuser::answer(std::uint64_t id) {
 
 void Refuser::drop(Callers::iterator caller) {
   dispatcher_.remove(caller->second.token);
+  disposal_.close_connection(caller->second.uid, caller->second.socket.release());
   callers_.erase(caller);
 }
 

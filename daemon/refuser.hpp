@@ -11,6 +11,7 @@
 #include <base/log.hpp>
 #include <base/packet_socket.hpp>
 #include <daemon/dispatcher.hpp>
+#include <daemon/disposal.hpp>
 
 #include <cstdint>
 #include <map>
@@ -21,9 +22,11 @@ namespace agnocast::daemon {
 class Refuser {
  public:
   /// `code` is for every client, `why` for people as well.
-  Refuser(PacketListener listener, Dispatcher& dispatcher, Log& log, Errc code, std::string why)
+  Refuser(PacketListener listener, Dispatcher& dispatcher, Disposal& disposal, Log& log, Errc code,
+          std::string why)
       : listener_(std::move(listener)),
         dispatcher_(dispatcher),
+        disposal_(disposal),
         log_(log),
         code_(code),
         why_(std::move(why)) {}
@@ -38,6 +41,7 @@ class Refuser {
   struct Caller {
     PacketSocket socket;
     Dispatcher::Token token = 0;
+    std::uint32_t uid = 0;
   };
   using Callers = std::map<std::uint64_t, Caller>;
   void accept_all();
@@ -46,6 +50,7 @@ class Refuser {
 
   PacketListener listener_;
   Dispatcher& dispatcher_;
+  Disposal& disposal_;
   Log& log_;
   Errc code_;
   std::string why_;

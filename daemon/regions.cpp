@@ -12,7 +12,9 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
+#include <charconv>
 #include <memory>
 #include <string>
 #include <utility>
@@ -42,6 +44,20 @@ std::string file_of(int fd) {
   return bytes < 0 ? std::string() : std::string(file, static_cast<std::size_t>(bytes));
 }
 
+// Of the daemon's own: libraries, stacks, blocks that malloc maps one by one, board and tables. Some
+// hundred; where there are fewer than this left, it is malloc that fails next.
+constexpr std::uint64_t mappings_kept = 2048;
+
+// vm.max_map_count; what it is by default where it cannot be read.
+std::uint64_t read_map_count_max() noexcept {
+  const UniqueFd file(::open("/proc/sys/vm/max_map_count", O_RDONLY | O_CLOEXEC));
+  char text[24];
+  const ssize_t bytes = file ? ::read(file.get(), text, sizeof text) : -1;
+  std::uint64_t count = 65'530;
+  if (bytes > 0) std::from_chars(text, text + bytes, count);
+  return count;
+}
+
 // More than this is not freed between two requests: 16 MiB take a millisecond or two.
 constexpr std::uint64_t freed_at_once_bytes = 16 << 20;
 
@@ -65,7 +81,7 @@ Result<Regions> Regions::map(DescriptorStore& store, UniqueFd board, UniqueFd jo
   regions.board_ = std::move(*board_mapping);
   regions.journal_fd_ = std::move(journal);
   regions.journal_ = std::move(*journal_mapping);
-  regions.lock(regions.board_.base(), abi::page_bytes);
+  regions.map_count_max_ = read_map_count_max();
   return regions;
 }
 
@@ -118,11 +134,27 @@ Result<void> Regions::map_region(ClientMemory& memory, UniqueFd writer) const {
   return {};
 }
 
+std::uint64_t Regions::regions_max(std::uint64_t map_count_max) noexcept {
+  return map_count_max > mappings_kept ? map_count_max - mappings_kept : 0;
+}
+static_assert(65'530 - mappings_kept >= abi::client_count_max, "as the kernel has it by default");
+
 Result<void> Regions::open_client(ClientIndex client, std::uint64_t generation) {
   close_client(client);
-  auto writer = make_memfd("agnocast-region", Registry::client_region_bytes);
+  const auto mapped = static_cast<std::uint64_t>(
+      std::count_if(clients_.begin(), clients_.end(),
+                    [](const ClientMemory& one) { return static_cast<bool>(one.region); }));
+  if (mapped >= regions_max(map_count_max_))
+    return fail_with(Errc::limit_reached, "agnocastd maps a region for each process, and has " +
+                                              std::to_string(mapped) + "; vm.max_map_count is " +
+                                              std::to_string(map_count_max_));
+  auto writer = make_memfd("agnocast-region", abi::page_bytes, Length::may_grow);
   if (!writer) return tl::unexpected(writer.error());
   const int fd = writer->get();
+  // The process that is given this description says by the lock that it lives. Everybody who can
+  // read the region could lock it for reading, and so keep the process from joining: its lock is
+  // there before a descriptor for reading is.
+  if (auto locked = lock_for_writing(fd); !locked) return locked;
   ClientMemory& memory = clients_[number(client)];
   auto opened = map_region(memory, std::move(*writer));
   if (opened) opened = back(client, 0, abi::page_bytes);
@@ -141,7 +173,8 @@ Result<void> Regions::open_client(ClientIndex client, std::uint64_t generation) 
   return {};
 }
 
-Result<void> Regions::adopt_client(ClientIndex client, std::uint64_t window_count) {
+Result<void> Regions::adopt_client(ClientIndex client, std::uint64_t window_count,
+                                   std::uint64_t used_bytes) {
   ClientMemory& memory = clients_[number(client)];
   bool whole = true;
   for (std::uint64_t w = 0; w < window_count; ++w) {
@@ -154,10 +187,9 @@ Result<void> Regions::adopt_client(ClientIndex client, std::uint64_t window_coun
     }
   }
   UniqueFd writer = store_->take(DescriptorStore::region(client));
-  if (!writer || bytes_of(writer.get()) != Registry::client_region_bytes)
+  if (!writer || bytes_of(writer.get()) < used_bytes)
     return fail(Errc::endpoint_gone, "the region of a process was not kept");
   if (auto mapped = map_region(memory, std::move(writer)); !mapped) return mapped;
-  lock(memory.region.base(), abi::page_bytes);
   if (!whole) return fail(Errc::endpoint_gone, "a window of a process was not kept");
   return {};
 }
@@ -171,7 +203,6 @@ Result<void> Regions::back(ClientIndex client, std::uint64_t offset, std::uint64
                          static_cast<off_t>(bytes));
   } while (status != 0 && errno == EINTR);
   if (status != 0) return fail(Errc::os_failure, "backing an extent with memory", errno);
-  lock(memory.region.base() + offset, bytes);
   return {};
 }
 
@@ -183,12 +214,22 @@ Result<void> Regions::renew(ClientIndex client, std::uint64_t offset, std::uint6
   if (::fallocate(of(client).region_writer->get(), FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE,
                   static_cast<off_t>(offset), static_cast<off_t>(extent_bytes)) != 0)
     return fail(Errc::os_failure, "clearing an extent", errno);
+  if (auto longer = lengthen(of(client).region_writer->get(), offset + extent_bytes); !longer)
+    return longer;
   return back(client, offset, backed_bytes);
 }
 
-Result<SharedFd> Regions::open_window(ClientIndex client, std::uint64_t base, std::uint64_t bytes,
-                                      uid_t owner) {
-  auto writer = make_memfd(name_of_window(base, owner).c_str(), bytes);
+void Regions::discard(ClientIndex client, std::uint64_t offset,
+                      std::uint64_t extent_bytes) noexcept {
+  const ClientMemory& memory = of(client);
+  if (!memory.region_writer) return;
+  ::fallocate(memory.region_writer->get(), FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE,
+              static_cast<off_t>(offset), static_cast<off_t>(extent_bytes));
+}
+
+Result<SharedFd> Regions::open_window(ClientIndex client, std::uint64_t base, uid_t owner) {
+  // Its owner makes it longer as it uses more of it.
+  auto writer = make_memfd(name_of_window(base, owner).c_str(), 0, Length::may_grow);
   if (!writer) return tl::unexpected(writer.error());
   auto reader = reopen_read_only(writer->get());
   if (!reader) return tl::unexpected(reader.error());
@@ -203,11 +244,11 @@ Result<SharedFd> Regions::open_window(ClientIndex client, std::uint64_t base, st
 Result<void> Regions::check_window(int window, std::uint64_t base, std::uint64_t bytes,
                                    uid_t owner) {
   struct stat file {};
-  constexpr int seals = F_SEAL_SHRINK | F_SEAL_GROW | F_SEAL_SEAL;
+  constexpr int seals = F_SEAL_SHRINK | F_SEAL_SEAL;
   const bool is_ours = ::fcntl(window, F_GET_SEALS) >= 0 && ::fstat(window, &file) == 0 &&
                        S_ISREG(file.st_mode) && (file.st_mode & 07777) == 0600 &&
                        file.st_uid == ::geteuid() &&
-                       static_cast<std::uint64_t>(file.st_size) == bytes &&
+                       static_cast<std::uint64_t>(file.st_size) <= bytes &&
                        (::fcntl(window, F_GET_SEALS) & seals) == seals &&
                        (::fcntl(window, F_GETFL) & (O_ACCMODE | O_PATH)) == O_RDWR &&
                        file_of(window) == "/memfd:" + name_of_window(base, owner) + " (deleted)";
@@ -241,6 +282,8 @@ Result<SharedFd> Regions::window_writer(ClientIndex client, std::uint64_t window
 
 void Regions::bury_client(ClientIndex client) noexcept {
   ClientMemory& memory = clients_[number(client)];
+  if (memory.region_writer && memory_of(memory.region_writer->get()) > freed_at_once_bytes)
+    closer_->close({std::move(memory.region_writer)}, std::move(memory.region));
   memory.region.reset();
   memory.region_writer.reset();
 }
@@ -253,12 +296,14 @@ void Regions::close_client(ClientIndex client) noexcept {
     store_->remove(DescriptorStore::window(client, w));
     bytes += memory_of(memory.window_readers[w]->get());
   }
-  if (bytes > freed_at_once_bytes) closer_->close(std::move(memory.window_readers));
+  if (memory.region_reader) bytes += memory_of(memory.region_reader->get());
+  if (bytes > freed_at_once_bytes) {
+    std::vector<SharedFd> fds = std::move(memory.window_readers);
+    fds.push_back(std::move(memory.region_reader));
+    fds.push_back(std::move(memory.region_writer));
+    closer_->close(std::move(fds), std::move(memory.region));
+  }
   memory = ClientMemory();
-}
-
-void Regions::lock(std::byte* at, std::uint64_t bytes) noexcept {
-  if (::mlock(at, bytes) != 0) ++unlocked_count_;
 }
 
 }  // namespace agnocast::daemon

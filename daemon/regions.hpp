@@ -5,9 +5,16 @@
 //
 // A process gets a writable descriptor of its own region and windows; everybody else one that was
 // opened for reading. The daemon keeps its own writable mapping of every client region: to prepare
-// extents before they are given out, and to repair the queues of a dead process. Extents are backed
-// by memory before they are used and locked where the limit allows, so that nobody meets SIGBUS or
-// a page fault from disk; what the limit refuses is counted, not reported.
+// extents before they are given out, and to repair the queues of a dead process. It is one mapping of
+// the kernel's, whatever lies in it: those are counted too (vm.max_map_count), and a lock of a part
+// would make three of one. So nothing is locked here; who must not wait for a page that was swapped
+// out locks what it maps itself (mlockall).
+//
+// A region is as long as what was given out of it, a window as what its owner has put to use. A
+// reader has a descriptor of the whole, and touching a hole through a mapping makes a page, which no
+// limit of the reader counts; beyond the end there is nothing to be touched. Neither ever gets
+// shorter, and what is given out is backed by memory before anybody is told of it, so that nobody
+// meets SIGBUS who reads what he was told of.
 //
 // Every memfd is put into the descriptor store before anybody is told of it, and removed when its
 // process is over; so a restarted daemon has the same memory again.
@@ -47,11 +54,12 @@ class Regions {
   const SharedFd& board_reader() const noexcept { return board_reader_; }
 
   /// A fresh region for the process in this place; what was there before is gone. Errors:
-  /// os_failure.
+  /// limit_reached (of mappings), os_failure.
   [[nodiscard]] Result<void> open_client(ClientIndex client, std::uint64_t generation);
-  /// Region and windows of a process, out of the store. Errors: endpoint_gone (something of it is
-  /// not there; what is there is held), os_failure.
-  [[nodiscard]] Result<void> adopt_client(ClientIndex client, std::uint64_t window_count);
+  /// Region and windows of a process, out of the store; of the region, `used_bytes` were given out.
+  /// Errors: endpoint_gone (something of it is not there; what is there is held), os_failure.
+  [[nodiscard]] Result<void> adopt_client(ClientIndex client, std::uint64_t window_count,
+                                          std::uint64_t used_bytes);
   const SharedFd& region_writer(ClientIndex client) const noexcept {
     return of(client).region_writer;
   }
@@ -75,12 +83,14 @@ class Regions {
   [[nodiscard]] Result<void> renew(ClientIndex client, std::uint64_t offset,
                                    std::uint64_t extent_bytes, std::uint64_t backed_bytes);
 
+  /// An extent that nobody has any more: its memory goes back.
+  void discard(ClientIndex client, std::uint64_t offset, std::uint64_t extent_bytes) noexcept;
+
   /// A heap window for the addresses at `base`, in the store; keeps what readers need. Yields the
   /// writable descriptor, which is its owner's alone. Errors: os_failure.
-  [[nodiscard]] Result<SharedFd> open_window(ClientIndex client, std::uint64_t base,
-                                             std::uint64_t bytes, uid_t owner);
+  [[nodiscard]] Result<SharedFd> open_window(ClientIndex client, std::uint64_t base, uid_t owner);
   /// Whether this is what an agnocastd of this user made as the window at `base` for a process of
-  /// `owner`: sealed memory of that name and size, which no other user can make; open for writing, as
+  /// `owner`: sealed memory of that name, no longer than that, which no other user can make; open for writing, as
   /// its owner alone was given it. Errors: permission_denied.
   [[nodiscard]] static Result<void> check_window(int window, std::uint64_t base,
                                                  std::uint64_t bytes, uid_t owner);
@@ -101,8 +111,8 @@ class Regions {
   /// later.
   void close_client(ClientIndex client) noexcept;
 
-  /// mlock calls that the limit of locked memory refused.
-  std::uint64_t unlocked_count() const noexcept { return unlocked_count_; }
+  /// How many processes can have a region mapped here, when the kernel allows so many mappings.
+  static std::uint64_t regions_max(std::uint64_t map_count_max) noexcept;
 
  private:
   struct ClientMemory {
@@ -119,7 +129,6 @@ class Regions {
                                            UniqueFd journal);
   [[nodiscard]] Result<void> map_region(ClientMemory& memory, UniqueFd writer) const;
   const ClientMemory& of(ClientIndex client) const noexcept { return clients_[number(client)]; }
-  void lock(std::byte* at, std::uint64_t bytes) noexcept;
 
   DescriptorStore* store_;
   std::unique_ptr<Closer> closer_ = std::make_unique<Closer>();
@@ -127,7 +136,7 @@ class Regions {
   SharedFd board_reader_;
   Mapping board_, journal_;
   std::vector<ClientMemory> clients_;
-  std::uint64_t unlocked_count_ = 0;
+  std::uint64_t map_count_max_ = 0;  // vm.max_map_count
 };
 
 }  // namespace agnocast::daemon

@@ -190,6 +190,11 @@ Result<ClientIndex> Registry::add_client(const NewClient& wanted) {
   return plan->index;
 }
 
+std::uint64_t Registry::used_bytes_of(ClientIndex index) const {
+  const auto& extents = views_[number(index)].extents;
+  return extents.empty() ? abi::page_bytes : extents.rbegin()->first + extents.rbegin()->second;
+}
+
 Usage Registry::usage_of(std::uint32_t uid) const {
   const auto found = accounts_.find(uid);
   return found == accounts_.end() ? Usage() : found->second.usage;
@@ -205,6 +210,11 @@ void Registry::open_window(ClientIndex index, const WindowRecord& window) {
   AGNOCAST_CHECK(client(index).window_count < abi::window_count_max);
   change(Type::open_window, {number(index), client(index).window_count, window.base, window.bytes,
                              client(index).generation, window.first});
+}
+
+void Registry::set_readers(ClientIndex index, std::uint64_t readers) {
+  AGNOCAST_CHECK(is_alive(index));
+  change(Type::readers, {number(index), readers, client(index).generation});
 }
 
 void Registry::open_executor(ClientIndex index, std::uint32_t executor) {

@@ -132,7 +132,7 @@ class Registry {
     std::byte* tables;  // tables_bytes, aligned to a page
     std::byte* board;   // abi::board_bytes
   };
-  // Sparse and sealed against growth, so it is made as long as it may ever be: 13,000 endpoints.
+  // Of addresses, for 13,000 endpoints; the memory is as long as what was given out of it.
   static constexpr std::uint64_t client_region_bytes = std::uint64_t{1} << 30;
 
   explicit Registry(const Memory& memory, const Capacity& capacity = {}) noexcept;
@@ -168,12 +168,16 @@ class Registry {
   const std::vector<EndpointRef>& endpoints_of(ClientIndex index) const {
     return views_[number(index)].endpoints;
   }
+  /// Of its region: up to the end of the last extent.
+  std::uint64_t used_bytes_of(ClientIndex index) const;
   /// Asked before every creation, so it is kept and not counted.
   Usage usage_of(std::uint32_t uid) const;
   /// Has a process of this user an endpoint there?
   bool takes_part(std::uint32_t uid, TopicIndex topic) const;
   void open_window(ClientIndex index, const WindowRecord& window);
   void open_executor(ClientIndex index, std::uint32_t executor);
+  /// Who may read what the process publishes (access.hpp, readers_of): for its whole life.
+  void set_readers(ClientIndex index, std::uint64_t readers);
   /// It is no member any more. Its endpoints stay what they are until they are changed one by one.
   /// Said again of one that was revoked when its process is gone.
   void client_died(ClientIndex index, journal::DeathReason reason);

@@ -6,6 +6,7 @@
 
 #include <base/check.hpp>
 #include <base/step.hpp>
+#include <daemon/memory_reserve.hpp>
 #include <daemon/registry.hpp>
 #include <daemon/registry_counters.hpp>
 
@@ -42,6 +43,7 @@ std::uint32_t index_of(const journal::Record& record) noexcept {
 // --- the one way to change anything
 
 void Registry::change(Type type, std::initializer_list<std::uint64_t> arguments) {
+  MemoryReserve::no_return();
   const std::uint64_t lsn = log_.commit(type, arguments.begin(), arguments.size());
   const auto record = log_.read(lsn);
   AGNOCAST_CHECK(record.has_value());
@@ -60,6 +62,7 @@ void Registry::apply(const Record& record) {
     case Type::register_client:
     case Type::open_window:
     case Type::open_executor:
+    case Type::readers:
     case Type::client_dead:
     case Type::client_forgotten:
     case Type::client_end:
@@ -134,6 +137,7 @@ void Registry::apply_to_client(const Record& record) {
       store(client.domain, record.argument[5]);
       store(client.since_ns, record.stamp_ns);
       store(client.executors, 0);
+      store(client.readers, 0);
       store(client.window_count, 0);
       AGNOCAST_CRASH_POINT(B_told);
       client.told.begin(client.generation);
@@ -151,6 +155,9 @@ void Registry::apply_to_client(const Record& record) {
       break;
     case Type::open_executor:
       store(client.executors, client.executors | std::uint64_t{1} << record.argument[1]);
+      break;
+    case Type::readers:
+      store(client.readers, record.argument[1]);
       break;
     case Type::client_dead:
       store(client.reason, static_cast<DeathReason>(record.argument[2]));

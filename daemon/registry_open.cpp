@@ -29,7 +29,7 @@ constexpr std::uint64_t layout_of_tables() noexcept {
   sum.add(sizeof(TableHeader), offsetof(TableHeader, arena_base), offsetof(TableHeader, counters),
           offsetof(TableHeader, bells));
   sum.add(sizeof(ClientRecord), offsetof(ClientRecord, reason), offsetof(ClientRecord, executors),
-          offsetof(ClientRecord, window_count), offsetof(ClientRecord, window),
+          offsetof(ClientRecord, readers), offsetof(ClientRecord, window_count), offsetof(ClientRecord, window),
           offsetof(ClientRecord, told), offsetof(ClientRecord, name));
   sum.add(sizeof(TopicRecord), offsetof(TopicRecord, domain), offsetof(TopicRecord, layout_hash),
           offsetof(TopicRecord, name), offsetof(TopicRecord, type));

@@ -3,6 +3,7 @@
 #include <daemon/service.hpp>
 
 #include <daemon/broker.hpp>
+#include <daemon/memory_reserve.hpp>
 #include <daemon/options.hpp>
 #include <daemon/refuser.hpp>
 #include <daemon/watchdog.hpp>
@@ -107,6 +108,8 @@ class Service {
   Arena arena_;
   UniqueFd signals_;
   std::optional<Dispatcher> dispatcher_;
+  std::unique_ptr<Errands> errands_;
+  std::optional<Disposal> disposal_;
   std::optional<Listener> listener_;
   std::optional<Broker> broker_;
   std::optional<Refuser> refuser_;
@@ -151,6 +154,10 @@ std::optional<Trouble> Service::prepare(const std::string& socket) {
   auto dispatcher = Dispatcher::create();
   if (!dispatcher) return trouble_of(dispatcher.error());
   dispatcher_.emplace(std::move(*dispatcher));
+  auto errands = Errands::create(*dispatcher_);
+  if (!errands) return trouble_of(errands.error());
+  errands_ = std::move(*errands);
+  disposal_.emplace(*errands_);
   const auto token = dispatcher_->add(signals_.get(), EPOLLIN, [this](std::uint32_t) {
     signalfd_siginfo info{};
     if (::read(signals_.get(), &info, sizeof info) == sizeof info)
@@ -170,7 +177,7 @@ std::optional<Trouble> Service::begin() {
   auto regions = Regions::create(store_);
   if (!regions) return trouble_of(regions.error());
   broker_.emplace(BrokerOptions{arena_, config_, listener_->former_count()}, log_, *dispatcher_,
-                  *listener_, std::move(*regions), store_);
+                  *listener_, std::move(*regions), store_, *errands_, *disposal_);
   if (auto founded = broker_->found(random_incarnation()); !founded)
     return trouble_of(founded.error());
   listener_->remove_names(!store_.keeps());
@@ -213,7 +220,7 @@ std::optional<Trouble> Service::go_on() {
   if (!listener_->is_passed() && listener_->path() != place_.path)
     log_.write(LogLevel::warning, "socket stays where it is", {{"socket", listener_->path()}});
   broker_.emplace(BrokerOptions{arena_, config_, listener_->former_count()}, log_, *dispatcher_,
-                  *listener_, std::move(*regions), store_);
+                  *listener_, std::move(*regions), store_, *errands_, *disposal_);
   if (auto resumed = broker_->resume(); !resumed) {
     if (resumed.error().code != Errc::store_damaged) return trouble_of(resumed.error());
     UniqueFd again(::fcntl(listener_->socket().fd(), F_DUPFD_CLOEXEC, 0));
@@ -229,7 +236,7 @@ std::optional<Trouble> Service::refuse(UniqueFd socket, const Failure& why) {
   // Another try may succeed.
   if (why.code == Errc::os_failure || !socket) return trouble_of(why);
   const std::string text = trouble_of(why).what;
-  refuser_.emplace(PacketListener(std::move(socket)), *dispatcher_, log_, why.code, text);
+  refuser_.emplace(PacketListener(std::move(socket)), *dispatcher_, *disposal_, log_, why.code, text);
   if (auto started = refuser_->start(); !started) return trouble_of(started.error());
   log_.write(LogLevel::error, "refusing everybody",
              {{"why", text},
@@ -269,7 +276,9 @@ void Service::say_ready(bool resumed) {
 
 std::optional<Trouble> Service::wait() {
   Watchdog watchdog;
+  MemoryReserve::install();
   while (ended_by_ == 0) {
+    static_cast<void>(MemoryReserve::refill());
     if (auto waited = dispatcher_->wait(watchdog.sooner(broker_ ? broker_->due_ms() : -1)); !waited)
       return trouble_of(waited.error());
     watchdog.tick();

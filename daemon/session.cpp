@@ -14,7 +14,11 @@ std::uint64_t Session::push(std::span<const std::byte> bytes, std::vector<Shared
 }
 
 void Session::push(Outgoing packet) {
+  // About: with what malloc and the function add.
+  packet.cost_bytes =
+      sizeof packet + packet.bytes.size() + packet.fds.size() * sizeof(SharedFd) + 128;
   queue_.push_back(std::move(packet));
+  queued_.add(queue_.back().cost_bytes);
   ++packet_count_;
 }
 
@@ -37,6 +41,7 @@ Session::Flushed Session::flush() {
     } else if (*sent == Sent::would_block) {
       result = Flushed::blocked;
     } else {
+      queued_.remove(packet.cost_bytes);
       queue_.pop_front();
     }
   }

@@ -23,11 +23,13 @@
 #include <daemon/shared_fd.hpp>
 #include <daemon/tables.hpp>
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <deque>
 #include <functional>
 #include <map>
+#include <memory>
 #include <optional>
 #include <span>
 #include <tuple>
@@ -91,16 +93,57 @@ struct Outgoing {
   // Called once, just before it is sent. Whatever is made for this packet alone is made here: in the
   // queue of a client that does not read it would be one more descriptor of ours for each packet.
   std::function<void(Outgoing&)> complete = {};
+  std::uint64_t since_ms = 0;    // when it was handed in
+  std::uint64_t cost_bytes = 0;  // of the session, as long as it waits
+};
+
+/// What waits for all processes of one user.
+struct QueuedOfUser {
+  std::uint64_t bytes = 0;
+  std::uint64_t peak = 0;             // since somebody has last looked
+  std::uint64_t bytes_max = UINT64_MAX;  // [quota] queued_bytes
+};
+
+/// A session's part of that. It goes with the session.
+class QueuedBytes {
+ public:
+  explicit QueuedBytes(std::shared_ptr<QueuedOfUser> user) : user_(std::move(user)) {}
+  QueuedBytes(QueuedBytes&& other) noexcept
+      : user_(std::move(other.user_)), own_(std::exchange(other.own_, 0)) {}
+  QueuedBytes& operator=(QueuedBytes&& other) noexcept {
+    std::swap(user_, other.user_);
+    std::swap(own_, other.own_);
+    return *this;
+  }
+  ~QueuedBytes() { remove(own_); }
+
+  void add(std::uint64_t bytes) noexcept {
+    own_ += bytes;
+    user_->bytes += bytes;
+    user_->peak = std::max(user_->peak, user_->bytes);
+  }
+  void remove(std::uint64_t bytes) noexcept {
+    own_ -= bytes;
+    if (user_) user_->bytes -= bytes;
+  }
+  std::uint64_t own() const noexcept { return own_; }
+  const QueuedOfUser& user() const noexcept { return *user_; }
+
+ private:
+  std::shared_ptr<QueuedOfUser> user_;
+  std::uint64_t own_ = 0;
 };
 
 class Session {
  public:
-  // 16 MB at most for one client that does not read. Who comes back is told in parts of half of this,
-  // and of one endpoint or topic more; each is at most 1,022 packets.
+  // Of one client that does not read, some 10 MB; [quota] queued_bytes bounds those of all clients of
+  // a user together. Who comes back is told in parts of half of this, and of one endpoint or topic
+  // more; each is at most 1,022 packets.
   static constexpr std::size_t queue_count_max = 16 * 1024;
 
-  Session(PacketSocket socket, PeerIdentity identity)
-      : socket_(std::move(socket)), identity_(std::move(identity)) {}
+  Session(PacketSocket socket, PeerIdentity identity,
+          std::shared_ptr<QueuedOfUser> user = std::make_shared<QueuedOfUser>())
+      : socket_(std::move(socket)), identity_(std::move(identity)), queued_(std::move(user)) {}
 
   const PacketSocket& socket() const noexcept { return socket_; }
   PeerIdentity& identity() noexcept { return identity_; }
@@ -113,13 +156,20 @@ class Session {
   Role role() const noexcept {
     return observing_ ? Role::observer : greeted() ? Role::client : Role::unknown;
   }
-  /// After this nothing is sent and nothing is read.
-  void close() noexcept {
-    socket_.close();
-    queue_.clear();
+  /// After this nothing is sent and nothing is read. The connection is the caller's to close, which
+  /// takes as long as the client likes unless may_carry() is false.
+  [[nodiscard]] UniqueFd close() noexcept {
+    drop_output();
+    return socket_.release();
   }
+  /// Whether descriptors may be in the queue of the connection, or come into it.
+  bool may_carry() const noexcept { return may_carry_; }
+  void set_may_carry(bool may_carry) noexcept { may_carry_ = may_carry; }
   bool closed() const noexcept { return !socket_; }
-  void drop_output() noexcept { queue_.clear(); }
+  void drop_output() noexcept {
+    std::deque<Outgoing>().swap(queue_);  // and its memory
+    queued_.remove(queued_.own());
+  }
 
   /// Appends a packet; its number. Sends nothing yet.
   std::uint64_t push(std::span<const std::byte> bytes, std::vector<SharedFd> fds);
@@ -135,6 +185,14 @@ class Session {
   [[nodiscard]] Flushed flush();
   bool has_output() const noexcept { return !queue_.empty(); }
   std::size_t queued_count() const noexcept { return queue_.size(); }
+  std::uint64_t queued_bytes() const noexcept { return queued_.own(); }
+  /// How long the first packet has waited for the reader; 0: none does.
+  std::uint64_t waits_ms(std::uint64_t now) const noexcept {
+    return queue_.empty() || held_back_ ? 0 : now - std::min(now, queue_.front().since_ms);
+  }
+  /// More than half of what this user may have waits already: what can wait elsewhere is to do so.
+  bool is_crowded() const noexcept { return queued_.user().bytes >= queued_.user().bytes_max / 2; }
+  bool is_over() const noexcept { return queued_.user().bytes > queued_.user().bytes_max; }
   /// Not the reader's fault: the last flush() said `later`.
   bool held_back() const noexcept { return held_back_; }
   /// Packets handed in so far, sent or not.
@@ -152,8 +210,9 @@ class Session {
   PacketSocket socket_;
   PeerIdentity identity_;
   std::optional<ClientIndex> client_;
-  bool observing_ = false, held_back_ = false;
+  bool observing_ = false, held_back_ = false, may_carry_ = true;
   std::deque<Outgoing> queue_;
+  QueuedBytes queued_;
   std::uint64_t packet_count_ = 0;
   AnnouncementNumbers announcements_;
   CollisionsTold collisions_;

@@ -42,6 +42,16 @@ constexpr std::uint64_t pause_most_ms = 5'000;
 // Who has lived so long did not die of what it found at its start.
 constexpr std::uint64_t settled_ms = 10'000;
 
+// How long a worker that is told to end may take until its loop says that it has heard of it, and from then
+// until it has ended. The first one is what a worker that hangs costs whoever waits: less than a second.
+constexpr std::uint64_t stop_patience_ms = 800, end_patience_ms = 5'000;
+// How long a worker may take until it serves; systemd's own.
+constexpr std::uint64_t start_patience_ms = 90'000;
+// How often a worker that is to end is looked at, and how long the end of the supervisor waits for its end.
+constexpr std::uint64_t look_interval_ms = 20, kill_patience_ms = 150;
+// How long the other threads of a worker may take to follow its first one; usually at once.
+constexpr std::uint64_t remains_patience_ms = 100;
+
 /// A socket that can be reached through a descriptor of it and in no other way: it was bound in a
 /// directory of ours, and its name is gone.
 struct HiddenSocket {
@@ -50,8 +60,8 @@ struct HiddenSocket {
 };
 
 std::optional<HiddenSocket> hidden_socket() {
-  const char* const roots[] = {"/run", std::getenv("XDG_RUNTIME_DIR"), std::getenv("TMPDIR"),
-                               "/tmp"};
+  const char* const roots[] = {"/run", ::secure_getenv("XDG_RUNTIME_DIR"),
+                               ::secure_getenv("TMPDIR"), "/tmp"};
   for (const char* const root : roots) {
     if (root == nullptr || *root == '\0') continue;
     std::string directory = std::string(root) + "/agnocastd-XXXXXX";
@@ -92,6 +102,19 @@ std::size_t kept_limit() noexcept {
   return std::min<rlim_t>(pairs, kept_count_max);
 }
 
+// Whether the first thread of a child has ended. Others may not have.
+bool first_thread_has_ended(pid_t pid) noexcept {
+  const UniqueFd file(
+      ::open(("/proc/" + std::to_string(pid) + "/stat").c_str(), O_RDONLY | O_CLOEXEC));
+  std::array<char, 512> text{};
+  const ssize_t bytes = ::read(file.get(), text.data(), text.size());
+  if (bytes <= 0) return false;
+  // "pid (name) state …": the name may contain anything.
+  const std::string_view all(text.data(), static_cast<std::size_t>(bytes));
+  const std::size_t name_end = all.rfind(')');
+  return name_end != std::string_view::npos && all.substr(name_end).starts_with(") Z");
+}
+
 std::string value_of(const char* name) {
   const char* const value = std::getenv(name);
   return value == nullptr ? "" : value;
@@ -108,6 +131,7 @@ std::optional<Notification> parse_notification(std::string_view text) {
     text.remove_prefix(std::min(text.size(), line.size() + 1));
     if (line == "READY=1") notification.ready = true;
     if (line == "STOPPING=1") notification.stopping = true;
+    if (line == "WATCHDOG=1") notification.watchdog = true;
     if (line == "FDSTORE=1") notification.store = true;
     if (line == "FDSTOREREMOVE=1") notification.remove = true;
     if (line.starts_with("STATUS=")) notification.status = line.substr(7);
@@ -125,8 +149,12 @@ namespace {
 
 class Supervisor {
  public:
-  Supervisor(int argc, const char* const* argv, Log& log, HiddenSocket socket)
-      : log_(log), socket_(std::move(socket)), outer_(value_of("NOTIFY_SOCKET")) {
+  Supervisor(int argc, const char* const* argv, std::uint32_t watchdog_seconds, Log& log,
+             HiddenSocket socket)
+      : log_(log),
+        socket_(std::move(socket)),
+        outer_(value_of("NOTIFY_SOCKET")),
+        watchdog_ms_(std::uint64_t{1'000} * watchdog_seconds) {
     arguments_.assign(argv, argv + argc);
     arguments_.emplace_back("--fd-store=manager");  // the last one counts
     std::array<char, 4096> path{};
@@ -154,6 +182,15 @@ class Supervisor {
   void keep(const Notification& notification, std::vector<UniqueFd> fds, bool lost);
   void forward(const std::string& line) const noexcept;
   void on_worker_end(int status);
+  /// Ends it, or kills it when it does not.
+  void end_worker(int signal);
+  void kill_worker(std::string_view why);
+  void look_at_worker(std::uint64_t now);
+  /// When look_at_worker() is due; nothing: no time.
+  std::optional<std::uint64_t> look_due_ms() const noexcept;
+  std::uint64_t patience_ms() const noexcept {
+    return is_ready_ ? watchdog_ms_ : std::max(watchdog_ms_, start_patience_ms);
+  }
   void tell_worker(int signal) const noexcept {
     if (worker_ > 0) ::kill(worker_, signal);
   }
@@ -168,6 +205,12 @@ class Supervisor {
   std::vector<UniqueFd> sockets_;  // of whoever started us, for every worker
   std::size_t kept_limit_ = kept_limit();
   pid_t worker_ = -1;
+  std::vector<pid_t> remains_;  // of workers whose first thread has ended
+  std::uint64_t watchdog_ms_;   // 0: nobody looks
+  std::uint64_t heard_ms_ = 0;  // when the worker last said that it turns
+  std::optional<std::uint64_t> kill_due_ms_;  // of a worker that was told to end
+  std::optional<std::uint64_t> killed_ms_;
+  std::optional<std::uint64_t> remains_since_ms_;  // since when its first thread has ended
   std::uint64_t started_ms_ = 0;
   std::optional<std::uint64_t> due_ms_;  // when the next worker begins
   unsigned failures_ = 0;                // deaths in a row
@@ -192,13 +235,16 @@ int Supervisor::run() {
   start();
   while (!result_) {
     int timeout_ms = -1;
-    if (due_ms_) {
-      const std::uint64_t now = monotonic_ms();
-      if (now >= *due_ms_) {
-        start();
-        continue;
-      }
-      timeout_ms = static_cast<int>(*due_ms_ - now);
+    const std::uint64_t now = monotonic_ms();
+    if (due_ms_ && now >= *due_ms_) {
+      start();
+      continue;
+    }
+    const auto look_due = look_due_ms();
+    for (const auto& due : {due_ms_, look_due}) {
+      if (!due) continue;
+      const auto left = static_cast<int>(*due - std::min(*due, now));
+      timeout_ms = timeout_ms < 0 ? left : std::min(timeout_ms, left);
     }
     pollfd entries[] = {{signals_.get(), POLLIN, 0}, {socket_.socket.get(), POLLIN, 0}};
     if (::poll(entries, 2, timeout_ms) < 0 && errno != EINTR) {
@@ -207,6 +253,12 @@ int Supervisor::run() {
     }
     on_notifications();
     on_signals();
+    if (!look_due) continue;
+    const std::uint64_t then = monotonic_ms();
+    // We were stopped ourselves, and so may the worker have been.
+    constexpr std::uint64_t late_ms = 1'000;
+    if (then > *look_due + late_ms) heard_ms_ = then;
+    if (then >= *look_due) look_at_worker(then);
   }
   return *result_;
 }
@@ -215,7 +267,10 @@ void Supervisor::start() {
   due_ms_.reset();
   restarts_ = false;
   is_ready_ = false;
-  started_ms_ = monotonic_ms();
+  started_ms_ = heard_ms_ = monotonic_ms();
+  kill_due_ms_.reset();
+  killed_ms_.reset();
+  remains_since_ms_.reset();
   const pid_t parent = ::getpid();
   const pid_t pid = ::fork();
   if (pid == 0) become_worker(parent);
@@ -256,6 +311,10 @@ void Supervisor::become_worker(pid_t parent) noexcept {
   ::setenv("NOTIFY_SOCKET", notify.c_str(), 1);
   ::setenv(supervisor_variable, std::to_string(parent).c_str(), 1);
   ::setenv("FDSTORE", std::to_string(kept_limit_).c_str(), 1);
+  if (watchdog_ms_ > 0) {
+    ::setenv("WATCHDOG_USEC", std::to_string(watchdog_ms_ * 1'000).c_str(), 1);
+    ::setenv("WATCHDOG_PID", std::to_string(::getpid()).c_str(), 1);
+  }
   if (count > 0) {
     ::setenv("LISTEN_FDS", std::to_string(count).c_str(), 1);
     ::setenv("LISTEN_PID", std::to_string(::getpid()).c_str(), 1);
@@ -282,16 +341,18 @@ void Supervisor::on_signals() {
         break;
       case SIGHUP:
         restarts_ = true;
-        tell_worker(SIGTERM);
+        end_worker(SIGTERM);
         if (due_ms_) due_ms_ = 0;
         break;
       default:
-        // SIGINT is to the worker what has no morrow; whoever says it twice does not want to wait.
-        tell_worker(stops_ && info.ssi_signo == SIGTERM ? SIGKILL : SIGINT);
+        // SIGINT asks the worker to remove everything; the second SIGTERM kills it at once.
+        end_worker(stops_ && info.ssi_signo == SIGTERM ? SIGKILL : SIGINT);
         stops_ = true;
         if (worker_ <= 0) result_ = 0;
     }
   }
+  if (child)
+    std::erase_if(remains_, [](pid_t pid) { return ::waitpid(pid, nullptr, WNOHANG) != 0; });
   if (!child || worker_ <= 0) return;
   siginfo_t ended{};
   if (::waitid(P_PID, static_cast<id_t>(worker_), &ended, WEXITED | WNOHANG | WNOWAIT) != 0 ||
@@ -300,6 +361,50 @@ void Supervisor::on_signals() {
   on_notifications();  // its last words, while its pid is still its own
   int status = 0;
   if (::waitpid(worker_, &status, WNOHANG) == worker_) on_worker_end(status);
+}
+
+void Supervisor::end_worker(int signal) {
+  tell_worker(signal);
+  if (worker_ <= 0) return;
+  const std::uint64_t now = monotonic_ms();
+  if (signal == SIGKILL) {
+    killed_ms_ = now;
+  } else if (!kill_due_ms_) {
+    kill_due_ms_ = now + stop_patience_ms;
+  }
+}
+
+void Supervisor::kill_worker(std::string_view why) {
+  log_.write(LogLevel::error, "worker killed", {{"pid", worker_}, {"why", why}});
+  end_worker(SIGKILL);
+}
+
+std::optional<std::uint64_t> Supervisor::look_due_ms() const noexcept {
+  if (worker_ <= 0) return std::nullopt;
+  if (killed_ms_ || kill_due_ms_) return monotonic_ms() + look_interval_ms;
+  if (watchdog_ms_ == 0) return std::nullopt;
+  return heard_ms_ + patience_ms();
+}
+
+void Supervisor::look_at_worker(std::uint64_t now) {
+  if (worker_ <= 0) return;
+  if (!killed_ms_ && kill_due_ms_ && now >= *kill_due_ms_)
+    return kill_worker("it was told to end and does not");
+  if (!killed_ms_ && !kill_due_ms_ && watchdog_ms_ > 0 && now >= heard_ms_ + patience_ms())
+    return kill_worker(is_ready_ ? "its loop does not turn" : "it does not begin to serve");
+  if (!killed_ms_ && !kill_due_ms_) return;
+  if (!first_thread_has_ended(worker_)) {
+    remains_since_ms_.reset();
+    if (killed_ms_ && stops_ && now >= *killed_ms_ + kill_patience_ms) result_ = 1;
+  } else if (!remains_since_ms_) {
+    remains_since_ms_ = now;
+  } else if (now >= *remains_since_ms_ + remains_patience_ms) {
+    // A thread of it is in the kernel, for as long as somebody else likes. Nothing of it comes back.
+    tell_worker(SIGKILL);
+    remains_.push_back(worker_);
+    on_notifications();
+    on_worker_end(killed_ms_ ? SIGKILL : 0);
+  }
 }
 
 void Supervisor::on_worker_end(int status) {
@@ -401,6 +506,8 @@ void Supervisor::keep(const Notification& notification, std::vector<UniqueFd> fd
                   {"why", "as many are kept as may be, or LimitNOFILE is too low"}});
   }
   if (notification.ready) was_ready_ = is_ready_ = true;
+  if (notification.ready || notification.watchdog) heard_ms_ = monotonic_ms();
+  if (notification.stopping && kill_due_ms_) kill_due_ms_ = monotonic_ms() + end_patience_ms;
   std::string said = notification.ready ? "READY=1\n" : "";
   if (!notification.status.empty()) said += "STATUS=" + notification.status;
   if (!said.empty()) forward(said);
@@ -431,14 +538,14 @@ bool die_with_supervisor() noexcept {
   return std::to_string(::getppid()) == supervisor;
 }
 
-int supervise(int argc, const char* const* argv, Log& log) {
+int supervise(int argc, const char* const* argv, std::uint32_t watchdog_seconds, Log& log) {
   auto socket = hidden_socket();
   if (!socket) {
     log.write(LogLevel::error, "cannot supervise",
               {{"why", "no directory to make a socket in"}, {"errno", errno}});
     return 1;
   }
-  return Supervisor(argc, argv, log, std::move(*socket)).run();
+  return Supervisor(argc, argv, watchdog_seconds, log, std::move(*socket)).run();
 }
 
 }  // namespace agnocast::daemon

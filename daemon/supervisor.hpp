@@ -22,16 +22,23 @@
 //   SIGHUP            the worker ends, keeps everything, and its program is started anew: a replaced
 //                     one takes over
 //
+// A worker that hangs holds up neither. Told to end, it says STOPPING=1 as soon as its loop hears of it; one
+// that says nothing for stop_patience_ms is killed, which costs nothing that is kept. And it says WATCHDOG=1
+// while its loop turns, as to systemd with WatchdogSec=; one that has not for [daemon] watchdog_seconds is
+// killed and started again.
+//
+// A killed worker may stay in the kernel for as long as a client likes (errands.hpp), but not its first thread,
+// which alone touches regions and connections. When that one has ended, the next worker begins.
+//
 // The worker never outlives the supervisor (PR_SET_PDEATHSIG): two daemons could not share the
-// regions. It does not watch whether the worker still turns its loop (WatchdogSec= is for a unit with
-// --fd-store=manager): who runs the daemon without systemd may stop it in a debugger for as long as he
-// wants. No thread, no state but the descriptors; nothing in here can be wrong for long.
+// regions. No thread, no state but the descriptors; nothing in here can be wrong for long.
 #pragma once
 
 #include <base/log.hpp>
 #include <base/unique_fd.hpp>
 
 #include <cstddef>
+#include <cstdint>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -42,6 +49,7 @@ namespace agnocast::daemon {
 struct Notification {
   bool ready = false;
   bool stopping = false;
+  bool watchdog = false;  // WATCHDOG=1
   bool store = false;   // FDSTORE=1
   bool remove = false;  // FDSTOREREMOVE=1
   std::string name;     // FDNAME, "stored" when it is not said
@@ -54,7 +62,8 @@ std::optional<Notification> parse_notification(std::string_view text);
 /// has died already. Of any other process: nothing.
 [[nodiscard]] bool die_with_supervisor() noexcept;
 
-/// Runs until it is told to end; its exit status. The arguments are those of this process.
-int supervise(int argc, const char* const* argv, Log& log);
+/// Runs until it is told to end; its exit status. The arguments are those of this process. A worker that
+/// has not turned its loop for so many seconds hangs (0: nobody looks).
+int supervise(int argc, const char* const* argv, std::uint32_t watchdog_seconds, Log& log);
 
 }  // namespace agnocast::daemon

@@ -63,6 +63,7 @@ struct ClientRecord {
   std::uint64_t domain;
   std::uint64_t executors;  // one bit each
   std::uint64_t since_ns;   // CLOCK_MONOTONIC of its hello
+  std::uint64_t readers;    // who may read its heap, as readers_of() says it; 0: it never published
   std::uint64_t window_count;
   WindowRecord window[abi::window_count_max];
   AnnounceSet told;  // who has its region and windows

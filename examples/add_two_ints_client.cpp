@@ -3,6 +3,7 @@
 // Asks /add_two_ints for the sum of two numbers. Waits for the service, until a signal. Needs the heap hook: agnocast-run add_two_ints_client 2 3.
 
 #include <agnocast/agnocast.hpp>
+#include <examples/options.hpp>
 
 #include <example_interfaces/srv/add_two_ints.hpp>
 
@@ -26,7 +27,7 @@ bool read(const std::string& text, std::int64_t& number) {
 }  // namespace
 
 int main(int argc, char** argv) try {
-  agnocast::init(argc, argv);
+  example::init(argc, argv);
   const std::vector<std::string> words = agnocast::remove_ros_arguments(argc, argv);
   std::int64_t a = 0, b = 0;
   if (words.size() != 3 || !read(words[1], a) || !read(words[2], b)) {

@@ -9,14 +9,13 @@
 
 #include <cstdint>
 #include <cstdio>
-#include <vector>
+#include <string>
 
 int main(int argc, char** argv) try {
-  const example::Options options = example::parse(argc, argv, "points", " [--scan FILE]");
-  std::vector<float> scan;
-  if (!options.scan.empty() && !example::read_scan(options.scan, scan)) {
-    std::fprintf(stderr, "cloud_subscriber: %s: not a scan of 5 float32 per point\nhint: give the file that cloud_publisher replays\n",
-                 options.scan.c_str());
+  const example::Options options = example::parse(argc, argv, "points", " [--scan FILE [--fields N]]");
+  example::Scan scan;
+  if (const std::string wrong = options.scan.empty() ? "" : example::read_scan(options.scan, options.fields, scan); !wrong.empty()) {
+    std::fprintf(stderr, "cloud_subscriber: %s: %s\nhint: give the file that cloud_publisher replays, and its --fields\n", options.scan.c_str(), wrong.c_str());
     return 1;
   }
   agnocast::Node node("cloud_subscriber");

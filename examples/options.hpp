@@ -24,6 +24,7 @@ struct Options {
   std::uint64_t points = 10000;
   std::uint64_t depth = 10;
   std::string scan;
+  std::uint64_t fields = 0;  // of a point of the scan; 0 = its size says it
   bool verbose = false;
 };
 
@@ -39,8 +40,21 @@ inline constexpr std::uint64_t points_max = UINT32_MAX / (5 * sizeof(float));
                "  --verbose      a line for each message\n",
                program, extra, topic);
   if (std::strstr(extra, "--points") != nullptr) std::fputs("  --points N     points of each cloud (default 10000)\n", stdout);
-  if (std::strstr(extra, "--scan") != nullptr) std::fputs("  --scan FILE    the points are this file's: float32 x y z intensity ring, again and again\n", stdout);
+  if (std::strstr(extra, "--scan") != nullptr) {
+    std::fputs("  --scan FILE    the points are this file's, again and again: float32 x y z intensity ring\n"
+               "  --fields N     so many of these has each point of it: 3, 4 (KITTI) or 5 (nuScenes); default: 4 or 5, what the size of the file fits\n",
+               stdout);
+  }
   std::exit(0);
+}
+
+/// Takes the ROS arguments, for the nodes that are created later, and says which of them have no effect.
+inline void init(int argc, char** argv) {
+  agnocast::init(argc, argv);
+  const char* const slash = std::strrchr(argv[0], '/');
+  for (const std::string& argument : agnocast::ignored_ros_arguments(argc, argv)) {
+    std::fprintf(stderr, "%s: warning: %s: this argument has no effect\n", slash != nullptr ? slash + 1 : argv[0], argument.c_str());
+  }
 }
 
 /// ROS arguments are for the nodes that are created later. `extra`: options of this program beyond the common ones, for the usage line.
@@ -53,7 +67,7 @@ inline Options parse(int argc, char** argv, const char* topic, const char* extra
   };
   Options options;
   options.topic = topic;
-  agnocast::init(argc, argv);
+  init(argc, argv);
   const std::vector<std::string> own = agnocast::remove_ros_arguments(argc, argv);
   for (std::size_t i = 1; i < own.size(); ++i) {
     const std::string& name = own[i];
@@ -66,7 +80,7 @@ inline Options parse(int argc, char** argv, const char* topic, const char* extra
     char* end = nullptr;
     const bool has_points = std::strstr(extra, "--points") != nullptr, has_scan = std::strstr(extra, "--scan") != nullptr;
     const bool known = name == "--topic" || name == "--count" || name == "--rate" || name == "--depth" || (name == "--points" && has_points) ||
-                       (name == "--scan" && has_scan);
+                       ((name == "--scan" || name == "--fields") && has_scan);
     if (!known) refuse(name, "unknown option");
     if (value == nullptr) refuse(name, "needs a value");
     if (name == "--topic") {
@@ -77,6 +91,9 @@ inline Options parse(int argc, char** argv, const char* topic, const char* extra
       options.rate = std::strtod(value, &end);
     } else if (name == "--depth") {
       options.depth = std::strtoull(value, &end, 10);
+    } else if (name == "--fields") {
+      options.fields = std::strtoull(value, &end, 10);
+      if (options.fields < 3 || options.fields > 5) refuse(name, "3, 4 or 5 is wanted");
     } else if (name == "--points") {
       options.points = std::strtoull(value, &end, 10);
     } else {

@@ -49,6 +49,12 @@ void resume() {
 
 std::uint64_t spilled() { return thread_state.spilled; }
 
+agnocast_heaphook_no_room on_no_room(agnocast_heaphook_no_room no_room) {
+  const agnocast_heaphook_no_room before = thread_state.no_room;
+  thread_state.no_room = no_room;
+  return before;
+}
+
 void* allocate(std::size_t alignment, std::size_t size) {
   if (thread_state.blocked != 0 || !windows::is_owner()) return nullptr;
   return alignment <= alignof(std::max_align_t) ? shared_heap::allocate(size) : shared_heap::allocate_aligned(alignment, size);
@@ -87,6 +93,7 @@ constexpr struct agnocast_heaphook_table table = {
     .pause = pause,
     .resume = resume,
     .spilled = spilled,
+    .on_no_room = on_no_room,
     .allocate = allocate,
     .deallocate = deallocate,
     .active = active,

@@ -11,7 +11,7 @@
 // there by then asked for its operator new, which throws. That choice is made once, because a block has to be deleted the way
 // it was made.
 //
-// An exception of the next definition passes through these frames: the file is built with unwind tables, and nothing here
+// An exception of the next definition, or of on_no_room, passes through these frames: the file is built with unwind tables, and nothing here
 // needs cleaning up.
 
 #include "libc_heap.hpp"
@@ -146,6 +146,8 @@ template <typename... Rest>
 inline void* form_of_new(void* (*Next::*member)(std::size_t, Rest...), void* shared, void* (*plain)(std::size_t),
                          std::size_t size, Rest... rest) {
   if (shared != nullptr) return shared;
+  constexpr bool throws = sizeof...(Rest) == 0;  // and has, where it is refused
+  if (!throws && route::is_refused()) return nullptr;
   const auto function = next().*member;
   return function != nullptr ? function(size, rest...) : plain(size);
 }
@@ -153,7 +155,11 @@ inline void* form_of_new(void* (*Next::*member)(std::size_t, Rest...), void* sha
 template <typename... Rest>
 inline void* form_of_aligned_new(void* (*Next::*member)(std::size_t, Align, Rest...), void* (*plain)(std::size_t, Align),
                                  std::size_t size, Align alignment, Rest... rest) {
-  if (void* const shared = route::try_shared_aligned(static_cast<std::size_t>(alignment), size)) return shared;
+  constexpr bool throws = sizeof...(Rest) == 0;
+  const auto bytes = static_cast<std::size_t>(alignment);
+  void* const shared = throws ? route::try_shared_aligned_or_throw(bytes, size) : route::try_shared_aligned(bytes, size);
+  if (shared != nullptr) return shared;
+  if (!throws && route::is_refused()) return nullptr;
   const auto function = next().*member;
   return function != nullptr ? function(size, alignment, rest...) : plain(size, alignment);
 }
@@ -174,10 +180,10 @@ inline void form_of_delete(void (*Next::*member)(void*, Rest...), void* block, R
 #define AGNOCAST_INTERPOSED __attribute__((visibility("default")))
 
 AGNOCAST_INTERPOSED void* operator new(std::size_t size) {
-  return form_of_new(&Next::new_, route::try_shared(size), plain_new, size);
+  return form_of_new(&Next::new_, route::try_shared_or_throw(size), plain_new, size);
 }
 AGNOCAST_INTERPOSED void* operator new[](std::size_t size) {
-  return form_of_new(&Next::new_array, route::try_shared(size), plain_new, size);
+  return form_of_new(&Next::new_array, route::try_shared_or_throw(size), plain_new, size);
 }
 AGNOCAST_INTERPOSED void* operator new(std::size_t size, Nothrow tag) noexcept {
   return form_of_new<Nothrow>(&Next::new_nothrow, route::try_shared(size), plain_new_nothrow, size, tag);

@@ -38,6 +38,11 @@ void* try_shared_aligned(std::size_t alignment, std::size_t size) {
   return is_power_of_two(alignment) && wants_shared() ? shared_heap::allocate_aligned(alignment, size) : nullptr;
 }
 
+// Nothing is open here that an exception would leave open.
+[[gnu::noinline, gnu::cold]] void say_no_room() {
+  if (thread_state.no_room != nullptr) thread_state.no_room();
+}
+
 void* allocate_zeroed(std::size_t count, std::size_t size) {
   std::size_t bytes = 0;
   if (wants_shared() && !__builtin_mul_overflow(count, size, &bytes)) {

@@ -33,6 +33,20 @@ inline bool wants_shared() {
 // The shared part of an allocation, for operator new as well: null means "ask the next definition".
 inline void* try_shared(std::size_t size) { return wants_shared() ? shared_heap::allocate(size) : nullptr; }
 void* try_shared_aligned(std::size_t alignment, std::size_t size);
+// For new: where there is no room the thread may have said that it wants libc's memory in no case.
+inline bool is_refused() { return thread_state.no_room != nullptr && wants_shared(); }
+void say_no_room();
+inline void* try_shared_or_throw(std::size_t size) {
+  if (!wants_shared()) return nullptr;
+  void* const block = shared_heap::allocate(size);
+  if (block == nullptr) [[unlikely]] say_no_room();
+  return block;
+}
+inline void* try_shared_aligned_or_throw(std::size_t alignment, std::size_t size) {
+  void* const block = try_shared_aligned(alignment, size);
+  if (block == nullptr && wants_shared()) [[unlikely]] say_no_room();
+  return block;
+}
 
 inline void* allocate(std::size_t size) {
   if (void* const block = try_shared(size)) return block;

@@ -85,12 +85,13 @@ bool extent_commit(agnocast_je_extent_hooks*, void* address, std::size_t, std::s
 // Refusing makes the arena keep the extent for its next need.
 bool extent_dalloc(agnocast_je_extent_hooks*, void*, std::size_t, bool, unsigned) { return true; }
 
-bool extent_purge(agnocast_je_extent_hooks*, void* address, std::size_t, std::size_t offset, std::size_t length, unsigned) {
+// What is idle is closed, so that extent_commit is asked before it is used again: until then its pages belong to nobody.
+bool extent_decommit(agnocast_je_extent_hooks*, void* address, std::size_t, std::size_t offset, std::size_t length, unsigned) {
   if (purging.load(std::memory_order_relaxed) == 0) {
     note_internal_error();
     return true;
   }
-  return !windows::punch(static_cast<char*>(address) + offset, length);
+  return !windows::shut(static_cast<char*>(address) + offset, length);
 }
 
 // Extents are only addresses to us, so any part of a window can be split and any two neighbours joined. Neighbours in
@@ -105,9 +106,9 @@ constinit agnocast_je_extent_hooks extent_hooks = {
     .dalloc = extent_dalloc,
     .destroy = nullptr,
     .commit = extent_commit,
-    .decommit = nullptr,
+    .decommit = extent_decommit,
     .purge_lazy = nullptr,
-    .purge_forced = extent_purge,
+    .purge_forced = nullptr,
     .split = extent_split,
     .merge = extent_merge,
 };
@@ -479,6 +480,7 @@ std::uint64_t purge() {
   for (std::uint32_t i = 0; i < arena_count.load(std::memory_order_acquire); ++i) {
     if (agnocast_je_mallctl(ArenaName("arena.", arenas[i], ".purge").text, nullptr, nullptr, nullptr, 0) != 0) note_internal_error();
   }
+  windows::punch_unused();
   purging.fetch_sub(1, std::memory_order_relaxed);
   return windows::counters.punched_bytes.load(std::memory_order_relaxed) - before;
 }
@@ -533,7 +535,7 @@ std::uint64_t idle() {
   static constinit std::uint64_t taken_before = 0;  // there is one caller
   const std::uint64_t wanted = (most > now ? most - now : 0) + (taken - taken_before);
   taken_before = taken;
-  return bytes > wanted ? bytes - wanted : 0;
+  return (bytes > wanted ? bytes - wanted : 0) + windows::grown_back();
 }
 
 }  // namespace agnocast::heaphook::shared_heap

@@ -16,6 +16,7 @@ struct ThreadState {
   bool forking;            // between our fork handlers: the allocator's locks are held, see fork.cpp
   bool handing_over;       // adding a window: extents are passed on and not opened, see shared_heap.cpp
   std::uint64_t spilled;   // attempts of this thread to allocate from the windows that found no room
+  void (*no_room)();       // what operator new calls where the windows have none; null: libc serves
   void* deferred;          // shared blocks freed while forking, linked through their first word
 };
 

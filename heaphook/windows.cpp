@@ -8,6 +8,7 @@
 #include <fcntl.h>
 #include <pthread.h>
 #include <sys/mman.h>
+#include <sys/resource.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -49,6 +50,19 @@ void* address_in(const Window& window, std::size_t offset) {
   return reinterpret_cast<void*>(window.base + offset);
 }
 
+// The file is as long as what is mapped of it: a reader that touches a hole makes a page, and beyond the end it can touch nothing.
+bool lengthen(const Window& window, std::size_t target) {
+  struct stat status;
+  if (fstat(window.write_fd, &status) != 0) return false;
+  if (static_cast<std::size_t>(status.st_size) >= target) return true;
+  struct rlimit limit;
+  if (getrlimit(RLIMIT_FSIZE, &limit) == 0 && limit.rlim_cur != RLIM_INFINITY && target > limit.rlim_cur) {
+    errno = EFBIG;  // asked for it, the kernel would send SIGXFSZ as well
+    return false;
+  }
+  return ftruncate(window.write_fd, static_cast<off_t>(target)) == 0;
+}
+
 // Opens [frontier, target) of the window. Errno is the kernel's when false.
 bool open_to(Window& window, std::uint32_t index, std::size_t target) {
   const std::size_t frontier = window.frontier.load(std::memory_order_relaxed);
@@ -56,6 +70,7 @@ bool open_to(Window& window, std::uint32_t index, std::size_t target) {
     errno = EBADF;
     return false;
   }
+  if (!lengthen(window, target)) return false;
   void* const wanted = address_in(window, frontier);
   // MAP_FIXED replaces the caller's PROT_NONE reservation; MAP_FIXED_NOREPLACE refuses to replace anybody else's memory.
   const int placement = window.reserved ? MAP_FIXED : MAP_FIXED_NOREPLACE;
@@ -114,9 +129,10 @@ enum agnocast_heaphook_status check(const struct agnocast_heaphook_window& windo
   if (fstat(window.write_fd, &status) != 0 || fstat(window.read_fd, &read_status) != 0) return AGNOCAST_HEAPHOOK_OS;
   const int write_flags = fcntl(window.write_fd, F_GETFL);
   const int read_flags = fcntl(window.read_fd, F_GETFL);
+  const int seals = fcntl(window.write_fd, F_GET_SEALS);  // -1 of what has none: all of them
   if (status.st_dev != read_status.st_dev || status.st_ino != read_status.st_ino || status.st_size < 0 ||
-      static_cast<std::size_t>(status.st_size) < window.length || (write_flags & O_ACCMODE) != O_RDWR ||
-      (read_flags & O_ACCMODE) != O_RDONLY) {
+      ((seals & F_SEAL_GROW) != 0 && static_cast<std::size_t>(status.st_size) < window.length) ||
+      (write_flags & O_ACCMODE) != O_RDWR || (read_flags & O_ACCMODE) != O_RDONLY) {
     return AGNOCAST_HEAPHOOK_INVALID;
   }
   return AGNOCAST_HEAPHOOK_OK;
@@ -127,6 +143,21 @@ void close_both(const Window& window) {
   if (window.write_fd >= 0) close(window.write_fd);
   if (window.read_fd >= 0) close(window.read_fd);
   errno = reason;
+}
+
+constexpr std::size_t bit_bytes = 4096;  // the allocator's pages are no smaller
+constexpr std::size_t map_bytes(std::size_t length) { return (length / bit_bytes + 63) / 64 * sizeof(std::uint64_t); }
+
+bool is_closed(const Window& window, std::size_t bit) { return (window.closed[bit / 64] >> bit % 64 & 1) != 0; }
+
+// Under the growth lock.
+void mark(Window& window, std::size_t offset, std::size_t length, bool closed) {
+  if (!closed && window.closed_bytes == 0) return;
+  for (std::size_t bit = offset / bit_bytes; bit < (offset + length) / bit_bytes; ++bit) {
+    if (is_closed(window, bit) == closed) continue;
+    window.closed[bit / 64] ^= std::uint64_t{1} << bit % 64;
+    window.closed_bytes += closed ? bit_bytes : -bit_bytes;
+  }
 }
 
 }  // namespace
@@ -179,6 +210,15 @@ enum agnocast_heaphook_status add(const struct agnocast_heaphook_window& window)
   slot.reserved = (window.flags & AGNOCAST_HEAPHOOK_WINDOW_RESERVED) != 0;
   slot.used.store(0, std::memory_order_relaxed);
   slot.frontier.store(0, std::memory_order_relaxed);
+  void* const bits = mmap(nullptr, map_bytes(slot.length), PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+  if (bits == MAP_FAILED) {
+    const auto refused = status_of_errno();
+    close_both(slot);
+    return refused;
+  }
+  slot.closed = static_cast<std::uint64_t*>(bits);
+  slot.closed_bytes = 0;
+  slot.stuck_bytes = 0;
 
   lock_growth();
   const bool opened = open_to(slot, index, step_min);
@@ -188,6 +228,9 @@ enum agnocast_heaphook_status add(const struct agnocast_heaphook_window& window)
   }
   unlock_growth();
   if (opened) return AGNOCAST_HEAPHOOK_OK;
+  const int reason = errno;
+  munmap(bits, map_bytes(slot.length));
+  errno = reason;
   close_both(slot);
   return status_of_errno();
 }
@@ -202,6 +245,7 @@ void remove_first() {
   if (window.reserved) {  // the addresses were reserved before us and stay so
     mmap(address_in(window, 0), frontier, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE | MAP_FIXED_NOREPLACE, -1, 0);
   }
+  munmap(window.closed, map_bytes(window.length));
   close_both(window);
   errno = reason;
   unlock_growth();
@@ -216,6 +260,7 @@ bool open(void* address, std::size_t length) {
     const std::size_t start = reinterpret_cast<std::uintptr_t>(address) - window.base;
     if (start >= window.length || length > window.length - start) continue;
     opened = grow(window, i, start + length);
+    if (opened) mark(window, start, length, false);
     if (opened && start + length > window.used.load(std::memory_order_relaxed)) {
       window.used.store(start + length, std::memory_order_relaxed);
     }
@@ -240,8 +285,6 @@ bool punch_slice(char* address, std::size_t length) {
                    static_cast<off_t>(length)) == 0;
 }
 
-}  // namespace
-
 bool punch(void* address, std::size_t length) {
   char* const begin = static_cast<char*>(address);
   // Slices end where a huge page does.
@@ -255,6 +298,71 @@ bool punch(void* address, std::size_t length) {
   counters.punch_count.fetch_add(1, std::memory_order_relaxed);
   counters.punched_bytes.fetch_add(length, std::memory_order_relaxed);
   return true;
+}
+
+// What there is beyond what is in use. Memory that is in use and was never touched makes it less.
+std::size_t grown_back_in(const Window& window) {
+  struct stat status;
+  if (!same_file(window.write_fd, window) || fstat(window.write_fd, &status) != 0) return 0;
+  const std::size_t there = static_cast<std::size_t>(status.st_blocks) * 512;
+  const std::size_t in_use = window.used.load(std::memory_order_relaxed) - window.closed_bytes;
+  const std::size_t more = there > in_use ? there - in_use : 0;
+  const std::size_t unused = window.frontier.load(std::memory_order_relaxed) - in_use;
+  return more < unused ? more : unused;
+}
+
+// Is not in use: was given back, or never used.
+bool is_unused(const Window& window, std::size_t offset) {
+  return offset >= window.used.load(std::memory_order_relaxed) || is_closed(window, offset / bit_bytes);
+}
+
+}  // namespace
+
+bool shut(void* address, std::size_t length) {
+  if (!punch(address, length)) return false;
+  lock_growth();
+  for (std::uint32_t i = 0; i < count.load(std::memory_order_relaxed); ++i) {
+    const std::size_t start = reinterpret_cast<std::uintptr_t>(address) - table[i].base;
+    if (start < table[i].length) mark(table[i], start, length, true);
+  }
+  unlock_growth();
+  return true;
+}
+
+std::uint64_t grown_back() {
+  std::uint64_t bytes = 0;
+  lock_growth();
+  for (std::uint32_t i = 0; i < count.load(std::memory_order_relaxed); ++i) {
+    const std::size_t more = grown_back_in(table[i]);
+    if (more > table[i].stuck_bytes) bytes += more - table[i].stuck_bytes;
+  }
+  unlock_growth();
+  return bytes;
+}
+
+void punch_unused() {
+  for (std::uint32_t i = 0; i < count.load(std::memory_order_acquire); ++i) {
+    Window& window = table[i];
+    lock_growth();
+    const bool has_grown = grown_back_in(window) > window.stuck_bytes;
+    unlock_growth();
+    if (!has_grown) continue;
+    // The lock is let go of after each slice: whoever opens memory meanwhile waits for one.
+    const std::size_t end = window.frontier.load(std::memory_order_relaxed);
+    for (std::size_t slice = 0; slice < end; slice += slice_bytes) {
+      lock_growth();
+      const std::size_t slice_end = slice + slice_bytes < end ? slice + slice_bytes : end;
+      for (std::size_t at = slice; at < slice_end; at += bit_bytes) {
+        const std::size_t begin = at;
+        while (at < slice_end && is_unused(window, at)) at += bit_bytes;
+        if (at > begin) punch(address_in(window, begin), at - begin);
+      }
+      unlock_growth();
+    }
+    lock_growth();
+    window.stuck_bytes = grown_back_in(window);
+    unlock_growth();
+  }
 }
 
 void map_private_view() {

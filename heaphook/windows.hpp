@@ -33,6 +33,10 @@ struct alignas(64) Window {
   std::uint64_t device;  // identity of the memfd: a program may close our descriptors and reuse their numbers
   std::uint64_t inode;
   bool reserved;
+  // Guarded by the growth lock: a bit for each page of 4 KiB that was in use and is closed.
+  std::uint64_t* closed;
+  std::size_t closed_bytes;
+  std::size_t stuck_bytes;  // what seemed to have grown back after the last punch_unused()
 };
 
 extern constinit Window table[AGNOCAST_HEAPHOOK_WINDOWS_MAX];
@@ -75,8 +79,14 @@ void set_grown(agnocast_heaphook_grown grown, void* context);
 // Opens part of a window for use: mapped and announced when this returns true. False when the system refuses.
 bool open(void* address, std::size_t length);
 
-// Gives the pages back; they read as zero from now on. False when the kernel refuses.
-bool punch(void* address, std::size_t length);
+// Gives the pages back until open() is called for them; they read as zero from now on. False when the kernel refuses.
+bool shut(void* address, std::size_t length);
+
+// A reader has a descriptor of the file: touching a hole through a mapping makes a page that nobody uses. How many bytes of such pages there
+// are, about, beyond those that punch_unused() could not take away.
+std::uint64_t grown_back();
+// Makes holes of everything up to the frontier that is not in use, if something has grown back.
+void punch_unused();
 
 // Counters of agnocast_heaphook_usage that belong to the windows.
 struct Counters {

@@ -60,7 +60,7 @@ void count_commit(Control& told, Step step) noexcept {
 
 // Before main, so that the first point already counts.
 [[gnu::constructor]] void find_control() noexcept {
-  const char* const path = std::getenv("AGNOCAST_CRASH_CONTROL");
+  const char* const path = ::secure_getenv("AGNOCAST_CRASH_CONTROL");
   if (path == nullptr) return;
   const int file = ::open(path, O_RDWR | O_CLOEXEC);
   if (file < 0) return;

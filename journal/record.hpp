@@ -34,6 +34,7 @@ namespace agnocast::journal {
   X(free_topic, 17, "topic generation")                                                           \
   X(raise_slots, 18, "topic index slot_count generation client")                                  \
   X(client_forgotten, 19, "client generation")                                                    \
+  X(readers, 22, "client set generation")                                                         \
   /* Change nothing but counters. */                                                              \
   X(recovered, 20, "pid redone_lsn dead_count board_word_count restart_count dead_total") \
   X(rejoined, 21, "client generation rejoined_count")

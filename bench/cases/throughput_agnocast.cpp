@@ -31,6 +31,18 @@ struct LargeBytes {
 };
 static_assert(sizeof(SmallBytes) == small_bytes && sizeof(LargeBytes) == large_bytes);
 
+}  // namespace agnocast::bench::throughput
+
+template <>
+struct agnocast::MessageTraits<agnocast::bench::throughput::SmallBytes> {
+  static constexpr const char* name = "bench/SmallBytes";
+};
+template <>
+struct agnocast::MessageTraits<agnocast::bench::throughput::LargeBytes> {
+  static constexpr const char* name = "bench/LargeBytes";
+};
+
+namespace agnocast::bench::throughput {
 namespace {
 
 std::string node_name(const char* side) {

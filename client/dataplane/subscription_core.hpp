@@ -98,12 +98,13 @@ class LinkCore {
     return head;
   }
   /// take() behind a look that was had before: each is a take that was slow between T1 and T2. Where
-  /// the publisher was faster it looks again, and `head` is the newer look.
-  template <class Windows>
+  /// the publisher was faster it looks again, and `head` is the newer look; with `only_next` it does not:
+  /// then what is taken is what next_stamp(head) was said of, and otherwise something was lost.
+  template <bool only_next = false, class Windows>
   std::optional<Taken> take(Windows& windows, std::uint64_t& head) noexcept {
     const std::uint64_t stored_cursor = cursor_;
     awaiting_ = 0;
-    for (std::uint64_t round = 0; round < 2 * M::ring_count(); ++round) {
+    for (std::uint64_t round = 0; round < (only_next ? 1 : 2 * M::ring_count()); ++round) {
       if (round != 0) head = look();
       const std::uint64_t newest_sequence = abi::sequence_of(head);
       if (newest_sequence < cursor_) break;

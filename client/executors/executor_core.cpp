@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <client/executors/executor_core.hpp>
+
+#include <base/kept_fd.hpp>
 #include <client/forked_child.hpp>
 
 #include <sys/epoll.h>
@@ -19,11 +21,19 @@ constexpr std::uint64_t eventfd_tag = 0;
 constexpr std::uint64_t tick_tag = ~std::uint64_t{0};
 constexpr int events_max = 16;
 
+/// As epoll_wait. Who looks without being rung, because somebody has closed the descriptors, pauses.
+int wait(int epoll, epoll_event (&events)[events_max], int timeout_ms) noexcept {
+  const bool usable = !has_lost_kept();
+  const int count = usable ? ::epoll_wait(epoll, events, events_max, timeout_ms) : -1;
+  if (count >= 0 || (usable && errno == EINTR)) return count;
+  return unrung_pause(timeout_ms);
+}
+
 }  // namespace
 
 Result<std::unique_ptr<ExecutorCore>> ExecutorCore::make() {
-  UniqueFd epoll(::epoll_create1(EPOLL_CLOEXEC));
-  UniqueFd wake(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
+  UniqueFd epoll = keep(UniqueFd(::epoll_create1(EPOLL_CLOEXEC)));
+  UniqueFd wake = keep(UniqueFd(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)));
   if (!epoll || !wake) return fail(Errc::os_failure, "preparing an executor", errno);
   auto tick = SleepTick::in(epoll.get(), tick_tag);
   if (!tick) return tl::unexpected<Failure>(tick.error());
@@ -54,7 +64,8 @@ Result<void> ExecutorCore::adopt(std::shared_ptr<NodeCallbacks> node) {
 void ExecutorCore::wake() noexcept {
   const int before = errno;
   const std::uint64_t one = 1;
-  [[maybe_unused]] const ssize_t written = ::write(wake_.get(), &one, sizeof one);
+  [[maybe_unused]] const ssize_t written =
+      may_use(wake_.get()) ? ::write(wake_.get(), &one, sizeof one) : 0;
   errno = before;
 }
 
@@ -138,8 +149,7 @@ bool ExecutorCore::prepare() noexcept {
 
 void ExecutorCore::sleep(std::optional<std::chrono::milliseconds> timeout) noexcept {
   epoll_event events[events_max];
-  const int count = ::epoll_wait(epoll_.get(), events, events_max,
-                                 timeout ? static_cast<int>(timeout->count()) : -1);
+  const int count = wait(epoll_.get(), events, timeout ? static_cast<int>(timeout->count()) : -1);
   const std::lock_guard lock(mutex_);
   for (const Hosted& hosted : hosted_) hosted.node->disarm(this);
   // Under the lock that is held anyway. A turn that was not over goes on where it was.

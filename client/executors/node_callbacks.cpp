@@ -1,7 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <client/callback_waits.hpp>
 #include <client/executors/node_callbacks.hpp>
 #include <client/forked_child.hpp>
+#include <client/library_thread.hpp>
+#include <client/user_code.hpp>
 
 #include <algorithm>
 #include <utility>
@@ -29,12 +32,26 @@ void NodeCallbacks::remove(CallbackSource& source, std::shared_ptr<const void> r
   sources_.erase(found);
   count_change();
   source.removed_ = true;
-  if (running_thread_ == std::this_thread::get_id()) {
+  if (running_thread_ == std::this_thread::get_id() || !wait_for_end(source, lock))
     until_end_.swap(runner);
-  } else {
-    callback_ended_.wait(lock, [&] { return running_ != &source; });
-  }
   lock.unlock();
+}
+
+/// False: it runs on, because it waits for this thread, or because exit() waits for nobody for ever.
+bool NodeCallbacks::wait_for_end(const CallbackSource& source,
+                                 std::unique_lock<std::mutex>& lock) noexcept {
+  if (running_ != &source) return true;
+  CallbackWaits& waits = CallbackWaits::instance();
+  if (!waits.begin(running_thread_, this)) return false;
+  ++waiters_;
+  bool has_ended = false;
+  do {
+    has_ended = callback_ended_.wait_for(lock, ExitPatience::look,
+                                         [&] { return running_ != &source; });
+  } while (!has_ended && !ExitPatience::is_over());
+  --waiters_;
+  waits.end();
+  return has_ended;
 }
 
 void NodeCallbacks::hand_to(Host host) noexcept {
@@ -51,7 +68,10 @@ void NodeCallbacks::hand_to(Host host) noexcept {
 
 bool NodeCallbacks::await(Host host) noexcept {
   std::unique_lock lock(mutex_);
-  host_changed_.wait(lock, [&] { return stopped_ || host_ == host; });
+  const auto has_changed = [&] { return stopped_ || host_ == host; };
+  if (has_changed()) return !stopped_;
+  shed_signals();
+  host_changed_.wait(lock, has_changed);
   return !stopped_;
 }
 
@@ -94,6 +114,7 @@ struct NodeCallbacks::Ending {
     let_go.swap(node.until_end_);
     node.running_ = nullptr;
     node.running_thread_ = {};
+    if (node.waiters_ != 0) CallbackWaits::instance().end_of(&node);
     node.callback_ended_.notify_all();
     if (node.host_ != host) node.sleeper_->wake();  // the new one has seen nothing meanwhile
   }

@@ -13,10 +13,12 @@
 // that returns from its sleep late must not disarm the word of the new one.
 #pragma once
 
+#include <client/library_thread.hpp>
 #include <client/sleeper.hpp>
 
 #include <atomic>
 #include <condition_variable>
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <mutex>
@@ -41,6 +43,8 @@ class CallbackSource {
 
   /// Exceptions that nobody could be given: see docs/nodes.md.
   std::atomic<std::uint64_t> exception_count{0};
+  /// Of the thread that has made it: what its callbacks see in a library thread.
+  const SignalMask signals;
 
  private:
   friend class NodeCallbacks;
@@ -63,7 +67,8 @@ class NodeCallbacks {
   void add(std::shared_ptr<CallbackSource> source);
   /// Afterwards its callback is not running and will not run, unless this is called from inside a
   /// callback of the node: then `runner` stays until that one has ended, so that what it creates
-  /// next for the node has the same host.
+  /// next for the node has the same host. So it does where a wait would never end: the callback waits
+  /// for this thread (callback_waits.hpp), or this thread is inside exit() and has waited long enough.
   void remove(CallbackSource& source, std::shared_ptr<const void> runner) noexcept;
 
   void hand_to(Host host) noexcept;
@@ -92,6 +97,7 @@ class NodeCallbacks {
 
  private:
   struct Ending;
+  bool wait_for_end(const CallbackSource& source, std::unique_lock<std::mutex>& lock) noexcept;
   bool has_work_here(Host host) const noexcept;  // under the mutex
   void count_change() noexcept {                 // under the mutex
     changes_.store(changes_.load(std::memory_order_relaxed) + 1, std::memory_order_release);
@@ -108,6 +114,7 @@ class NodeCallbacks {
   Host host_ = nullptr;
   const CallbackSource* running_ = nullptr;
   std::thread::id running_thread_;
+  std::size_t waiters_ = 0;  // for the end of what runs
   std::shared_ptr<const void> until_end_;  // of what runs
   bool armed_ = false;
   bool stopped_ = false;

@@ -1,18 +1,30 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <client/executors/node_thread.hpp>
+
+#include <base/kept_fd.hpp>
+#include <base/signals.hpp>
+#include <client/callback_waits.hpp>
 #include <client/forked_child.hpp>
+#include <client/library_thread.hpp>
 #include <client/user_code.hpp>
 
+#include <cxxabi.h>
+#include <pthread.h>
 #include <sys/epoll.h>
 
+#include <cerrno>
 #include <cstdint>
 #include <new>
+#include <system_error>
 #include <utility>
 #include <vector>
 
 namespace agnocast {
 namespace {
+
+/// What the epoll set of a thread reports.
+constexpr std::uint64_t eventfd_tag = 0, datagram_tag = 1, tick_tag = 2;
 
 /// The sources of a node, as they were in the last turn. Weakly: what goes takes with it what its
 /// callback holds.
@@ -33,8 +45,11 @@ void run_turn(NodeCallbacks& node, NodeCallbacks::Host self, Turn& turn, bool& a
     const auto source = listed.lock();
     if (source == nullptr || !source->has_work()) continue;
     if (is_forked_child()) return;
+    take_on_signals(source->signals);
     try {
       any = node.run(self, *source) || any;
+    } catch (const ::abi::__forced_unwind&) {
+      throw;  // the callback ends its thread: pthread_exit()
     } catch (...) {
       // There is nobody to give it to, and ending the process is not the library's business.
       any = true;
@@ -45,8 +60,110 @@ void run_turn(NodeCallbacks& node, NodeCallbacks::Host self, Turn& turn, bool& a
 
 }  // namespace
 
-void serve(NodeCallbacks& node, int epoll, const SleepTick& tick) noexcept {
+// --- one after the other
+
+/// For the whole function of one thread.
+struct NodeThread::Life {
+  const std::shared_ptr<NodeThread>& self;
+  bool has_returned = false;
+
+  ~Life() {
+    if (has_returned || is_forked_child()) return;
+    // A callback has called pthread_exit(), or the thread was cancelled. If no thread can be made, the
+    // node's callbacks wait for an executor.
+    const std::lock_guard lock(self->mutex_);
+    if (self->is_joined_ || exit_has_begun()) return;
+    (void)start_next(self);
+  }
+};
+
+Result<std::shared_ptr<NodeThread>> NodeThread::start(std::shared_ptr<NodeCallbacks> node) {
+  UniqueFd epoll = keep(UniqueFd(::epoll_create1(EPOLL_CLOEXEC)));
+  if (!epoll) return fail(Errc::os_failure, "preparing a callback thread", errno);
+  auto tick = SleepTick::in(epoll.get(), tick_tag);
+  if (!tick) return tl::unexpected<Failure>(tick.error());
+  if (Result<void> added = node->sleeper()->add_to(epoll.get(), eventfd_tag, datagram_tag); !added)
+    return tl::unexpected<Failure>(added.error());
+  const auto made =
+      std::make_shared<NodeThread>(std::move(node), std::move(epoll), std::move(*tick));
+  const std::lock_guard lock(made->mutex_);
+  if (Result<void> started = start_next(made); !started)
+    return tl::unexpected<Failure>(started.error());
+  return made;
+}
+
+NodeThread::~NodeThread() {
+  // Its number may soon be somebody else's.
+  if (!is_forked_child()) node_->sleeper()->remove_from(epoll_.get());
+}
+
+/// Under the mutex.
+Result<void> NodeThread::start_next(const std::shared_ptr<NodeThread>& self) {
+  int error = 0;
+  self->before_ = std::move(self->thread_);
+  try {
+    const SignalsBlocked blocked;
+    self->thread_ = std::thread([self] { self->run(self); });
+  } catch (const std::system_error& refused) {
+    error = refused.code().value();
+  } catch (const std::bad_alloc&) {
+    error = ENOMEM;
+  }
+  if (error != 0) {
+    self->thread_ = std::move(self->before_);
+    return fail(Errc::os_failure, "starting a callback thread", error);
+  }
+  ::pthread_setname_np(self->thread_.native_handle(), "agnocast-call");
+  return {};
+}
+
+void NodeThread::run(const std::shared_ptr<NodeThread>& self) {
+  ::pthread_setcancelstate(PTHREAD_CANCEL_DISABLE, nullptr);  // see sleep()
+  const LibraryThread registered(
+      [](void* node) noexcept { static_cast<NodeCallbacks*>(node)->stop(); }, node_.get(),
+      LibraryThread::Sleep::can_be_cancelled);
+  std::thread before;
+  {
+    const std::lock_guard lock(mutex_);
+    before.swap(before_);
+  }
+  if (before.joinable()) before.join();
+  Life life{self};
+  serve();
+  life.has_returned = true;
+}
+
+/// Who cancels this thread ends it here and nowhere else, so no function of the library's is left half
+/// way.
+int NodeThread::sleep(epoll_event (&events)[3]) const {
+  if (has_lost_kept()) return unrung_pause(-1);
+  ::pthread_setcancelstate(PTHREAD_CANCEL_ENABLE, nullptr);
+  const int count = ::epoll_wait(epoll_.get(), events, 3, -1);
+  ::pthread_setcancelstate(PTHREAD_CANCEL_DISABLE, nullptr);
+  return count >= 0 || errno == EINTR ? count : unrung_pause(-1);
+}
+
+void NodeThread::join() noexcept {
+  std::thread thread;
+  {
+    const std::lock_guard lock(mutex_);
+    is_joined_ = true;
+    thread.swap(thread_);
+  }
+  if (!thread.joinable()) return;
+  CallbackWaits& waits = CallbackWaits::instance();
+  if (thread.get_id() == std::this_thread::get_id() || !waits.begin(thread.get_id(), nullptr))
+    return thread.detach();
+  thread.join();
+  waits.end();
+}
+
+void NodeThread::abandon() noexcept { new std::thread(std::move(thread_)); }
+
+void NodeThread::serve() {
+  NodeCallbacks& node = *node_;
   const NodeCallbacks::Host self = &node;
+  node.disarm(self);  // a thread before this one may have been cancelled in its sleep
   Turn turn;
   bool has_rung = false;  // the datagram bell, which is emptied before the next sleep
   while (node.await(self)) {
@@ -55,18 +172,20 @@ void serve(NodeCallbacks& node, int epoll, const SleepTick& tick) noexcept {
       run_turn(node, self, turn, any);
       if (is_forked_child()) return;  // a callback has forked, and has returned in the child
       if (exit_has_begun()) return;   // for good: what is unread stays unread
+      if (LibraryThread::is_over()) return;
       if (any) continue;
     } catch (const std::bad_alloc&) {
       // Of the list: what is unread stays unread until there is memory.
     }
+    shed_signals();
     if (std::exchange(has_rung, false)) node.drain(self);
     if (node.arm_or_find_work(self)) continue;
     epoll_event events[3];
-    const int count = ::epoll_wait(epoll, events, 3, -1);
+    const int count = sleep(events);
     node.disarm(self);
     for (int i = 0; i < count; ++i) {
       if (events[i].data.u64 == datagram_tag) has_rung = true;
-      if (events[i].data.u64 == tick_tag) tick.wind_up();
+      if (events[i].data.u64 == tick_tag) tick_.wind_up();
     }
   }
 }

@@ -1,21 +1,55 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What the library's thread of one node does: it runs the callbacks while it is their host, waits
+// NodeThread: the library's thread of one node. It runs the callbacks while it is their host, waits
 // while an executor is, and ends with the node's last callback.
+//
+// A callback may end the thread that runs it (pthread_exit). That is a thread of the library's, so the
+// node gets another one, which begins when the first has ended, and the message counts as delivered.
 #pragma once
 
+#include <agnocast/result.hpp>
+#include <base/unique_fd.hpp>
 #include <client/executors/node_callbacks.hpp>
 #include <client/executors/sleep_tick.hpp>
+#include <sys/epoll.h>
 
-#include <cstdint>
+#include <memory>
+#include <mutex>
+#include <thread>
+#include <utility>
 
 namespace agnocast {
 
-/// How serve() knows what its epoll set reports.
-inline constexpr std::uint64_t eventfd_tag = 0, datagram_tag = 1, tick_tag = 2;
+class NodeThread {
+ public:
+  /// Its host is the address of `node`. Errors: os_failure.
+  [[nodiscard]] static Result<std::shared_ptr<NodeThread>> start(
+      std::shared_ptr<NodeCallbacks> node);
 
-/// Host: the address of `node`. Returns after node.stop(), or when exit handlers have begun. `epoll` has
-/// the node's bells and `tick`, by their tags.
-void serve(NodeCallbacks& node, int epoll, const SleepTick& tick) noexcept;
+  NodeThread(std::shared_ptr<NodeCallbacks> node, UniqueFd epoll, SleepTick tick) noexcept
+      : node_(std::move(node)), epoll_(std::move(epoll)), tick_(std::move(tick)) {}
+  NodeThread(const NodeThread&) = delete;
+  NodeThread& operator=(const NodeThread&) = delete;
+  ~NodeThread();
+
+  /// After node.stop(): waits until it has ended, unless it is this thread or waits for this thread.
+  void join() noexcept;
+  /// In a forked child: the thread is the parent's.
+  void abandon() noexcept;
+
+ private:
+  struct Life;
+  static Result<void> start_next(const std::shared_ptr<NodeThread>& self);
+  void run(const std::shared_ptr<NodeThread>& self);
+  void serve();
+  int sleep(epoll_event (&events)[3]) const;
+
+  const std::shared_ptr<NodeCallbacks> node_;
+  const UniqueFd epoll_;  // with the node's bells and the tick
+  const SleepTick tick_;
+  std::mutex mutex_;
+  std::thread thread_, before_;  // that one waits for this one
+  bool is_joined_ = false;       // nobody follows any more
+};
 
 }  // namespace agnocast

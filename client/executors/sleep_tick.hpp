@@ -9,18 +9,28 @@
 #pragma once
 
 #include <agnocast/result.hpp>
-#include <base/unique_fd.hpp>
+#include <base/kept_fd.hpp>
 
+#include <poll.h>
 #include <sys/epoll.h>
 #include <sys/timerfd.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <chrono>
 #include <cstdint>
 #include <utility>
 
 namespace agnocast {
+
+/// Between two looks of who has lost the descriptors that it slept on, but `timeout_ms` at most (-1:
+/// none). Always 0.
+inline int unrung_pause(int timeout_ms) noexcept {
+  constexpr int pause_ms = 10;
+  ::poll(nullptr, 0, timeout_ms < 0 ? pause_ms : std::min(timeout_ms, pause_ms));
+  return 0;
+}
 
 class SleepTick {
  public:
@@ -29,7 +39,7 @@ class SleepTick {
   /// Ends a wait on `epoll` once a period for as long as it lives, if wind_up() follows each time that
   /// `tag` is reported. Errors: os_failure.
   [[nodiscard]] static Result<SleepTick> in(int epoll, std::uint64_t tag) {
-    UniqueFd timer(::timerfd_create(CLOCK_MONOTONIC, TFD_CLOEXEC | TFD_NONBLOCK));
+    UniqueFd timer = keep(UniqueFd(::timerfd_create(CLOCK_MONOTONIC, TFD_CLOEXEC | TFD_NONBLOCK)));
     const itimerspec every{{period.count(), 0}, {period.count(), 0}};
     epoll_event event{};
     event.events = EPOLLIN;
@@ -40,6 +50,7 @@ class SleepTick {
     return SleepTick(std::move(timer));
   }
   void wind_up() const noexcept {
+    if (!may_use(timer_.get())) return;
     std::uint64_t ticks = 0;
     [[maybe_unused]] const ssize_t got = ::read(timer_.get(), &ticks, sizeof ticks);
   }

@@ -96,7 +96,7 @@ Result<void> add_rule(const std::string& argument, std::vector<RemapRule>& rules
 
 struct Global {
   std::mutex mutex;
-  std::vector<RemapRule> rules;
+  Arguments arguments;
 };
 Global& global() {
   static Global* const all = new Global;  // nodes in statics may be made before and after any other
@@ -125,24 +125,30 @@ Result<Arguments> parse_arguments(const std::vector<std::string>& arguments) {
     const Option option = option_of(argument);
     if (option == Option::none)
       return wrong(Errc::invalid_argument, argument, "not an option of --ros-args");
-    if (option == Option::ignored) continue;
+    if (option == Option::ignored) {
+      parsed.ignored.push_back(argument);
+      continue;
+    }
     if (++i == arguments.size())
       return wrong(Errc::invalid_argument, argument, "its value is missing");
-    if (option != Option::remap) continue;
+    if (option == Option::ignored_with_value) {
+      parsed.ignored.push_back(argument + ' ' + arguments[i]);
+      continue;
+    }
     if (Result<void> added = add_rule(arguments[i], parsed.rules); !added)
       return tl::unexpected<Failure>(added.error());
   }
   return parsed;
 }
 
-void set_global_rules(std::vector<RemapRule> rules) {
+void set_global_arguments(Arguments arguments) {
   const std::lock_guard lock(global().mutex);
-  global().rules = std::move(rules);
+  global().arguments = std::move(arguments);
 }
 
-std::vector<RemapRule> global_rules() {
+Arguments global_arguments() {
   const std::lock_guard lock(global().mutex);
-  return global().rules;
+  return global().arguments;
 }
 
 const RemapRule* find_rule(const std::vector<RemapRule>& rules, RemapRule::Kind kind,

@@ -28,17 +28,18 @@ struct RemapRule {
 
 struct Arguments {
   std::vector<RemapRule> rules;
-  std::vector<std::string> others;  // what is not for ROS, in order
+  std::vector<std::string> others;   // what is not for ROS, in order
+  std::vector<std::string> ignored;  // what is for ROS and has no effect, with its value: "-p a:=1"
 };
 
-/// Parameters, enclaves and log options are accepted and without effect. Errors: invalid_argument
+/// Parameters, enclaves and log options are accepted and have no effect. Errors: invalid_argument
 /// (an option of --ros-args that is not known or has no value), invalid_name, each naming the
 /// argument.
 [[nodiscard]] Result<Arguments> parse_arguments(const std::vector<std::string>& arguments);
 
 /// Those of the whole process: agnocast::init().
-void set_global_rules(std::vector<RemapRule> rules);
-std::vector<RemapRule> global_rules();
+void set_global_arguments(Arguments arguments);
+Arguments global_arguments();
 
 /// The right side of the first rule of `kind` for the node `node`, or null.
 const RemapRule* find_rule(const std::vector<RemapRule>& rules, RemapRule::Kind kind,

@@ -26,27 +26,38 @@ void require(const std::optional<NameProblem>& problem, const char* what, const 
 }  // namespace
 
 void init(int argc, char const* const* argv) {
-  set_global_rules(parse_or_throw({argv, argv + argc}).rules);
+  set_global_arguments(parse_or_throw({argv, argv + argc}));
 }
 
 std::vector<std::string> remove_ros_arguments(int argc, char const* const* argv) {
   return parse_or_throw({argv, argv + argc}).others;
 }
 
+std::vector<std::string> ignored_ros_arguments(int argc, char const* const* argv) {
+  return parse_or_throw({argv, argv + argc}).ignored;
+}
+
 struct Node::Names {
   std::string name, node_namespace, full;
   std::vector<RemapRule> rules;
+  std::vector<std::string> ignored;
 };
 
 Node::Node(const std::string& name, const NodeOptions& options) : Node(name, "", options) {}
 
 Node::Node(const std::string& name, const std::string& node_namespace, const NodeOptions& options) {
   auto names = std::make_shared<Names>();
-  names->rules = parse_or_throw(options.arguments()).rules;
+  Arguments own = parse_or_throw(options.arguments());
+  names->rules = std::move(own.rules);
+  names->ignored = std::move(own.ignored);
   if (options.use_global_arguments()) {
-    std::vector<RemapRule> all = global_rules();
-    names->rules.insert(names->rules.end(), std::make_move_iterator(all.begin()),
-                        std::make_move_iterator(all.end()));
+    Arguments all = global_arguments();
+    const auto append = [](auto& to, auto& from) {
+      to.insert(to.end(), std::make_move_iterator(from.begin()),
+                std::make_move_iterator(from.end()));
+    };
+    append(names->rules, all.rules);
+    append(names->ignored, all.ignored);
   }
   require(check_node_name(name), "node name", name);
   names->name = name;
@@ -68,6 +79,9 @@ Node::~Node() = default;
 const char* Node::get_name() const noexcept { return names_->name.c_str(); }
 const char* Node::get_namespace() const noexcept { return names_->node_namespace.c_str(); }
 const char* Node::get_fully_qualified_name() const noexcept { return names_->full.c_str(); }
+const std::vector<std::string>& Node::ignored_arguments() const noexcept {
+  return names_->ignored;
+}
 
 Result<std::string> Node::try_resolve_topic_name(const std::string& topic) const {
   Result<std::string> expanded = detail::expand_topic(topic, names_->name, names_->node_namespace);

@@ -14,11 +14,14 @@
 #include <client/forked_child.hpp>
 #include <client/watch.hpp>
 
+#include <cxxabi.h>
+
 #include <algorithm>
 #include <atomic>
 #include <exception>
 #include <map>
 #include <mutex>
+#include <new>
 #include <utility>
 
 namespace agnocast::detail {
@@ -209,21 +212,39 @@ class ClientCore {
     return gone;
   }
 
-  /// One of them may end the client.
-  void give_up(std::exception_ptr& thrown) noexcept {
-    try {
-      for (const auto& [number, request] : take_unanswerable()) {
-        if (!is_ended_) run(request.completion, nullptr, Errc::no_server, thrown);
+  /// What is given up and has not been told yet: it goes on waiting if this thread ends before.
+  struct GivenUp {
+    ClientCore& client;
+    std::map<std::int64_t, Pending> requests;
+    ~GivenUp() {
+      if (requests.empty() || is_forked_child()) return;
+      {
+        const std::lock_guard lock(client.mutex_);
+        client.pending_.merge(requests);
       }
-    } catch (...) {
+      if (const auto replies = client.replies()) replies->look_again();
+    }
+  };
+
+  /// One of them may end the client, or the thread.
+  void give_up(std::exception_ptr& thrown) {
+    try {
+      GivenUp gone{*this, take_unanswerable()};
+      while (!gone.requests.empty()) {
+        const auto next = gone.requests.extract(gone.requests.begin());
+        if (!is_ended_) run(next.mapped().completion, nullptr, Errc::no_server, thrown);
+      }
+    } catch (const std::bad_alloc&) {
       if (!thrown) thrown = std::current_exception();
     }
   }
   /// All of them are called, whatever one throws.
   static void run(const UntypedClient::Completion& completion, Block* response, Errc why,
-                  std::exception_ptr& thrown) noexcept {
+                  std::exception_ptr& thrown) {
     try {
       completion(response, why);
+    } catch (const ::abi::__forced_unwind&) {
+      throw;  // pthread_exit()
     } catch (...) {
       if (!thrown) thrown = std::current_exception();
     }

@@ -16,6 +16,7 @@
 #include <client/connection.hpp>
 #include <client/context.hpp>
 #include <client/forked_child.hpp>
+#include <client/library_thread.hpp>
 #include <client/watch.hpp>
 
 #include <pthread.h>
@@ -42,6 +43,7 @@ class ServiceCore {
         callback_(std::make_shared<UntypedService::Callback>(std::move(callback))) {}
 
   const EndpointName& service() const noexcept { return service_; }
+  LenderId lender() const noexcept { return lender_; }
 
   void begin(std::shared_ptr<UntypedSubscription> requests) noexcept {
     const std::lock_guard lock(mutex_);
@@ -152,6 +154,7 @@ class ServiceCore {
 
  private:
   bool meet(std::uint64_t client, const UntypedSubscription& requests) {
+    const ActingFor creator(signals_);
     const auto made = UntypedPublisher::create(
         {reply_topic(service_.topic, client), service_.node, requests.lineage(), true}, response_,
         qos_, {}, code_);
@@ -184,10 +187,12 @@ class ServiceCore {
     }
   }
 
+  const LenderId lender_;
   const EndpointName service_;
   const MessageType response_;
   const QoS qos_;
   const MessageCode code_;
+  const SignalMask signals_;
   mutable std::mutex mutex_;
   std::shared_ptr<UntypedSubscription> requests_;                          // null before and after
   std::map<std::uint64_t, std::shared_ptr<UntypedPublisher>> publishers_;  // by client
@@ -212,7 +217,11 @@ class Receptionist {
     if (!has_thread_) {
       try {
         const SignalsBlocked blocked;
-        std::thread thread([this] { serve(); });
+        std::thread thread([this] {
+          const LibraryThread registered(
+              [](void* watch) noexcept { static_cast<Watch*>(watch)->notify(); }, watch_.get());
+          serve();
+        });
         ::pthread_setname_np(thread.native_handle(), "agnocast-srv");
         thread.detach();
       } catch (const std::system_error& refused) {
@@ -229,7 +238,7 @@ class Receptionist {
   static constexpr std::chrono::milliseconds look_first{1}, look_last{1000};
 
   void serve() {
-    for (auto look = look_first;;) {
+    for (auto look = look_first; !LibraryThread::is_over();) {
       const std::uint64_t seen = watch_->count();
       const bool is_complete = meet_clients();
       look = is_complete ? look_first : std::min(look * 2, look_last);
@@ -331,6 +340,8 @@ Result<std::shared_ptr<UntypedService>> UntypedService::create(const EndpointNam
 }
 
 UntypedService::~UntypedService() { core_->end(); }
+
+LenderId UntypedService::lender_of(const ServiceCore& core) noexcept { return core.lender(); }
 
 const std::string& UntypedService::service() const noexcept { return core_->service().topic; }
 std::size_t UntypedService::client_count() const noexcept { return core_->client_count(); }

@@ -411,8 +411,10 @@ class Demo {
     report_.line("What is measured: from the call of publish to the first line of the callback,");
     report_.line("one subscriber process, the next message when this one was checked; medians");
     report_.line("over " + rounds + (options_.rounds == 1 ? " round" : " rounds") +
-                 ". Filling the message is not measured, but a large one takes long to");
-    report_.line("fill, and the subscriber's core goes idle meanwhile: waking it is in the times.");
+                 ". Filling the message is not measured.");
+    report_.line(with_dds ? "Both alike: sender and receiver on cores of their own, one receiver, 1 ms rest"
+                          : "Sender and receiver are on cores of their own, with 1 ms rest");
+    report_.line("before each message, in turn: waking an idle core is in the times.");
     if (!with_dds) return;
     report_.line("Cyclone DDS: from the call of dds_write (which serializes) to the return of");
     report_.line("dds_take (which deserializes) in its listener; reliable, keep-last 1, loopback");

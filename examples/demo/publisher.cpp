@@ -15,6 +15,7 @@
 #include <agnocast/agnocast.hpp>
 #include <examples/demo/ack.hpp>
 #include <examples/demo/content.hpp>
+#include <examples/demo/cores.hpp>
 #include <examples/demo/dds_road.hpp>
 
 #include <poll.h>
@@ -173,6 +174,7 @@ class Work {
     auto message = timed_->borrow_loaned_message();
     *message = prototype;
     const std::uint64_t number = number_of(prototype);
+    std::this_thread::sleep_for(rest);
     const std::uint64_t sent_ns = now_ns();
     if (!timed_->publish(std::move(message))) throw Failure("publish failed");
     await(number, sent_ns, latencies);
@@ -181,6 +183,7 @@ class Work {
   void time_dds(const Cloud& prototype, Latencies& latencies) {
     dds_->fill(prototype);
     const std::uint64_t number = number_of(prototype);
+    std::this_thread::sleep_for(rest);
     const std::uint64_t sent_ns = now_ns();
     if (!dds_->write()) return void(++latencies.lost);
     await(number, sent_ns, latencies);
@@ -192,6 +195,7 @@ class Work {
     std::string roads;
     line >> bytes >> count >> seconds >> roads;
     const bool with_dds = roads == "dds" && dds_ != nullptr;
+    take_first_core();
     Latencies agnocast, dds;
     Cloud prototype;
     build(prototype, next_timed_number_, bytes);
@@ -218,6 +222,8 @@ class Work {
   }
 
   static constexpr std::uint64_t warm_up = 10;
+  // Before each message of each road, when it is filled: the receiver's core is as idle for the one as for the other.
+  static constexpr auto rest = 1ms;
   // Where time is short: fewer say nothing.
   static constexpr std::uint64_t samples_min = 20;
   // So many lost ones, and the other road is given up for this round.

@@ -13,6 +13,7 @@
 #include <agnocast/agnocast.hpp>
 #include <examples/demo/ack.hpp>
 #include <examples/demo/content.hpp>
+#include <examples/demo/cores.hpp>
 #include <examples/demo/dds_road.hpp>
 
 #include <unistd.h>
@@ -47,6 +48,7 @@ void say(const char* text) {
 }
 
 int run(const char* name, bool with_latency, bool with_dds) {
+  if (with_latency) leave_first_core();  // before anything makes a thread
   agnocast::Node node(name);
   Counts counts;
   // Keep-all with a small bound: nothing may be lost, and the publisher waits for the slower one.

@@ -150,8 +150,8 @@ class BasicClient : public ClientBase,
 
   BasicClient(std::shared_ptr<UntypedClient> untyped, Kind kind) noexcept
       : ClientBase(std::move(untyped)),
-        Lender<typename Kind::Request, typename Kind::RequestCode>(&this->untyped(),
-                                                                   kind.request_code()),
+        Lender<typename Kind::Request, typename Kind::RequestCode>(
+            this->untyped().requests().lender(), kind.request_code()),
         kind_(kind) {}
 
   /// A request to fill. See Publisher::borrow_loaned_message.

@@ -28,7 +28,7 @@ struct ConnectionInfo {
 /// Any thread; no system call, no allocation.
 AGNOCAST_PUBLIC ConnectionState connection_state() noexcept;
 /// Why this process is an island; ok as long as it is none. Creations fail with revoked, which is for
-/// good, and with layout_mismatch, store_damaged, permission_denied and descriptors_withheld until that
+/// good, and with layout_mismatch, store_damaged, permission_denied, descriptors_withheld and daemon_untrusted until that
 /// is mended. Otherwise (started_anew, …) the library goes to the new daemon by itself, at once or when it
 /// has room. Any thread; no system call.
 AGNOCAST_PUBLIC Errc island_reason() noexcept;

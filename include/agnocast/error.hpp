@@ -132,7 +132,13 @@ namespace agnocast {
     "start the server, wait for it with wait_for_service, and send the request again if it may be done twice")                                           \
   X(already_answered, "this request has been answered",                                                                                                    \
     "two responses were sent to one request, or to two copies of it",                                                                                      \
-    "send one response to each request")
+    "send one response to each request")                                                                                                                   \
+  X(daemon_untrusted, "the socket is served by another user, who is not trusted",                                                                          \
+    "another user's program listens there instead of agnocastd, or agnocastd has a user of its own that this process does not know of",                     \
+    "name the right socket in AGNOCAST_SOCKET; if that user's daemon is meant, put its number into AGNOCAST_DAEMON_UID")                                     \
+  X(readers_differ, "this process has shared memory that others than the readers of this topic may read",                                                 \
+    "all topics of a process lie in one heap, and the rules of [[access]] let other users subscribe to this topic than to the one that is named beside it", \
+    "publish it from a process of its own, or let the rules name the same users for both: agnocast-ctl access TOPIC")
 // clang-format on
 
 /// Codes of everything that a user of the library can be told. Zero is success (std::error_code

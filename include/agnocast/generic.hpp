@@ -127,6 +127,7 @@ namespace detail {
 
 struct CodeByTable {
   using Owner = OwnedGenericMessage;
+  static constexpr bool copy_may_throw = true;
   const RosMembers* members;
 
   Owner make(rosidl_runtime_cpp::MessageInitialization how =

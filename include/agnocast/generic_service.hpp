@@ -56,6 +56,7 @@ struct ServiceMessageCodeByTable {
     }
   };
   using Owner = std::unique_ptr<std::byte, End>;
+  static constexpr bool copy_may_throw = true;
   const RosMembers* members;
 
   Owner make(rosidl_runtime_cpp::MessageInitialization how =

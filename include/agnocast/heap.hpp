@@ -55,7 +55,7 @@ class LoanScope {
   friend class SharedHeapScope;
   template <class T>
   static bool is_loan(const ipc_shared_ptr<T>& loan) noexcept {
-    return loan && loan.block()->origin != nullptr;
+    return loan && loan.block()->lender != 0;
   }
   AGNOCAST_PUBLIC static bool open() noexcept;
   AGNOCAST_PUBLIC static void close() noexcept;

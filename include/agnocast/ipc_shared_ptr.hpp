@@ -34,7 +34,7 @@ struct Block {
   std::atomic<std::uint64_t> users{1};
   std::atomic<void*> message{nullptr};           // null: published or given back
   void (*end)(Block* block) noexcept = nullptr;  // the last copy is gone; deletes the block
-  const void* origin = nullptr;                  // the publisher that lent it; null: received
+  std::uint64_t lender = 0;                      // LenderId of who lent it; 0: received
   Block* next = nullptr;                         // while several are handed over, or it is unused
   MessageInfo info;
 };

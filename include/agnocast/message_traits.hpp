@@ -5,8 +5,8 @@
 //
 //   described   rosidl messages: include <agnocast/rosidl.hpp> and nothing else.
 //               Residency is checked member by member.
-//   flat        trivially copyable classes: nothing to write.
-//               Nothing to check but the object itself.
+//   flat        trivially copyable classes: nothing to write for an aggregate, else a MessageTraits
+//               with a name. Nothing to check but the object itself.
 //   visited     any class with a MessageTraits that has for_each_pointer.
 //               Residency is checked by the visitor.
 //   opaque      any class with a MessageTraits that has only a name.
@@ -25,6 +25,7 @@
 #include <string_view>
 #include <type_traits>
 #include <utility>
+#include <vector>
 
 namespace agnocast {
 
@@ -106,38 +107,6 @@ inline constexpr bool looks_like_rosidl<
                    typename T::ConstUniquePtr, typename T::WeakPtr, typename T::ConstWeakPtr>> =
     true;
 
-// Members of aggregates, as far as C++17 shows them: Any converts to every member type, Pointer to
-// pointers only. If T can be made from k times Any and then a Pointer, its member k is one. Sees
-// the first 24 members, and first members of nested aggregates; a convenience that catches the
-// common mistake, not a proof.
-struct Any {
-  template <class U>
-  constexpr operator U() const noexcept;
-};
-struct Pointer {
-  template <class U, class = std::enable_if_t<std::is_pointer_v<U>>>
-  constexpr operator U() const noexcept;
-};
-template <std::size_t>
-using AnyAt = Any;
-template <class T, class Before, class = void>
-inline constexpr bool has_pointer_after = false;
-template <class T, std::size_t... I>
-inline constexpr bool has_pointer_after<T, std::index_sequence<I...>,
-                                        std::void_t<decltype(T{AnyAt<I>{}..., Pointer{}})>> = true;
-template <class T, std::size_t... K>
-constexpr bool has_pointer_among(std::index_sequence<K...>) {
-  return (has_pointer_after<T, std::make_index_sequence<K>> || ...);
-}
-template <class T>
-constexpr bool has_pointer_member() {
-  if constexpr (std::is_aggregate_v<T>) {
-    return has_pointer_among<T>(std::make_index_sequence<24>{});
-  } else {
-    return false;
-  }
-}
-
 // Trivially copyable, and yet only a reference to memory elsewhere.
 template <class T>
 inline constexpr bool is_view = false;
@@ -159,6 +128,86 @@ template <class T, class Deleter>
 inline constexpr bool is_bound_to_process<std::unique_ptr<T, Deleter>> = true;
 template <>
 inline constexpr bool is_bound_to_process<std::any> = true;
+
+template <class T>
+inline constexpr bool is_vector = false;
+template <class T, class A>
+inline constexpr bool is_vector<std::vector<T, A>> = true;
+
+// By itself, or as what a vector has.
+template <class T>
+constexpr bool is_elsewhere() {
+  using U = std::remove_cv_t<T>;
+  if constexpr (is_vector<U>) {
+    return is_elsewhere<typename U::value_type>();
+  } else {
+    return std::is_pointer_v<U> || std::is_member_function_pointer_v<U> || is_view<U> ||
+           is_bound_to_process<U>;
+  }
+}
+
+// Members of aggregates, as far as C++17 shows them. An aggregate can be made from k times Any, which
+// becomes whatever the first k members are, and then a probe that becomes a few types only: if it is, its
+// member k is one of those. Nested aggregates are asked in the same way. Sees the first 64 members, with
+// the elements of arrays; behind a member that takes anything (std::any, std::optional) nothing more. It
+// catches the common mistake, and is no proof.
+struct Any {
+  template <class U>
+  operator U&() const noexcept;
+};
+template <class T>
+constexpr bool has_member_elsewhere();
+struct Elsewhere {
+  template <class U, class = std::enable_if_t<is_elsewhere<U>() || has_member_elsewhere<U>()>>
+  operator U() const noexcept;
+};
+struct Value {
+  template <class U>
+  operator U() const noexcept;
+};
+struct Variable {
+  template <class U, class = std::enable_if_t<!std::is_const_v<U>>>
+  operator U&() const noexcept;
+};
+struct Constant {
+  template <class U, class = std::enable_if_t<std::is_const_v<U>>>
+  operator U&() const noexcept;
+};
+template <std::size_t>
+using AnyAt = Any;
+template <class T, class Probe, class Before, class = void>
+inline constexpr bool can_follow = false;
+template <class T, class Probe, std::size_t... I>
+inline constexpr bool can_follow<T, Probe, std::index_sequence<I...>,
+                                 std::void_t<decltype(T{AnyAt<I>{}..., Probe{}})>> = true;
+template <class T, class Before>
+constexpr bool is_reference_after() {
+  return can_follow<T, Constant, Before> ||
+         (can_follow<T, Variable, Before> && !can_follow<T, Value, Before>);
+}
+template <class T, std::size_t... K>
+constexpr bool has_elsewhere_among(std::index_sequence<K...>) {
+  return (can_follow<T, Elsewhere, std::make_index_sequence<K>> || ...);
+}
+template <class T, std::size_t... K>
+constexpr bool has_reference_among(std::index_sequence<K...>) {
+  return (is_reference_after<T, std::make_index_sequence<K>>() || ...);
+}
+template <class T>
+constexpr bool has_member_elsewhere() {
+  if constexpr (std::is_class_v<T> && std::is_aggregate_v<T>) {
+    using All = std::make_index_sequence<64>;
+    if constexpr (has_elsewhere_among<T>(All{})) {
+      return true;
+    } else if constexpr (std::is_copy_assignable_v<T>) {
+      return false;  // what has a reference is not
+    } else {
+      return has_reference_among<T>(All{});
+    }
+  } else {
+    return false;
+  }
+}
 
 template <class T, class = void>
 inline constexpr bool is_complete = false;
@@ -229,16 +278,21 @@ constexpr bool require_message() {
     static_assert(never<T>,
                   "agnocast: a view is not a message, because what it refers to stays in this "
                   "process; own the memory");
-  } else if constexpr (std::is_trivially_copyable_v<T> && has_pointer_member<T>()) {
+  } else if constexpr (has_member_elsewhere<T>()) {
     static_assert(never<T>,
-                  "agnocast: a trivially copyable message has a pointer member, and what it points "
-                  "to stays in this "
-                  "process; own the memory, or store an index");
+                  "agnocast: this message has a pointer, reference, view or smart pointer as a "
+                  "member, and what that refers to stays in this process; own the memory, or store "
+                  "an index");
   } else if constexpr (is_specialised<T> && !has_name<T>) {
     static_assert(
         never<T>,
         "agnocast: MessageTraits of this type must have: static constexpr const char* name");
   } else if constexpr (std::is_trivially_copyable_v<T>) {
+    static_assert(
+        is_specialised<T> || std::is_aggregate_v<T>,
+        "agnocast: nobody can look into a class with constructors, bases or private "
+        "members; specialise agnocast::MessageTraits with a name for it, and so state that "
+        "it has no pointer, reference or view (see docs/messages.md)");
     static_assert(is_specialised<T> || is_stable_spelling(spelled_name<T>()),
                   "agnocast: compilers spell the name of this type differently; give it a name by "
                   "MessageTraits");

@@ -28,6 +28,10 @@ AGNOCAST_PUBLIC void init(int argc, char const* const* argv);
 /// The arguments without those for ROS; the program's name stays the first. Throws as init().
 [[nodiscard]] AGNOCAST_PUBLIC std::vector<std::string> remove_ros_arguments(
     int argc, char const* const* argv);
+/// The arguments for ROS that agnocast accepts and that have no effect (parameters, enclaves, log options), each with its
+/// value: {"-p rate:=10"}. The library prints nothing: a program says them to its user. Throws as init().
+[[nodiscard]] AGNOCAST_PUBLIC std::vector<std::string> ignored_ros_arguments(
+    int argc, char const* const* argv);
 
 /// Options of a node, with setters.
 class NodeOptions {
@@ -66,6 +70,10 @@ class AGNOCAST_PUBLIC Node {
   const char* get_name() const noexcept;
   const char* get_namespace() const noexcept;
   const char* get_fully_qualified_name() const noexcept;
+
+  /// The ROS arguments of NodeOptions, then those of init(), that have no effect on this node:
+  /// see ignored_ros_arguments(). Valid as long as the node.
+  const std::vector<std::string>& ignored_arguments() const noexcept;
 
   /// What this node calls `topic`, fully qualified and remapped. Errors: invalid_name.
   [[nodiscard]] Result<std::string> try_resolve_topic_name(const std::string& topic) const;

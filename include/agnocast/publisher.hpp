@@ -64,6 +64,18 @@ class AGNOCAST_PUBLIC BorrowScope {
   Home* home_ = nullptr;
 };
 
+/// Tells the loans of one publisher, service or client of this process from all others'. No address
+/// does: a loan may outlive its lender, and another one be made in the same place.
+class LenderId {
+ public:
+  /// One that nobody had before.
+  AGNOCAST_PUBLIC LenderId() noexcept;
+  std::uint64_t value() const noexcept { return value_; }
+
+ private:
+  std::uint64_t value_;  // counted from 1; they do not run out
+};
+
 /// Sleeps between attempts, ever longer up to a millisecond, until the time is up.
 class Patience {
  public:
@@ -111,9 +123,14 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   Errc publish(void* message, std::size_t object_bytes, std::uint64_t message_bytes) noexcept;
   /// Before a message is borrowed or adopted: destroys old ones that publish has left to be destroyed.
   void make_room() const noexcept;
+  /// The heap is full: destroys every old message of this process that nobody needs any more, those of
+  /// other publishers too. False: there was none. The next make_room() does the same, as a borrow may
+  /// come before the next publish.
+  bool has_more_room() const noexcept;
   /// What make_resident did, unless nothing was foreign; for agnocast-ctl.
   void count_adoption(const Result<Adoption>& adopted) noexcept;
   SharedHeap heap() const noexcept;
+  LenderId lender() const noexcept { return lender_; }
   const MessageType& type() const noexcept { return type_; }
   const std::string& topic() const noexcept { return topic_; }
   std::size_t subscription_count() const noexcept;
@@ -133,6 +150,7 @@ class AGNOCAST_PUBLIC UntypedPublisher {
  private:
   UntypedPublisher(MessageType type, std::string topic) noexcept
       : type_(std::move(type)), topic_(std::move(topic)) {}
+  const LenderId lender_;
   MessageType type_;
   std::string topic_;
   std::chrono::steady_clock::time_point end_ = std::chrono::steady_clock::time_point::max();
@@ -181,26 +199,29 @@ class PublisherBase {
 
 namespace detail {
 
+/// Commits a message that lies in the shared heap. On failure `message` is as before.
+template <class Code>
+Errc commit_resident(UntypedPublisher& publisher, const Code& code, typename Code::Owner& message,
+                     std::uint64_t message_bytes) noexcept {
+  const Errc outcome = publisher.publish(code.start_of(message.get()), code.bytes(), message_bytes);
+  if (outcome == Errc::ok) (void)message.release();
+  return outcome;
+}
+
 /// Commits a message that was made anywhere. What of it lies outside the shared heap is adopted. On
 /// failure `message` is as before. `Code` as for Lender.
 template <class Code>
 PublishResult commit(UntypedPublisher& publisher, const Code& code,
                      typename Code::Owner&& message) noexcept {
-  using Object = typename Code::Owner::element_type;
   if (const Errc state = publisher.state(); state != Errc::ok) return {state, 0};
   if (message == nullptr) return {Errc::loan_invalid, 0};
   const Result<Adoption> adopted = make_resident_by(
-      [&](const Object& original) {
-        publisher.make_room();
-        return code.copy(original);
-      },
-      message, publisher.type(), publisher.heap());
+      code, [&] { publisher.make_room(); }, [&] { return publisher.has_more_room(); }, message,
+      publisher.type(), publisher.heap());
   if (!adopted || adopted->adopted_bytes != 0) publisher.count_adoption(adopted);
   if (!adopted) return {adopted.error().code, 0};
-  const Errc outcome =
-      publisher.publish(code.start_of(message.get()), code.bytes(), adopted->message_bytes);
-  if (outcome == Errc::ok) (void)message.release();
-  return {outcome, adopted->adopted_bytes};
+  return {commit_resident(publisher, code, message, adopted->message_bytes),
+          adopted->adopted_bytes};
 }
 
 /// Lends messages and takes them back. `Code` makes, copies, owns and measures messages, which are T
@@ -222,13 +243,12 @@ class Lender {
   }
 
  protected:
-  /// `origin` tells this lender's loans from others'.
-  Lender(const void* origin, Code code) noexcept : origin_(origin), code_(code) {}
+  Lender(LenderId id, Code code) noexcept : id_(id.value()), code_(code) {}
   ~Lender() = default;
 
   ipc_shared_ptr<T> lend() const {
     auto loan = std::make_unique<Loan>(code_);
-    loan->origin = origin_;
+    loan->lender = id_;
     loan->end = [](Block* block) noexcept { delete static_cast<Loan*>(block); };
     loan->scope.open();
     loan->message = code_.make().release();
@@ -270,10 +290,10 @@ class Lender {
   }
   Loan* loan_of(const ipc_shared_ptr<T>& message) const noexcept {
     Block* const block = message.block();
-    return block != nullptr && block->origin == origin_ ? static_cast<Loan*>(block) : nullptr;
+    return block != nullptr && block->lender == id_ ? static_cast<Loan*>(block) : nullptr;
   }
 
-  const void* origin_;
+  std::uint64_t id_;
   Code code_;
 };
 
@@ -325,8 +345,35 @@ class LendingPublisher : public PublisherBase, public Lender<T, Code> {
 
  protected:
   explicit LendingPublisher(std::shared_ptr<UntypedPublisher> untyped, Code code = {}) noexcept
-      : PublisherBase(std::move(untyped)), Lender<T, Code>(&this->untyped(), code) {}
+      : PublisherBase(std::move(untyped)), Lender<T, Code>(this->untyped().lender(), code) {}
   ~LendingPublisher() = default;
+
+  /// A copy in the shared heap; without a message, `code` says why.
+  struct Copied {
+    Owner message;
+    std::uint64_t bytes = 0;
+    Errc code = Errc::ok;
+  };
+  template <class Object>
+  Copied copy_in(const Object& message) noexcept {
+    UntypedPublisher& publisher = untyped();
+    if (const Errc state = publisher.state(); state != Errc::ok) return {nullptr, 0, state};
+    publisher.make_room();
+    auto copy = copy_into_heap(
+        this->code(), message, [&] { return publisher.has_more_room(); }, publisher.type(),
+        publisher.heap());
+    if (!copy) {
+      publisher.count_adoption(tl::unexpected<Failure>(copy.error()));
+      return {nullptr, 0, copy.error().code};
+    }
+    publisher.count_adoption(Adoption{copy->message_bytes, copy->message_bytes});
+    return {std::move(copy->message), copy->message_bytes};
+  }
+  PublishResult publish_copy(Copied&& copy) noexcept {
+    if (copy.message == nullptr) return {copy.code, 0};
+    if (const Errc state = untyped().state(); state != Errc::ok) return {state, copy.bytes};
+    return {commit_resident(untyped(), this->code(), copy.message, copy.bytes), copy.bytes};
+  }
 
   // Hides that of Lender, which clients and services use: what those leave goes by their next publish.
   ipc_shared_ptr<T> lend() {
@@ -335,27 +382,19 @@ class LendingPublisher : public PublisherBase, public Lender<T, Code> {
   }
 };
 
-template <class T>
-struct TypedCode {
-  using Owner = std::unique_ptr<T>;
-  Owner make() const { return Owner(new T()); }
-  Owner copy(const T& original) const { return Owner(new T(original)); }
-  Owner own(T* message) const noexcept { return Owner(message); }
-  void* start_of(T* message) const noexcept { return message; }
-  constexpr std::size_t bytes() const noexcept { return sizeof(T); }
-};
-
 }  // namespace detail
 
 /// Any thread may call anything; publishes of one publisher are ordered by a private mutex.
 template <class T>
 class Publisher : public detail::LendingPublisher<T, detail::TypedCode<T>> {
+  using Base = detail::LendingPublisher<T, detail::TypedCode<T>>;
+
  public:
   using SharedPtr = std::shared_ptr<Publisher>;
 
   /// For create_publisher.
   explicit Publisher(std::shared_ptr<detail::UntypedPublisher> untyped) noexcept
-      : detail::LendingPublisher<T, detail::TypedCode<T>>(std::move(untyped)) {}
+      : Base(std::move(untyped)) {}
 
   /// A message to fill. From here to publish (or its destruction) this thread allocates from the
   /// shared heap; many loans at once are fine, and LoanScope takes one to other threads. If the heap
@@ -367,6 +406,32 @@ class Publisher : public detail::LendingPublisher<T, detail::TypedCode<T>> {
                   "agnocast: this message has no default constructor, so it cannot be borrowed; "
                   "publish a std::unique_ptr of it");
     return this->lend();
+  }
+
+  using Base::publish;
+  /// Publishes a copy, which is made in the shared heap: for code that has a message of its own.
+  /// `adopted_bytes` is all of it; a loan or a std::unique_ptr costs less. Errors as of the others, but
+  /// for loan_invalid.
+  PublishResult publish(const T& message) noexcept {
+    return this->publish_copy(this->copy_in(message));
+  }
+  using Base::try_publish;
+  [[nodiscard]] PublishResult try_publish(const T& message) noexcept { return publish(message); }
+  /// publish_for of a message of the caller's: one copy, however often it is tried.
+  template <class Rep, class Period>
+  PublishResult publish_for(const T& message, std::chrono::duration<Rep, Period> timeout) noexcept {
+    detail::Patience patience(timeout);
+    auto copy = this->copy_in(message);
+    for (;;) {
+      const PublishResult result = this->publish_copy(std::move(copy));
+      if (result.code != Errc::would_block || !patience.wait()) return result;
+    }
+  }
+  template <class Message, class Rep, class Period,
+            class = std::enable_if_t<!std::is_same_v<std::decay_t<Message>, T>>>
+  PublishResult publish_for(Message&& message,
+                            std::chrono::duration<Rep, Period> timeout) noexcept {
+    return Base::publish_for(std::forward<Message>(message), timeout);
   }
 };
 

@@ -147,6 +147,10 @@ struct SharedHeap {
   /// Why there is no room: window_exhausted when this process gets no further window, else
   /// heap_exhausted (also where this is null).
   Errc (*why_full)(void* context) noexcept = nullptr;
+  /// Whether what the shared heap has no room for throws std::bad_alloc out of operator new of this
+  /// thread, in a scope, or comes from elsewhere; returns what was so before. Null: it always comes
+  /// from elsewhere.
+  bool (*refuse_private)(void* context, bool refuses) noexcept = nullptr;
 
   Failure full() const noexcept {
     return {why_full != nullptr ? why_full(context) : Errc::heap_exhausted, 0,
@@ -177,6 +181,24 @@ class SharedScope {
   std::uint64_t before_;
 };
 
+/// While this object lives, a copy that finds no room in the shared heap ends there: the rest of it is
+/// not written to private memory first, only to be thrown away.
+class SharedOnly {
+ public:
+  SharedOnly(const SharedHeap& heap, bool may_throw) noexcept
+      : heap_(may_throw && heap.refuse_private != nullptr ? &heap : nullptr),
+        before_(heap_ != nullptr && heap.refuse_private(heap.context, true)) {}
+  ~SharedOnly() {
+    if (heap_ != nullptr) (void)heap_->refuse_private(heap_->context, before_);
+  }
+  SharedOnly(const SharedOnly&) = delete;
+  SharedOnly& operator=(const SharedOnly&) = delete;
+
+ private:
+  const SharedHeap* heap_;
+  bool before_;
+};
+
 /// What make_resident did.
 struct Adoption {
   /// Residency::foreign_bytes of the original; 0 if nothing was to do.
@@ -186,32 +208,82 @@ struct Adoption {
 
 namespace detail {
 
-/// make_resident() for any owning pointer; `copy` makes a copy of the message, with memory that is
-/// allocated while it runs, and may throw.
-template <class Pointer, class Copy>
-Result<Adoption> make_resident_by(const Copy& copy_of, Pointer& message, const MessageType& type,
-                                  const SharedHeap& heap) noexcept {
-  const Residency found = check_residency(type, message.get(), heap.windows(heap.context));
-  if (found.is_resident()) return Adoption{0, found.message_bytes};
+/// False of a copy constructor that would end the process if operator new threw in it. That of a
+/// trivially copyable class allocates nothing.
+template <class T>
+inline constexpr bool copy_may_throw =
+    std::is_trivially_copyable_v<T> || !std::is_nothrow_copy_constructible_v<T>;
 
+/// A message in the shared heap, and its Residency::message_bytes.
+template <class Pointer>
+struct ResidentCopy {
+  Pointer message;
+  std::uint64_t message_bytes = 0;
+};
+
+/// `code.copy(original)` with memory that is allocated while it runs; it may throw.
+template <class Code, class Object>
+Result<ResidentCopy<typename Code::Owner>> try_copy_into_heap(const Code& code,
+                                                              const Object& original,
+                                                              const MessageType& type,
+                                                              const SharedHeap& heap) noexcept {
   SharedScope scope(heap);
   try {
-    Pointer copy = copy_of(std::as_const(*message));
+    typename Code::Owner copy = [&] {
+      const SharedOnly shared_only(heap, Code::copy_may_throw);
+      return code.copy(original);
+    }();
     // What is unseen cannot be looked at again, but then it is known that no allocation went
     // elsewhere.
     const bool has_strays = scope.close() != 0;
     const Residency now = check_residency(type, copy.get(), heap.windows(heap.context));
-    if (now.foreign_count != 0 || (now.unseen_count != 0 && has_strays)) {
+    if (now.foreign_count != 0 || (now.unseen_count != 0 && has_strays))
       return tl::unexpected(heap.full());
-    }
-    message = std::move(copy);
-    return Adoption{found.foreign_bytes, now.message_bytes};
+    return ResidentCopy<typename Code::Owner>{std::move(copy), now.message_bytes};
   } catch (const std::bad_alloc&) {
     return tl::unexpected(heap.full());
   } catch (...) {
     return fail(Errc::user_code_threw, "copy constructor of the message");
   }
 }
+
+/// The same; where there was no room `has_more_room()` is asked to make some, and it is tried once more.
+template <class Code, class Object, class HasMoreRoom>
+Result<ResidentCopy<typename Code::Owner>> copy_into_heap(const Code& code, const Object& original,
+                                                          const HasMoreRoom& has_more_room,
+                                                          const MessageType& type,
+                                                          const SharedHeap& heap) noexcept {
+  auto copy = try_copy_into_heap(code, original, type, heap);
+  if (!copy && copy.error().code != Errc::user_code_threw && has_more_room())
+    copy = try_copy_into_heap(code, original, type, heap);
+  return copy;
+}
+
+/// make_resident() for any owning pointer; `make_room()` is called before a copy is made.
+template <class Code, class MakeRoom, class HasMoreRoom>
+Result<Adoption> make_resident_by(const Code& code, const MakeRoom& make_room,
+                                  const HasMoreRoom& has_more_room, typename Code::Owner& message,
+                                  const MessageType& type, const SharedHeap& heap) noexcept {
+  const Residency found = check_residency(type, message.get(), heap.windows(heap.context));
+  if (found.is_resident()) return Adoption{0, found.message_bytes};
+  make_room();
+  auto copy = copy_into_heap(code, std::as_const(*message), has_more_room, type, heap);
+  if (!copy) return tl::unexpected(copy.error());
+  message = std::move(copy->message);
+  return Adoption{found.foreign_bytes, copy->message_bytes};
+}
+
+/// Makes, copies, owns and measures messages of class T.
+template <class T>
+struct TypedCode {
+  using Owner = std::unique_ptr<T>;
+  static constexpr bool copy_may_throw = detail::copy_may_throw<T>;
+  Owner make() const { return Owner(new T()); }
+  Owner copy(const T& original) const { return Owner(new T(original)); }
+  Owner own(T* message) const noexcept { return Owner(message); }
+  void* start_of(T* message) const noexcept { return message; }
+  constexpr std::size_t bytes() const noexcept { return sizeof(T); }
+};
 
 }  // namespace detail
 
@@ -228,7 +300,7 @@ template <class T>
                                              const SharedHeap& heap) noexcept {
   static_assert(detail::require_message<T>());
   return detail::make_resident_by(
-      [](const T& original) { return std::unique_ptr<T>(new T(original)); }, message, type, heap);
+      detail::TypedCode<T>(), [] {}, [] { return false; }, message, type, heap);
 }
 
 }  // namespace agnocast

@@ -38,6 +38,7 @@ class AGNOCAST_PUBLIC UntypedService {
   UntypedService& operator=(const UntypedService&) = delete;
 
   const std::shared_ptr<ServiceCore>& core() const noexcept { return core_; }
+  static LenderId lender_of(const ServiceCore& core) noexcept;
   const std::string& service() const noexcept;
   std::size_t client_count() const noexcept;
   std::uint64_t undelivered_count() const noexcept;
@@ -60,7 +61,7 @@ class AGNOCAST_PUBLIC UntypedService {
 /// The right to answer one request, once.
 struct Ticket {
   RequestId id;
-  const ServiceCore* service = nullptr;
+  std::uint64_t service = 0;  // its LenderId
   std::atomic<bool> is_answered{false};
 };
 
@@ -72,8 +73,8 @@ template <class Kind>
 class Responder : public Lender<typename Kind::Response, typename Kind::ResponseCode> {
  public:
   Responder(std::shared_ptr<ServiceCore> core, const Kind& kind) noexcept
-      : Lender<typename Kind::Response, typename Kind::ResponseCode>(core.get(),
-                                                                     kind.response_code()),
+      : Lender<typename Kind::Response, typename Kind::ResponseCode>(
+            UntypedService::lender_of(*core), kind.response_code()),
         core_(std::move(core)),
         kind_(kind) {}
 
@@ -160,7 +161,7 @@ UntypedService::Callback erase_service(const Kind& kind, Callback&& callback) {
       auto message = kind.request(Read(block));  // owns it, whatever is thrown
       auto ticket = std::make_shared<Ticket>();
       ticket->id = id;
-      ticket->service = core.get();
+      ticket->service = UntypedService::lender_of(*core).value();
       function(BasicServiceRequest<Kind>(std::move(message), std::move(ticket)));
     }
   };
@@ -189,7 +190,8 @@ class BasicService {
   /// client is one of those.
   PublishResult send_response(const Request& request, Response&& response) noexcept {
     Ticket* const ticket = request.ticket_.get();
-    if (ticket == nullptr || ticket->service != untyped_->core().get())
+    if (ticket == nullptr ||
+        ticket->service != UntypedService::lender_of(*untyped_->core()).value())
       return {Errc::invalid_argument, 0};
     if (ticket->is_answered.exchange(true)) return {Errc::already_answered, 0};
     const PublishResult sent = responder_.send(ticket->id, response);

@@ -71,6 +71,7 @@ struct ServiceMessageCode {
     void operator()(Body* body) const noexcept { delete ServiceMessage<Body>::around(body); }
   };
   using Owner = std::unique_ptr<Body, End>;
+  static constexpr bool copy_may_throw = detail::copy_may_throw<Body>;
   Owner make() const { return Owner(&(new ServiceMessage<Body>())->body); }
   Owner copy(const Body& original) const {
     return Owner(&(new ServiceMessage<Body>(id_of(const_cast<Body*>(&original)), original))->body);

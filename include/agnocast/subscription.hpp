@@ -95,6 +95,8 @@ class AGNOCAST_PUBLIC UntypedSubscription {
   std::vector<Writer> writers() const;
   /// `watch` is told when what is matched has changed.
   void tell(std::shared_ptr<Watch> watch) noexcept;
+  /// Its callback of what is drained is called again.
+  void look_again() noexcept;
 
  private:
   UntypedSubscription() noexcept = default;

@@ -16,6 +16,8 @@
 # target, about which colcon warns; an empty install target would be worse, as colcon's setup scripts would look
 # for files that nobody installed.
 
+include(${CMAKE_CURRENT_LIST_DIR}/find_ros_python.cmake)
+
 set(skip_rule_mark "agnocast_interfaces")
 
 function(find_ros_prefix result file)
@@ -46,8 +48,6 @@ macro(skip_if_ros_provides kind)
       message(WARNING "An earlier build installed our ${PROJECT_NAME} in ${CMAKE_INSTALL_PREFIX}, "
         "where it may hide the one of ROS 2. Please remove the folders build and install.")
     endif()
-    # Reading it spares the user CMake's remark that nobody used this setting of colcon_defaults.yaml.
-    set(unused_here "${Python3_EXECUTABLE}")
     return()
   endif()
 

@@ -61,6 +61,52 @@ HOOKED_TEST(HookMemory, PurgeReturnsWhatMessagesUsed) {
   EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
 }
 
+// A reader has a descriptor of the window, and makes pages by touching what was given back.
+HOOKED_TEST(HookMemory, WhatAReaderBringsBackIsGivenBackAgain) {
+  WindowFile file(256 * MiB);
+  attach(file);
+  std::vector<char*> messages(64);
+  const auto fill = [&](int value) {
+    Scope scope;
+    for (char*& message : messages) {
+      message = static_cast<char*>(malloc(MiB));
+      ASSERT_TRUE(is_shared(message));
+      std::memset(message, value, MiB);
+    }
+  };
+  const auto read_all = [&] {
+    const std::size_t length = hook_test::usage().frontier_bytes;
+    void* const mapping = mmap(nullptr, length, PROT_READ, MAP_SHARED, file.window.read_fd, 0);
+    ASSERT_NE(mapping, MAP_FAILED);
+    unsigned sum = 0;
+    for (std::size_t at = 0; at < length; at += 4096) sum += static_cast<const unsigned char*>(mapping)[at];
+    opaque(&sum);
+    munmap(mapping, length);
+  };
+  fill(1);
+  for (std::size_t i = 8; i < messages.size(); ++i) free(messages[i]);
+  hook().purge();
+  EXPECT_LT(file.resident_bytes(), 12 * MiB);
+  EXPECT_LT(hook().idle(), MiB);
+  for (int round = 0; round < 3; ++round) {
+    read_all();
+    EXPECT_GE(file.resident_bytes(), 64 * MiB);
+    EXPECT_GE(hook().idle(), 40 * MiB) << "and nobody has wanted it";
+    EXPECT_GE(hook().purge(), 40 * MiB);
+    EXPECT_LT(file.resident_bytes(), 9 * MiB);
+    EXPECT_LT(hook().idle(), MiB);
+  }
+  for (std::size_t i = 0; i < 8; ++i) EXPECT_EQ(messages[i][MiB - 1], 1) << "what is in use stays";
+  // It is used again, and is not taken away under its user.
+  for (std::size_t i = 0; i < 8; ++i) free(messages[i]);
+  fill(2);
+  read_all();
+  hook().purge();
+  for (const char* message : messages) {
+    for (std::size_t at = 0; at < MiB; at += 4096) ASSERT_EQ(message[at], 2);
+  }
+}
+
 HOOKED_TEST(HookMemory, PurgeLeavesLiveMessagesAlone) {
   WindowFile file(512 * MiB);
   attach(file);

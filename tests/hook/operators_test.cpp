@@ -157,6 +157,52 @@ struct alignas(256) Wide {
   char payload[256];
 };
 
+struct NoRoom {};
+[[noreturn]] void throw_no_room() { throw NoRoom(); }
+
+HOOKED_TEST(HookOperators, SayThatThereIsNoRoomWhereThatIsWanted) {
+  WindowFile file(8 * MiB);
+  attach(file);
+  constexpr std::size_t large = 16 * MiB;
+  const auto expect_libc = [](void* block, auto release) {
+    ASSERT_NE(block, nullptr);
+    EXPECT_FALSE(is_shared(block));
+    release(block);
+  };
+  const auto plain = [](void* block) { operator delete(block); };
+  EXPECT_EQ(hook().on_no_room(throw_no_room), nullptr);
+  expect_libc(operator new(large), plain);  // no scope
+  {
+    Scope scope;
+    EXPECT_THROW(opaque(operator new(large)), NoRoom);
+    EXPECT_THROW(opaque(operator new[](large)), NoRoom);
+    EXPECT_THROW(opaque(operator new(large, aligned)), NoRoom);
+    EXPECT_THROW(opaque(operator new[](large, aligned)), NoRoom);
+    EXPECT_EQ(opaque(operator new(large, std::nothrow)), nullptr);
+    EXPECT_EQ(opaque(operator new[](large, std::nothrow)), nullptr);
+    EXPECT_EQ(opaque(operator new(large, aligned, std::nothrow)), nullptr);
+    EXPECT_EQ(opaque(operator new[](large, aligned, std::nothrow)), nullptr);
+    expect_libc(malloc(large), free);
+    void* const fits = opaque(operator new(1000));
+    EXPECT_TRUE(is_shared(fits));
+    operator delete(fits);
+    hook().pause();
+    expect_libc(operator new(large), plain);
+    hook().resume();
+    hook().pause();  // the thread itself is not of this scope
+    std::thread([&] {
+      Scope another;
+      expect_libc(operator new(large), plain);  // it has not said so
+    }).join();
+    hook().resume();
+    EXPECT_EQ(hook().on_no_room(nullptr), throw_no_room);
+    expect_libc(operator new(large), plain);
+  }
+  EXPECT_EQ(hook().active(), 0) << "nothing was left open";
+  EXPECT_EQ(hook_test::usage().live_bytes, 0u);
+  EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
+}
+
 HOOKED_TEST(HookOperators, OverAlignedTypesAndContainersWork) {
   WindowFile file(64 * MiB);
   attach(file);

@@ -357,13 +357,15 @@ TEST(HostileControl, DescriptorsOfStrangeKindsAreClosedUnseen) {
         if (!one) continue;
         const int fds[] = {one.get(), one.get(), one.get(), one.get()};
         for (const std::size_t count : {1u, 4u}) {
+          HostileNode other(path);
           wire::WindowRequest request{};
           request.header = {Opcode::open_window, sizeof request, 99};
           // The kernel itself passes no io_uring and no socket of a socket too deep.
-          const auto sent = node.wire().socket().send(std::as_bytes(std::span(&request, 1)),
-                                                      std::span(fds).first(count));
+          const auto sent = other.wire().socket().send(std::as_bytes(std::span(&request, 1)),
+                                                       std::span(fds).first(count));
           if (!sent || *sent != Sent::sent) continue;
-          EXPECT_EQ(node.wire().next().refused_code(), Errc::protocol_violation);
+          EXPECT_EQ(other.wire().next().refused_code(), Errc::protocol_violation);
+          EXPECT_TRUE(other.wire().is_hung_up()) << "what came with it goes with the connection";
         }
         // Where one is asked for it is looked at, and none of these is a window.
         const auto window = place_in_arena(node);

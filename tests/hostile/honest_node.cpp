@@ -10,12 +10,15 @@
 //     join TOPIC        → ok      the same with a stream that has begun: the first number is any
 //     occupy ADDRESS BYTES → ok   maps something there
 //     watch TOPIC       → ok      takes what others publish there, looks at no byte of it, notes where it lay
+//     publish_flat TOPIC → ok    a publisher of Flat, which says nothing
 //     create TOPIC      → ok      a publisher and a subscription more, and away with them
 //     collisions        → of how many collisions of addresses its publisher was told
 //     matched           → how many there are at the other end of what it has
-//     state             → published refused received wrong lost watched low high watch_lost
+//     forget-gap        → ok      the largest gap between two messages is counted anew
+//     state             → published refused received wrong lost watched low high watch_lost gap
 //     stop              → ok      publishes no more
 
+#include <base/clock.hpp>
 #include <tests/hostile/messages.hpp>
 #include <tests/support/plain_node.hpp>
 
@@ -35,6 +38,7 @@
 #include <sstream>
 #include <string>
 #include <thread>
+#include <utility>
 
 namespace agnocast::test {
 namespace {
@@ -55,6 +59,7 @@ class HonestNode {
     if (what == "occupy") return occupy(topic, line);
     if (what == "watch") return watch(topic);
     if (what == "create") return create(topic);
+    if (what == "publish_flat") return publish_flat(topic);
     if (what == "stop") return stop(), "ok";
     if (what == "collisions")
       return std::to_string(publisher_->get_heap_collision_status().total_count);
@@ -62,6 +67,7 @@ class HonestNode {
       return std::to_string((publisher_ != nullptr ? publisher_->get_subscription_count() : 0) +
                             (subscription_ != nullptr ? subscription_->get_publisher_count() : 0) +
                             (watched_ != nullptr ? watched_->get_publisher_count() : 0));
+    if (what == "forget-gap") return largest_gap_ns_.store(0), "ok";
     if (what == "state") return state();
     return "unknown " + what;
   }
@@ -105,6 +111,7 @@ class HonestNode {
           const std::uint64_t received = received_.load() + 1;
           if (has_begun && received == 1) missed_ = message->number - 1;
           const std::uint64_t number = missed_ + received;
+          note_gap();
           if (!is_intact(*message, number)) ++wrong_;
           received_.store(received);
           held_.push_back(std::move(message));
@@ -113,6 +120,12 @@ class HonestNode {
           held_.pop_front();
         });
     return "ok";
+  }
+
+  void note_gap() {
+    const std::uint64_t now = monotonic_ns();
+    const std::uint64_t before = std::exchange(last_ns_, now);
+    if (before != 0 && now - before > largest_gap_ns_.load()) largest_gap_ns_.store(now - before);
   }
 
   std::string watch(const std::string& topic) {
@@ -137,12 +150,20 @@ class HonestNode {
     return subscription ? "ok" : sentence_of(subscription.error().code);
   }
 
+  std::string publish_flat(const std::string& topic) {
+    auto made = try_create_publisher<Flat>(node_, topic, QoS(1));
+    if (!made) return sentence_of(made.error().code);
+    flat_ = *made;
+    return "ok";
+  }
+
   std::string state() const {
     std::ostringstream text;
     text << published_.load() << ' ' << refused_.load() << ' ' << received_.load() << ' '
          << wrong_.load() << ' ' << (subscription_ ? subscription_->get_lost_count() : 0) << ' '
          << seen_.load() << ' ' << low_.load() << ' ' << high_.load() << ' '
-         << (watched_ ? watched_->get_lost_count() : 0) << ' ' << refusal_.load();
+         << (watched_ ? watched_->get_lost_count() : 0) << ' ' << largest_gap_ns_.load() << ' '
+         << refusal_.load();
     return text.str();
   }
 
@@ -157,8 +178,10 @@ class HonestNode {
   std::atomic<const char*> refusal_{""};
   std::atomic<bool> stopped_{false};
   std::deque<ipc_shared_ptr<const Numbered>> held_;  // of the callback alone
-  std::uint64_t missed_ = 0;                         // likewise
+  std::uint64_t missed_ = 0, last_ns_ = 0;           // likewise
+  std::atomic<std::uint64_t> largest_gap_ns_{0};
   Publisher<Numbered>::SharedPtr publisher_;
+  Publisher<Flat>::SharedPtr flat_;
   Subscription<Numbered>::SharedPtr subscription_;
   Subscription<Flat>::SharedPtr watched_;
   std::thread thread_;

@@ -6,6 +6,7 @@
 
 #include <agnocast/abi/observe.hpp>
 #include <base/doorbell.hpp>
+#include <base/memfd.hpp>
 #include <client/dataplane/views.hpp>
 #include <tests/hostile/stage.hpp>
 
@@ -26,7 +27,9 @@ class HostileNode {
  public:
   using M = SharedMemory;
 
-  explicit HostileNode(const std::string& socket_path) : path_(socket_path), wire_(socket_path) {
+  /// `window_file_bytes`: how much there is of its window; all of it by default.
+  explicit HostileNode(const std::string& socket_path, std::uint64_t window_file_bytes = 0)
+      : path_(socket_path), wire_(socket_path), window_file_bytes_(window_file_bytes) {
     Incoming answer = wire_.hello();
     EXPECT_EQ(answer.opcode(), wire::Opcode::welcome) << answer.refused_text();
     if (answer.opcode() != wire::Opcode::welcome) return;
@@ -51,6 +54,8 @@ class HostileNode {
       EXPECT_EQ(opened.opcode(), wire::Opcode::window_opened) << opened.refused_text();
       window_ = opened.as<wire::WindowOpened>();
       window_fds_ = std::move(opened.fds);
+      EXPECT_TRUE(lengthen(window_fds_[0].get(),
+                           window_file_bytes_ != 0 ? window_file_bytes_ : window_.bytes));
       heap_ = std::move(
           Mapping::map(window_fds_[0].get(), window_.bytes, Mapping::Access::read_write).value());
       // As an honest process describes itself; from here on it lies.
@@ -145,6 +150,7 @@ class HostileNode {
 
   std::string path_;
   WireClient wire_;
+  std::uint64_t window_file_bytes_;
   wire::Welcome welcome_{};
   std::vector<UniqueFd> fds_, window_fds_, bells_;
   Mapping region_, heap_;

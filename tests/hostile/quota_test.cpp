@@ -10,7 +10,9 @@
 
 #include <sys/resource.h>
 
+#include <fstream>
 #include <memory>
+#include <string>
 #include <thread>
 
 namespace agnocast::test {
@@ -35,6 +37,14 @@ std::uint64_t takes_all(Ask ask, const char* limit, Errc code = Errc::quota_exce
   }
   ADD_FAILURE() << "never refused";
   return 0;
+}
+
+/// How many mappings the kernel counts for a process.
+std::uint64_t mappings_of(pid_t pid) {
+  std::ifstream maps("/proc/" + std::to_string(pid) + "/maps");
+  std::uint64_t count = 0;
+  for (std::string line; std::getline(maps, line);) ++count;
+  return count;
 }
 
 /// Three lives of the same attack; each gets as much as the first.
@@ -197,6 +207,73 @@ TEST(HostileQuotas, NobodyTakesTheLastWindowsAlone) {
     attacker.kill();
     ASSERT_TRUE(eventually([&] { return stage.daemon().descriptor_count() <= before; }));
   }
+}
+
+TEST(HostileQuotas, EndpointsCostTheDaemonNoMappings) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage({.quota = ""});
+  const std::uint64_t before = mappings_of(stage.daemon().pid());
+  Attacker attacker([&](Attack& attack) {
+    HostileNode node(stage.socket_path());
+    EXPECT_EQ(node.wire().open_executor().opcode(), Opcode::executor_opened);
+    for (std::uint64_t i = 0; i < 300; ++i) {
+      EXPECT_EQ(node.wire().create_subscription("/maps" + std::to_string(i)).opcode(),
+                Opcode::endpoint_created);
+      EXPECT_EQ(node.wire().create_publisher("/maps" + std::to_string(i + 1000)).opcode(),
+                Opcode::endpoint_created);
+    }
+    attack.ready();
+    while (attack.goes_on()) std::this_thread::sleep_for(std::chrono::milliseconds(5));
+  });
+  ASSERT_TRUE(attacker.wait_until_ready());
+  // One for its region; what malloc maps for tables is a few.
+  EXPECT_LT(mappings_of(stage.daemon().pid()), before + 50);
+  stage.honest_goes_on();
+  stage.honest_is_served();
+  attacker.end();
+}
+
+TEST(HostileQuotas, MemoryOfTheDaemonThatIsUsedUpIsARefusal) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage({.quota = ""});
+  const pid_t pid = stage.daemon().pid();
+  std::uint64_t data = 0;
+  {
+    std::ifstream status("/proc/" + std::to_string(pid) + "/status");
+    for (std::string line; std::getline(status, line);) {
+      if (line.rfind("VmData:", 0) == 0) data = std::stoull(line.substr(7)) * 1024;
+    }
+  }
+  ASSERT_GT(data, 0u);
+  rlimit before{};
+  const rlimit small{data, RLIM_INFINITY};
+  ASSERT_EQ(::prlimit(pid, RLIMIT_DATA, &small, &before), 0);
+  Attacker attacker([&](Attack& attack) {
+    HostileNode node(stage.socket_path());
+    const auto refused = [&](const Incoming& answer) {
+      if (answer.opcode() == Opcode::endpoint_created) return false;
+      EXPECT_EQ(answer.refused_code(), Errc::limit_reached) << answer.refused_text();
+      EXPECT_EQ(answer.refused_text(), "agnocastd has no memory left");
+      return true;
+    };
+    std::uint64_t made = 0;
+    while (made < 10'000 && !refused(node.wire().create_publisher("/m" + std::to_string(made % 2500))))
+      ++made;
+    EXPECT_LT(made, 10'000u) << "never refused";
+    attack.ready();
+    while (attack.goes_on()) {
+      static_cast<void>(node.wire().create_publisher("/more"));
+      std::this_thread::sleep_for(std::chrono::milliseconds(5));
+    }
+  });
+  ASSERT_TRUE(attacker.wait_until_ready());
+  stage.honest_goes_on();
+  EXPECT_EQ(stage.daemon().pid(), pid) << stage.daemon().log();
+  attacker.kill();
+  ASSERT_EQ(::prlimit(pid, RLIMIT_DATA, &before, nullptr), 0);
+  EXPECT_TRUE(eventually([&] { return stage.publisher().ask("create /after").rfind("ok", 0) == 0; }));
+  stage.honest_is_served();
+  EXPECT_EQ(stage.daemon().pid(), pid) << stage.daemon().log();
 }
 
 TEST(HostileQuotas, DescriptorsOfTheDaemonThatAreGoneComeBackWithTheirTaker) {

@@ -44,7 +44,9 @@ class Failures : public testing::EmptyTestEventListener {
 }  // namespace
 
 Stage::Stage(const StageOptions& options)
-    : daemon_({.config = configuration(options), .uid = options.daemon}),
+    : daemon_({.config = configuration(options),
+               .uid = options.daemon,
+               .without_passrights = options.without_passrights}),
       subscriber_(honest_process(daemon_)),
       publisher_(honest_process(daemon_)) {
   EXPECT_EQ(subscriber_->ask(std::string("watch ") + open_topic), "ok");
@@ -53,6 +55,8 @@ Stage::Stage(const StageOptions& options)
   EXPECT_TRUE(subscriber_->eventually("matched", "1"));
   honest_goes_on();
   honest_is_served();  // what is made once is made now: windows and executors of the honest process
+  EXPECT_EQ(subscriber_->ask("forget-gap"), "ok");
+  row_ = std::make_unique<AttackRow>(daemon_.pid());
 }
 
 Stage::~Stage() {
@@ -68,11 +72,11 @@ Stage::State Stage::state() {
   std::uint64_t ignored = 0;
   std::istringstream publisher(publisher_->ask("state")), subscriber(subscriber_->ask("state"));
   publisher >> state.published >> state.refused;
-  for (int i = 0; i < 7; ++i) publisher >> ignored;
+  for (int i = 0; i < 8; ++i) publisher >> ignored;
   std::getline(publisher, state.refusal);
   EXPECT_FALSE(publisher.fail()) << "the honest publisher does not answer: " << publisher.str();
   subscriber >> ignored >> ignored >> state.received >> state.wrong >> state.lost >>
-      state.watched >> state.low >> state.high >> state.watch_lost;
+      state.watched >> state.low >> state.high >> state.watch_lost >> state.largest_gap_ns;
   EXPECT_FALSE(subscriber.fail()) << "the honest subscriber does not answer: " << subscriber.str();
   return state;
 }
@@ -124,8 +128,12 @@ void Stage::honest_lost_nothing() {
   EXPECT_EQ(end.refused, 0u) << "publish said:" << end.refusal;
   EXPECT_EQ(end.wrong, 0u);
   EXPECT_EQ(end.lost, 0u);
-  std::printf("honest: %llu messages, none lost, refused or wrong\n",
-              static_cast<unsigned long long>(end.received));
+  const double gap_ms = static_cast<double>(end.largest_gap_ns) / 1e6;
+  std::printf("honest: %llu messages, %llu lost, %llu refused, largest gap %.1f ms\n",
+              static_cast<unsigned long long>(end.received),
+              static_cast<unsigned long long>(end.lost),
+              static_cast<unsigned long long>(end.refused), gap_ms);
+  row_->write(daemon_.pid(), {end.received, end.lost, end.refused, gap_ms});
 }
 
 void Attack::ready() { EXPECT_EQ(::write(ready_, "", 1), 1); }

@@ -8,13 +8,14 @@
 //   attacker.wait_until_ready();
 //   stage.honest_goes_on();               while the attack lasts
 //   attacker.end();                       what the body expected, and did not get, fails the test
-//   stage.honest_lost_nothing();
+//   stage.honest_lost_nothing();          and the row of the attack table is written
 //
 // Attackers are children that gave their rights away: gtest's EXPECT works in them. The honest
 // processes are programs of their own, because the library's hook and threads belong to a process.
 #pragma once
 
 #include <agnocast/abi/observe.hpp>
+#include <tests/hostile/attack_table.hpp>
 #include <tests/support/child.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/steered_process.hpp>
@@ -48,6 +49,7 @@ struct StageOptions {
   std::string quota = "held_messages = 400\n";
   std::string more = {};  ///< further text of the configuration
   std::string heap = {};  ///< further text of [heap]
+  bool without_passrights = false;  ///< as on a kernel before 6.16
 };
 
 class Stage {
@@ -73,6 +75,7 @@ class Stage {
   struct State {
     std::uint64_t published = 0, refused = 0, received = 0, wrong = 0, lost = 0;
     std::uint64_t watched = 0, low = 0, high = 0, watch_lost = 0;
+    std::uint64_t largest_gap_ns = 0;  // between two messages of the stream at the subscriber
     std::string refusal;
   };
   /// Of both processes together.
@@ -83,6 +86,7 @@ class Stage {
  private:
   DaemonProcess daemon_;
   std::unique_ptr<SteeredProcess> subscriber_, publisher_;
+  std::unique_ptr<AttackRow> row_;
   std::uint64_t served_ = 0;
   bool judged_ = false;
 };

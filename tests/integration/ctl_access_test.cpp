@@ -14,6 +14,7 @@
 #include <pwd.h>
 #include <sys/stat.h>
 
+#include <fstream>
 #include <string>
 #include <vector>
 
@@ -112,6 +113,31 @@ TEST_F(CtlAccess, SaysOfAUserWhatTheDaemonDoes) {
   EXPECT_EQ(answer({"/lidar/front"}, nobody_)["user"]["uid"], nobody_);
   EXPECT_EQ(answer({"/lidar/front"}, nobody_)["user"]["publish"]["allowed"], true);
   EXPECT_THAT(ctl({"/lidar/front"}).out, HasSubstr("publish    no   is not among them"));
+}
+
+// A rule that is there only since the publishers are: the process goes on with both.
+TEST(CtlAccessToMemory, SaysWhoReadsItThroughOtherTopicsOfTheSameProcess) {
+  DaemonProcess daemon;
+  CtlNode node(daemon.socket_path());
+  node.publisher("/secret");
+  node.publisher("/public");
+  const auto memory = [&](const char* topic) {
+    return run_ctl(daemon.socket_path(), {"access", topic, "-j"}).json()["memory"];
+  };
+  EXPECT_EQ(memory("/secret"), json::array()) << "the same users read both";
+  std::ofstream(daemon.directory() + "/agnocastd.toml", std::ios::app)
+      << "[[access]]\ntopic = \"/secret\"\nsubscribe = [\"uid:54321\"]\n";
+  const pid_t killed = daemon.kill_worker();
+  ASSERT_TRUE(daemon.wait_for_next(killed));
+  const json found = memory("/secret");
+  ASSERT_EQ(found.size(), 1u) << found;
+  EXPECT_EQ(found[0]["topic"], "/public");
+  EXPECT_EQ(found[0]["pid"], ::getpid());
+  EXPECT_EQ(found[0]["subscribe"]["everybody"], true);
+  EXPECT_EQ(memory("/public")[0]["topic"], "/secret");
+  EXPECT_THAT(run_ctl(daemon.socket_path(), {"access", "/secret"}).out,
+              testing::ContainsRegex("memory +everybody +/public, which process"));
+  EXPECT_EQ(memory("/other"), json::array());
 }
 
 TEST_F(CtlAccess, SaysWhatAUserHasOfItsQuotas) {

@@ -68,18 +68,17 @@ TEST(CtlJournal, TellsADeathAndWhatItLeft) {
   EXPECT_EQ(all.err, "");
   EXPECT_EQ(without_times(all.out),
             "#1 " + process + "joined, uid " + std::to_string(::geteuid()) +
-                ", domain 0\n"
-                "#2 topic /points: created\n"
-                "#3 " +
-                publisher + "created, 384 slots\n#4 " + process + "died\n#5 " + publisher +
-                "ended with its process, last message rolled back\n#6 " + process +
-                "has let go of everything of others\n#7 " + publisher +
-                "is over, its place is free\n#8 topic /points: is over: nobody publishes or "
-                "subscribes there\n#9 " +
+                ", domain 0\n#2 " + process +
+                "publishes, for one set of readers\n#3 topic /points: created\n#4 " + publisher +
+                "created, 384 slots\n#5 " + process + "died\n#6 " + publisher +
+                "ended with its process, last message rolled back\n#7 " + process +
+                "has let go of everything of others\n#8 " + publisher +
+                "is over, its place is free\n#9 topic /points: is over: nobody publishes or "
+                "subscribes there\n#10 " +
                 process + "is over, its place is free\n");
-  EXPECT_EQ(without_times(run_ctl(socket, {"journal", "-n", "2"}).out).substr(0, 3), "#8 ");
+  EXPECT_EQ(without_times(run_ctl(socket, {"journal", "-n", "2"}).out).substr(0, 3), "#9 ");
   const std::string of_topic = run_ctl(socket, {"journal", "--topic", "points", "-n", "1"}).out;
-  EXPECT_THAT(of_topic, HasSubstr("#8 topic /points"));
+  EXPECT_THAT(of_topic, HasSubstr("#9 topic /points"));
   for (const char* const verb : {"journal", "monitor"}) {
     const CtlResult wrong = run_ctl(socket, {verb, "--topic", "/a b"});
     EXPECT_EQ(wrong.status, 2) << verb;
@@ -93,10 +92,10 @@ TEST(CtlJournal, TellsADeathAndWhatItLeft) {
   const auto json = run_ctl(socket, {"journal", "-j"}).json();
   EXPECT_EQ(json["schema"], "agnocast.journal/1");
   EXPECT_EQ(json["oldest"], 1);
-  EXPECT_EQ(json["newest"], 9);
-  ASSERT_EQ(json["records"].size(), 9u);
-  const auto& ended = json["records"][4];
-  EXPECT_EQ(ended["lsn"], 5);
+  EXPECT_EQ(json["newest"], 10);
+  ASSERT_EQ(json["records"].size(), 10u);
+  const auto& ended = json["records"][5];
+  EXPECT_EQ(ended["lsn"], 6);
   EXPECT_EQ(ended["type"], "leave_publisher");
   EXPECT_EQ(ended["state"], "applied");
   EXPECT_EQ(ended["topic"], "/points");
@@ -189,7 +188,7 @@ TEST(CtlJournal, GoesOnWithWhatComes) {
   read_until("publisher 0 of /two");
   ::kill(pid, SIGTERM);
   ::waitpid(pid, nullptr, 0);
-  EXPECT_EQ(std::count(out.begin(), out.end(), '\n'), 5) << out;
+  EXPECT_EQ(std::count(out.begin(), out.end(), '\n'), 6) << out;
 }
 
 }  // namespace

@@ -302,7 +302,9 @@ TEST(DaemonDeath, FreesWhatOnlyDeadProcessesKnew) {
     ASSERT_TRUE(gone(1));
     (subscriber_first ? publisher : subscriber).end();
     ASSERT_TRUE(gone(2));
-    EXPECT_EQ(daemon.descriptor_count(), fds);
+    // Connections are closed elsewhere, a moment later.
+    EXPECT_TRUE(eventually([&] { return daemon.descriptor_count() == fds; }))
+        << daemon.descriptor_count() << " instead of " << fds;
     EXPECT_TRUE(std::filesystem::is_empty(daemon.socket_path() + ".bells"));
     // Everything is as at the beginning: both kinds of places are free again.
     Child next = publisher_child(daemon.socket_path(), 0);
@@ -464,7 +466,8 @@ TEST(DaemonDeath, StaysFlatOverTwoThousandProcesses) {
       resident = daemon.resident_bytes();
     }
   }
-  EXPECT_EQ(daemon.descriptor_count(), fds);
+  EXPECT_TRUE(eventually([&] { return daemon.descriptor_count() <= fds; }))
+      << daemon.descriptor_count() << ", before " << fds;
   EXPECT_LE(highest_client, 3u) << "places are used again";
   EXPECT_LT(daemon.resident_bytes(), resident + (1 << 20))
       << "from " << resident << " bytes: the daemon grows with every process";

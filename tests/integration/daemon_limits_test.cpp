@@ -296,8 +296,10 @@ TEST(DaemonLimits, FollowsTheRulesOfAccess) {
                                   "[[access]]\ntopic = \"/secret/**\"\npublish = [\"uid:0\"]\n"
                                   "subscribe = [\"uid:0\"]\n"
                                   "[[access]]\ntopic = \"/cmd\"\npublish = [\"uid:0\"]\n"});
-  const auto root = greeted(daemon);
-  EXPECT_EQ(root->create_publisher("/secret/a").opcode(), Opcode::endpoint_created);
+  const auto secretive = greeted(daemon), root = greeted(daemon);
+  EXPECT_EQ(secretive->create_publisher("/secret/a").opcode(), Opcode::endpoint_created);
+  EXPECT_EQ(secretive->create_publisher("/cmd").refused_code(), Errc::readers_differ)
+      << "who may read that would be given the memory of both";
   EXPECT_EQ(root->create_publisher("/cmd").opcode(), Opcode::endpoint_created);
   EXPECT_EQ(in_other_user([&] {
               const auto other = greeted(daemon);

@@ -143,6 +143,54 @@ TEST(DaemonRestart, DeathsOfReadyDaemonsDoNotMakeThePauseLong) {
   EXPECT_TRUE(daemon.wait_for_next(old));
 }
 
+// A configuration like the usual one.
+DaemonOptions watched(const std::string& seconds) {
+  return {.config = "[daemon]\nsocket_mode = \"0666\"\nwatchdog_seconds = " + seconds +
+                    "\n[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"64GiB\"\n"
+                    AGNOCAST_TEST_ARENA_BASE};
+}
+
+// A worker that is stopped answers nothing, not even signals.
+TEST(DaemonRestart, AWorkerThatHangsHoldsUpNeitherARestartNorTheEnd) {
+  DaemonProcess daemon;
+  Pair pair(daemon);
+  const std::uint64_t incarnation = wire_dump(daemon.socket_path()).incarnation;
+  for (int round = 0; round < 2; ++round) {
+    const pid_t old = daemon.kill_worker(SIGSTOP);
+    ::kill(daemon.supervisor_pid(), SIGHUP);
+    ASSERT_TRUE(daemon.wait_for_next(old)) << daemon.log();
+    pair.exchange();
+    EXPECT_EQ(wire_dump(daemon.socket_path()).incarnation, incarnation);
+  }
+  EXPECT_TRUE(daemon.wait_for_log("worker killed"));
+  const auto worker = Pidfd::open(daemon.kill_worker(SIGSTOP));
+  ASSERT_TRUE(worker);
+  EXPECT_EQ(daemon.stop(SIGTERM), 1);
+  EXPECT_TRUE(worker->ended());
+}
+
+TEST(DaemonRestart, AWorkerThatHangsIsReplacedWithoutBeingTold) {
+  DaemonProcess daemon(watched("4"));
+  Pair pair(daemon);
+  const std::uint64_t incarnation = wire_dump(daemon.socket_path()).incarnation;
+  const pid_t idle = daemon.pid();
+  ::usleep(6'000'000);  // longer than it may be silent
+  EXPECT_EQ(daemon.pid(), idle) << daemon.log();
+  daemon.kill_worker(SIGSTOP);
+  ASSERT_TRUE(daemon.wait_for_next(idle)) << daemon.log();
+  EXPECT_TRUE(daemon.wait_for_log("its loop does not turn"));
+  pair.exchange();
+  EXPECT_EQ(wire_dump(daemon.socket_path()).incarnation, incarnation);
+}
+
+TEST(DaemonRestart, NobodyLooksWhetherAWorkerHangsWhereItIsSwitchedOff) {
+  DaemonProcess daemon(watched("\"off\""));
+  std::ifstream file("/proc/" + std::to_string(daemon.pid()) + "/environ", std::ios::binary);
+  std::ostringstream text;
+  text << file.rdbuf();
+  EXPECT_EQ(text.str().find("WATCHDOG"), std::string::npos);
+}
+
 TEST(DaemonRestart, RefusesTheTablesOfAnotherBuildAndHarmsNothing) {
   Program program;
   DaemonProcess daemon({.program = program.path()});

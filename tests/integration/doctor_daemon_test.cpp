@@ -192,6 +192,21 @@ TEST_F(DoctorDaemon, SaysThatTheStoreIsDamaged) {
   EXPECT_THAT(doctor.look().all, IsEmpty());
 }
 
+// The worker is stopped, which is the one way to make it hang from outside; doctor is shown a state that
+// does not say so, or it would find daemon-stopped.
+TEST_F(DoctorDaemon, MendsADaemonThatHangs) {
+  DaemonProcess daemon(
+      {.config = "[daemon]\nsocket_mode = \"0666\"\nwatchdog_seconds = \"off\"\n"});
+  Doctored doctor(daemon.socket_path());
+  doctor.overlay()["/proc/" + std::to_string(daemon.pid()) + "/stat"] = "1 (agnocastd) S 1\n";
+  daemon.kill_worker(SIGSTOP);
+  const Findings findings = doctor.look();
+  ASSERT_THAT(findings.ids(), ElementsAre("daemon-silent"));
+  const Remedy remedy(findings.remedies[0]);
+  EXPECT_TRUE(soon([&] { return run_ctl(daemon.socket_path(), {"status"}).status == 0; }));
+  EXPECT_THAT(doctor.look().all, IsEmpty());
+}
+
 TEST_F(DoctorDaemon, SaysWhatTheHostDoesNotAllow) {
   DaemonProcess daemon;
   Doctored doctor(daemon.socket_path());

@@ -174,6 +174,23 @@ TEST_F(DoctorDoor, SaysThatTheDaemonHasAnotherLayout) {
   EXPECT_TRUE(end_daemon_at(daemon.socket_path()));
 }
 
+TEST_F(DoctorDoor, SaysWhoServesAndIsNotTrusted) {
+  if (::geteuid() != 0) GTEST_SKIP() << "needs root, for a daemon of another user";
+  constexpr uid_t other = 65534;
+  DaemonProcess daemon({.uid = other});
+  const std::string& path = daemon.socket_path();
+  ::unsetenv("AGNOCAST_DAEMON_UID");
+  Doctored doctor(path);
+  const Findings findings = doctor.look();
+  ASSERT_THAT(findings.ids(), ElementsAre("daemon-untrusted"));
+  EXPECT_EQ(findings.all[0], "daemon-untrusted: user 65534 listens at " + path +
+                                 ", and neither root, nor this user, nor whom root has given its "
+                                 "directory");
+  EXPECT_EQ(findings.remedies[0], "unset AGNOCAST_SOCKET");
+  ::setenv("AGNOCAST_DAEMON_UID", "65534", 1);
+  EXPECT_THAT(doctor.look().ids(), testing::Not(testing::Contains("daemon-untrusted")));
+}
+
 TEST_F(DoctorDoor, SaysThatNoDescriptorArrivesAndWhatKeepsThemAway) {
   DaemonProcess daemon;
   const std::string path = daemon.directory() + "/proxy.sock";

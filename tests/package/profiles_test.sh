@@ -104,6 +104,8 @@ def opened(name):
         what, rest = call[1], call[2]
         if what in ("open", "openat"):
             path = re.search(r'"([^"]*)"', rest)[1]
+            # Rules name a directory with a slash behind it.
+            if "O_DIRECTORY" in rest: path = path.rstrip("/") + "/"
             yield path, "rw" if re.search("O_RDWR", rest) else "w" if "O_WRONLY" in rest else "r"
         elif what in ("connect", "bind") and "AF_UNIX" in rest and 'sun_path="' in rest:
             yield re.search(r'sun_path="([^"]*)"', rest)[1], "rw"

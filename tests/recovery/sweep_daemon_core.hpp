@@ -41,8 +41,7 @@ class KeptMemory {
     for (std::uint32_t i = 0; i < core_client_count; ++i) {
       if (!regions_.open_client(ClientIndex{i}, i + 1)) throw std::runtime_error("a client region");
       for (std::uint64_t window = 0; window < 2; ++window) {
-        if (!regions_.open_window(ClientIndex{i}, core_window_base(i, window), core_window_bytes,
-                                  1000))
+        if (!regions_.open_window(ClientIndex{i}, core_window_base(i, window), 1000))
           throw std::runtime_error("a window");
       }
     }
@@ -217,8 +216,10 @@ class Core final : private Post {
   void end_membership(std::uint32_t client, journal::DeathReason reason) {
     const ClientIndex index{client};
     if (!registry_.is_alive(index) && !is_dying(client)) return;
-    daemon::reap(index, is_dying(client) ? registry_.client(index).reason : reason, registry_,
-                 regions_, doorbells_, membership_);
+    Reaping reaping(index, is_dying(client) ? registry_.client(index).reason : reason, registry_,
+                    regions_, doorbells_, membership_);
+    while (!reaping.go_on(UINT64_MAX)) {
+    }
   }
   bool is_dying(std::uint32_t client) const {
     return registry_.client(ClientIndex{client}).state == ClientState::dead;

@@ -3,6 +3,7 @@
 #include <tests/support/daemon_process.hpp>
 
 #include <base/pidfd.hpp>
+#include <tests/support/seccomp_filter.hpp>
 
 #include <dirent.h>
 #include <fcntl.h>
@@ -60,6 +61,7 @@ struct Start {
   std::string out;  // files
   std::string err;
   bool without_peer_pidfd = false;
+  bool without_passrights = false;
   std::vector<int> sockets;
 };
 
@@ -97,6 +99,12 @@ bool deny_peer_pidfd() {
          ::syscall(SYS_seccomp, SECCOMP_SET_MODE_FILTER, 0, &program) == 0;
 }
 
+bool deny_passrights() {
+  constexpr std::uint32_t so_passrights = 83;
+  return deny_getsockopt(SYS_setsockopt, SOL_SOCKET, so_passrights, ENOPROTOOPT) &&
+         deny_getsockopt(SYS_getsockopt, SOL_SOCKET, so_passrights, ENOPROTOOPT);
+}
+
 pid_t start(const Start& what) {
   std::vector<std::string> arguments{what.program};
   arguments.insert(arguments.end(), what.arguments.begin(), what.arguments.end());
@@ -130,6 +138,7 @@ pid_t start(const Start& what) {
     ::prctl(PR_SET_PDEATHSIG, SIGKILL);  // setuid clears it
   }
   if (what.without_peer_pidfd && !deny_peer_pidfd()) ::_exit(124);
+  if (what.without_passrights && !deny_passrights()) ::_exit(123);
   if (what.uid) ::fexecve(program, argv.data(), environ);
   ::execv(argv[0], argv.data());
   ::_exit(127);
@@ -192,6 +201,8 @@ void DaemonProcess::begin(const DaemonOptions& options) {
   if (options.uid) {
     // Others may only look; the daemon's user makes run/ itself.
     EXPECT_EQ(::chown(directory_.c_str(), *options.uid, *options.uid), 0);
+    // Clients of this test, whoever they are, mean that user's daemon.
+    ::setenv("AGNOCAST_DAEMON_UID", std::to_string(*options.uid).c_str(), 1);
   }
 
   const UniqueFd ready(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0));
@@ -212,6 +223,7 @@ void DaemonProcess::begin(const DaemonOptions& options) {
   what.environment.push_back("NOTIFY_SOCKET=" + notify);
   what.uid = options.uid;
   what.without_peer_pidfd = options.without_peer_pidfd;
+  what.without_passrights = options.without_passrights;
   what.sockets = options.sockets;
   what.out = directory_ + "/out";
   what.err = directory_ + "/log";
@@ -233,6 +245,7 @@ void DaemonProcess::begin(const DaemonOptions& options) {
 
 DaemonProcess::~DaemonProcess() {
   kill();
+  ::unsetenv("AGNOCAST_DAEMON_UID");
   if (testing::Test::HasFailure()) std::fprintf(stderr, "agnocastd wrote:\n%s", log().c_str());
   remove_directory(directory_);
 }
@@ -277,8 +290,10 @@ pid_t DaemonProcess::worker_of(pid_t pid) {
   if (text.str().find("--fd-store=none") != std::string::npos) return pid;
   std::ifstream children("/proc/" + std::to_string(pid) + "/task/" + std::to_string(pid) +
                          "/children");
-  pid_t child = -1;
-  return children >> child ? child : -1;
+  // The last one: what is left of a former one may still be there.
+  pid_t child = -1, last = -1;
+  while (children >> child) last = child;
+  return last;
 }
 
 bool DaemonProcess::is_running() {

@@ -48,6 +48,8 @@ struct DaemonOptions {
   std::string program = {};
   /// As on a kernel before 6.5: SO_PEERPIDFD is not known (a seccomp filter answers).
   bool without_peer_pidfd = false;
+  /// As on a kernel before 6.16: SO_PASSRIGHTS is not known, so clients may send descriptors.
+  bool without_passrights = false;
   /// NAME=value, beside the test's own.
   std::vector<std::string> environment = {};
   /// Passed to it under the name that it knows, as by a socket unit; they stay the test's.

@@ -116,6 +116,24 @@ class WireClient {
     return answer_to(request);
   }
 
+  /// The answer, or nothing where the daemon ends the connection instead.
+  template <class Body>
+  std::optional<Incoming> try_ask(wire::Opcode opcode, Body body) {
+    body.header = {opcode, sizeof body, ++last_request_};
+    if (!send_bytes(std::as_bytes(std::span(&body, 1)))) return std::nullopt;
+    for (;;) {
+      auto packet = try_receive();
+      if (!packet || packet->header().request == body.header.request) return packet;
+      unasked_.push_back(std::move(*packet));
+    }
+  }
+  /// The next packet, or nothing where the daemon ends the connection instead.
+  std::optional<Incoming> try_receive() {
+    if (!bodies_.empty() || readable(patience_ms)) return receive(0);
+    ADD_FAILURE() << "neither answered nor hung up";
+    return std::nullopt;
+  }
+
   /// The next packet that came unasked; fails the test when none comes.
   Incoming next() {
     if (!unasked_.empty()) {

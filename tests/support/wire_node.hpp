@@ -10,6 +10,7 @@
 #pragma once
 
 #include <base/doorbell.hpp>
+#include <base/memfd.hpp>
 #include <client/dataplane/publisher_core.hpp>
 #include <client/dataplane/subscription_core.hpp>
 #include <client/dataplane/windows.hpp>
@@ -74,6 +75,8 @@ class WireNode {
     Incoming opened = wire_.open_window(0);
     if (opened.opcode() != wire::Opcode::window_opened) return false;
     window_ = opened.as<wire::WindowOpened>();
+    // All of it is in use, as far as readers are concerned.
+    if (!lengthen(opened.fds[0].get(), window_.bytes)) return false;
     // The arena is ours by contract; a forked child inherits what its parent has reserved there.
     heap_ = static_cast<std::byte*>(::mmap(reinterpret_cast<void*>(window_.base), window_.bytes,
                                            PROT_READ | PROT_WRITE, MAP_SHARED | MAP_FIXED,

@@ -205,7 +205,8 @@ TEST_F(Syscalls, GrowthOfTheHeapMapsMemoryAndWakesTheControlThread) {
   calls.insert(calls.end(), grown[1].begin(), grown[1].end());
   EXPECT_FALSE(calls.empty()) << "8 MB do not fit into what is mapped at the start";
   const std::set<long> of_memory{SYS_mmap,      SYS_munmap, SYS_madvise, SYS_mprotect,
-                                 SYS_fallocate, SYS_futex,  SYS_fstat,   SYS_newfstatat};
+                                 SYS_fallocate, SYS_futex,  SYS_fstat,   SYS_newfstatat,
+                                 SYS_ftruncate, SYS_prlimit64};
   std::size_t wakes = 0;
   for (const long call : calls) {
     if (call == SYS_write) {

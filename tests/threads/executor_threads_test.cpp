@@ -22,9 +22,11 @@
 #include <atomic>
 #include <chrono>
 #include <cstdint>
+#include <filesystem>
 #include <fstream>
 #include <memory>
 #include <mutex>
+#include <set>
 #include <string>
 #include <thread>
 #include <utility>
@@ -67,6 +69,16 @@ class Queue final : public CallbackSource {
   std::atomic<std::uint64_t> head_{0}, taken_{0};
 };
 
+std::set<pid_t> callback_threads() {
+  std::set<pid_t> all;
+  for (const auto& task : std::filesystem::directory_iterator("/proc/self/task")) {
+    std::string name;
+    std::getline(std::ifstream(task.path() / "comm"), name);
+    if (name == "agnocast-call") all.insert(std::stoi(task.path().filename()));
+  }
+  return all;
+}
+
 /// A node with its library thread.
 struct Node {
   Node() : region(abi::page_bytes), eventfd(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
@@ -78,17 +90,16 @@ struct Node {
         this, std::make_shared<Sleeper::Place>(
                   region.base(), 0,
                   DoorbellReceiver(UniqueFd(::dup(eventfd.get())), UniqueFd(pair[0])))));
-    epoll.reset(::epoll_create1(EPOLL_CLOEXEC));
-    EXPECT_TRUE(callbacks->sleeper()->add_to(epoll.get(), eventfd_tag, datagram_tag));
-    thread = std::thread([this] {
-      thread_number = ::gettid();
-      serve(*callbacks, epoll.get(), *SleepTick::in(epoll.get(), tick_tag));
-    });
+    const std::set<pid_t> before = callback_threads();
+    thread = NodeThread::start(callbacks).value();
+    for (const pid_t number : callback_threads()) {
+      if (before.count(number) == 0) thread_number = number;
+    }
     callbacks->hand_to(callbacks.get());
   }
   ~Node() {
     callbacks->stop();
-    thread.join();
+    thread->join();
   }
   bool is_armed() {
     return M::word(region.base(), word_offset).load(std::memory_order_relaxed) % 2 == 1;
@@ -106,10 +117,10 @@ struct Node {
   }
 
   test::AlignedRegion region;
-  UniqueFd eventfd, datagram, epoll;
+  UniqueFd eventfd, datagram;
   std::shared_ptr<NodeCallbacks> callbacks;
   std::atomic<pid_t> thread_number{0};
-  std::thread thread;
+  std::shared_ptr<NodeThread> thread;
 };
 
 /// How often a thread of this process has gone to sleep.

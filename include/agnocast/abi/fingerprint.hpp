@@ -212,7 +212,9 @@ constexpr std::uint64_t fingerprint() noexcept {
   sum.add(sizeof(wire::UserShare), offsetof(wire::UserShare, clients),
           offsetof(wire::UserShare, publishers), offsetof(wire::UserShare, subscriptions),
           offsetof(wire::UserShare, executors), offsetof(wire::UserShare, heap_bytes),
-          offsetof(wire::UserShare, held_messages), offsetof(wire::UserShare, topics));
+          offsetof(wire::UserShare, held_messages), offsetof(wire::UserShare, topics),
+          offsetof(wire::UserShare, queued_bytes), offsetof(wire::UserShare, queued_seconds),
+          offsetof(wire::UserShare, dumps_per_second));
   sum.add(sizeof(wire::DumpDaemon), offsetof(wire::DumpDaemon, header),
           offsetof(wire::DumpDaemon, version_major), offsetof(wire::DumpDaemon, version_minor),
           offsetof(wire::DumpDaemon, version_patch), offsetof(wire::DumpDaemon, pid),
@@ -221,7 +223,7 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::DumpDaemon, arena_base), offsetof(wire::DumpDaemon, arena_bytes),
           offsetof(wire::DumpDaemon, window_bytes), offsetof(wire::DumpDaemon, windows_used),
           offsetof(wire::DumpDaemon, connections), offsetof(wire::DumpDaemon, observers),
-          offsetof(wire::DumpDaemon, unlocked_count), offsetof(wire::DumpDaemon, kept_descriptors),
+          offsetof(wire::DumpDaemon, kept_descriptors),
           offsetof(wire::DumpDaemon, kept_descriptors_max), offsetof(wire::DumpDaemon, counters),
           offsetof(wire::DumpDaemon, limits), offsetof(wire::DumpDaemon, quota));
   sum.add(sizeof(wire::DumpProcess), offsetof(wire::DumpProcess, header),

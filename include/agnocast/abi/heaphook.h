@@ -23,7 +23,7 @@ extern "C" {
 #endif
 
 /** Changes with any change of this header's layout or meaning. */
-#define AGNOCAST_HEAPHOOK_ABI_VERSION 4u
+#define AGNOCAST_HEAPHOOK_ABI_VERSION 5u
 
 /** Windows of one process. Eight of the default 16 GiB are 128 GiB of addresses: more than the memory of today's robots. */
 #define AGNOCAST_HEAPHOOK_WINDOWS_MAX 8u
@@ -101,6 +101,9 @@ struct agnocast_heaphook_usage {
   uint64_t internal_error_count;     /**< Not 0: report it. The endpoint should be poisoned. */
 };
 
+/** Throws a C++ exception. It must not return. */
+typedef void (*agnocast_heaphook_no_room)(void);
+
 /** The hook's functions. Thread-safe unless said otherwise. None of them allocates from the windows. */
 struct agnocast_heaphook_table {
   uint32_t abi_version;  /**< AGNOCAST_HEAPHOOK_ABI_VERSION of the hook. */
@@ -125,6 +128,11 @@ struct agnocast_heaphook_table {
   /** How often an allocation of the calling thread, in shared scope, found no room in the windows and went to libc instead. Only
    *  grows. Unchanged between two calls: everything allocated in between lies in the windows. */
   uint64_t (*spilled)(void);
+
+  /** From now on operator new of the calling thread calls `no_room` where it is in shared scope and the windows have no room, and its
+   *  nothrow forms answer NULL there; after NULL, which is the beginning, all take libc's memory. malloc and its family always do.
+   *  Returns what was there before. For a copy that is of no use unless all of it is shared. */
+  agnocast_heaphook_no_room (*on_no_room)(agnocast_heaphook_no_room no_room);
 
   /** For allocators that ask by themselves, whoever answers malloc in this process: size bytes from the windows, whatever the scope
    *  of the thread is; alignment is a power of two. NULL when the windows have no room, while paused or inert, and in a forked

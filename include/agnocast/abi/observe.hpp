@@ -152,6 +152,9 @@ struct UserShare {
   std::uint64_t heap_bytes;
   std::uint64_t held_messages;
   std::uint64_t topics;
+  std::uint64_t queued_bytes;      // what the daemon keeps for those who do not read
+  std::uint64_t queued_seconds;    // how long already
+  std::uint64_t dumps_per_second;  // answers at length, to observers
 };
 struct DumpDaemon {
   Header header;
@@ -169,7 +172,6 @@ struct DumpDaemon {
   std::uint64_t windows_used;
   std::uint64_t connections;  // observers not among them
   std::uint64_t observers;
-  std::uint64_t unlocked_count;        // locks of memory that the limit of locked memory refused
   std::uint64_t kept_descriptors;      // that survive the daemon's death
   std::uint64_t kept_descriptors_max;  // 0: nobody keeps any
   DaemonCounters counters;

@@ -27,7 +27,7 @@ const UniqueFd& former_window(std::uint64_t base, std::uint32_t uid) {
   static std::map<std::pair<std::uint64_t, std::uint32_t>, UniqueFd> windows;
   UniqueFd& window = windows[{base, uid}];
   if (!window) {
-    const auto made = regions.open_window(ClientIndex{0}, base, window_bytes, uid);
+    const auto made = regions.open_window(ClientIndex{0}, base, uid);
     window = UniqueFd(::fcntl((*made)->get(), F_DUPFD_CLOEXEC, 0));
   }
   return window;

@@ -529,7 +529,9 @@ TEST_F(BridgeCtl, SaysWhichBridgeStandsByAndWhatItHasLost) {
     return std::string(
         R"({"schema":"agnocast.bridge-status/1","version":"1","pid":12,"domain":7,"uptime_ns":1,)"
         R"("discovery_info":"iron","participants":0,"has_daemon":true,"standby_for":11,)"
-        R"("lost_early":3,"discovery_info_refused":4,"outlets":[],"sources":[],)"
+        R"("announced":6,"lost_early":3,"discovery_info_refused":4,)"
+        R"("limits":[{"limit":"endpoints","most":9,"refused":7},{"limit":"x","most":1,"refused":0}],)"
+        R"("outlets":[],"sources":[],)"
         R"("taps":[{"topic":"/t","type":"p/msg/T","lost":5,"qos":{"reliability":"reliable",)"
         R"("durability":"volatile","history":"keep_last","depth":2}}],"inlets":[],"services":[],)"
         R"("unbridged":[],"failures":[]})");
@@ -542,6 +544,11 @@ TEST_F(BridgeCtl, SaysWhichBridgeStandsByAndWhatItHasLost) {
   EXPECT_EQ(said["lost_early"], 3);
   EXPECT_THAT(text, HasSubstr("has refused 4 messages about nodes in DDS"));
   EXPECT_EQ(said["discovery_info_refused"], 4);
+  EXPECT_THAT(text, HasSubstr("announces 6 publishers in DDS that nobody reads there"));
+  EXPECT_EQ(said["announced"], 6);
+  EXPECT_THAT(text, HasSubstr("has refused 7 beyond the limit endpoints (9)"));
+  EXPECT_THAT(text, testing::Not(HasSubstr("limit x")));
+  EXPECT_EQ(said["limits"].size(), 2u);
   ASSERT_EQ(said["routes"].size(), 1u);
   EXPECT_EQ(said["routes"][0]["lost"], 5);
   EXPECT_THAT(ctl({"info", "/t"}).out,

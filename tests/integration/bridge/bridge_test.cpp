@@ -17,10 +17,14 @@
 
 #include <gmock/gmock.h>
 
+#include <signal.h>
+
 #include <chrono>
 #include <cstring>
+#include <fstream>
 #include <memory>
 #include <optional>
+#include <set>
 #include <span>
 #include <string>
 #include <thread>
@@ -260,12 +264,74 @@ TEST_F(BridgeTest, KeepsBestEffortBestEffort) {
   EXPECT_TRUE(is_best_effort);
 }
 
-TEST_F(BridgeTest, HasAWriterWhileSomebodyReadsItAndAReaderForEachSubscription) {
+TEST_F(BridgeTest, AnnouncesAPublisherAndTakesNothingOfItUntilSomebodyReads) {
+  auto publisher = create_publisher<String>(PlainNode(), topic(), QoS(3).transient_local());
+  const auto writers = [&] {
+    std::set<Guid> guids;
+    for (const auto& [guid, remote] : other_.participant().remotes())
+      if (remote.topic == dds_topic() && remote.kind == Remote::Kind::writer) guids.insert(guid);
+    return guids;
+  };
+  ASSERT_TRUE(other_.eventually([&] { return writers().size() == 1; }));
+  const Guid announced = *writers().begin();
+  const Remote& told = other_.participant().remotes().at(announced);
+  EXPECT_EQ(told.type, test::dds_type_name<String>());
+  EXPECT_TRUE(told.qos.reliable && told.qos.transient_local);
+  EXPECT_EQ(told.qos.depth, 3);
+  auto graph = RosGraph::create(other_.participant(), RosGraph::Speak::humble).value();
+  EXPECT_TRUE(other_.eventually([&] {
+    EXPECT_TRUE(graph->update());
+    for (const auto& [participant, entities] : graph->others()) {
+      for (const RosNode& node : entities.nodes) {
+        if (node.name == "node" && node.writers == std::vector<Guid>{announced}) return true;
+      }
+    }
+    return false;
+  })) << "it is in nobody's name";
+  const auto say = [&](const std::string& text) {
+    auto loan = publisher->borrow_loaned_message();
+    loan->data = text;
+    EXPECT_TRUE(publisher->publish(std::move(loan)));
+  };
+  for (int round = 1; round <= 2; ++round) {
+    EXPECT_EQ(publisher->get_subscription_count(), 0u) << "it is subscribed to for nobody";
+    const Guid before = *writers().begin();
+    say("history " + std::to_string(round));
+    {
+      DdsQos qos;
+      qos.transient_local = true;
+      qos.depth = 10;
+      DdsReader& reader = other_.reads<String>(dds_topic(), qos);
+      for (int i = 1; i <= round; ++i) {
+        const auto heard = other_.take<String>(reader);
+        ASSERT_NE(heard, nullptr);
+        EXPECT_EQ(heard->data, "history " + std::to_string(i)) << "each once, in its order";
+        EXPECT_EQ(other_.last().writer, before) << "not by the writer that was announced";
+      }
+      ASSERT_TRUE(other_.eventually([&] { return publisher->get_subscription_count() == 1; }));
+      EXPECT_EQ(other_.take<String>(reader, std::chrono::milliseconds(300)), nullptr);
+      other_.forget();
+    }
+    ASSERT_TRUE(other_.eventually([&] {
+      return publisher->get_subscription_count() == 0 && writers().size() == 1 &&
+             !writers().contains(before);
+    })) << "no writer is announced once nobody reads";
+  }
+  publisher.reset();
+  EXPECT_TRUE(other_.eventually([&] { return writers().empty(); }));
+}
+
+TEST_F(BridgeTest, HasAWriterOnlyWhileSomebodyReadsItIfItShallNotAnnounce) {
+  const std::string file = daemon->directory() + "/quiet.toml";
+  std::ofstream(file) << "announce = false\n";
+  bridge_.reset();
+  start_bridge({"--config", file});
   auto publisher = create_publisher<String>(PlainNode(), topic(), 5);
   auto subscription = create_subscription<String>(PlainNode(), topic(), 5);
   const auto count = [&](Remote::Kind kind) { return other_.remote_count(dds_topic(), kind); };
   ASSERT_TRUE(other_.eventually([&] { return count(Remote::Kind::reader) == 1; }));
   EXPECT_EQ(count(Remote::Kind::writer), 0u);
+  auto late = create_publisher<String>(PlainNode(), topic() + "_late", 5);
   {
     auto reader = other_.participant()
                       .create_reader(dds_topic(), test::dds_type_name<String>(), {},
@@ -273,6 +339,14 @@ TEST_F(BridgeTest, HasAWriterWhileSomebodyReadsItAndAReaderForEachSubscription) 
                       .value();
     ASSERT_TRUE(other_.eventually([&] { return count(Remote::Kind::writer) == 1; }));
   }
+  ASSERT_TRUE(other_.eventually([&] { return count(Remote::Kind::writer) == 0; }));
+  EXPECT_EQ(other_.remote_count(dds_topic() + "_late", Remote::Kind::writer), 0u);
+  // Another configuration announces what is there already.
+  std::ofstream(file) << "announce = true\n";
+  ASSERT_EQ(::kill(bridge_->pid(), SIGHUP), 0);
+  ASSERT_TRUE(other_.eventually([&] { return count(Remote::Kind::writer) == 1; }));
+  std::ofstream(file) << "announce = false\n";
+  ASSERT_EQ(::kill(bridge_->pid(), SIGHUP), 0);
   ASSERT_TRUE(other_.eventually([&] { return count(Remote::Kind::writer) == 0; }));
   {
     auto writer =

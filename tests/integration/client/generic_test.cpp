@@ -275,6 +275,25 @@ TEST_F(Generic, AMessageOutlivesItsEndpoints) {
             std::string(100, 'f'));
 }
 
+// A message of one type that passes for one of another is read as that by everybody.
+TEST_F(Generic, ALoanThatOutlivesItsPublisherIsOfNoOtherType) {
+  auto subscription = create_generic_subscription(node, "headers", "std_msgs/Header", QoS(1));
+  std::vector<GenericLoan> strings;
+  for (int round = 0; round < 50; ++round) {
+    {
+      auto publisher = create_generic_publisher(node, "strings", "std_msgs/String", QoS(1));
+      strings.push_back(publisher->borrow_loaned_message());
+      EXPECT_TRUE(publisher->pause(strings.back().handle()));
+    }
+    auto publisher = create_generic_publisher(node, "headers", "std_msgs/Header", QoS(1));
+    for (GenericLoan& loan : strings) {
+      ASSERT_EQ(publisher->publish(std::move(loan)).code, Errc::loan_invalid) << round;
+      ASSERT_TRUE(loan) << "the caller still has it";
+    }
+  }
+  EXPECT_FALSE(subscription->take());
+}
+
 TEST_F(Generic, ABatchIsOfMessagesWithTheirTable) {
   auto subscription = create_generic_subscription(node, "batch", "std_msgs/Header", QoS(5));
   auto publisher = create_publisher<std_msgs::msg::Header>(node, "batch", 5);

@@ -115,6 +115,20 @@ TEST_F(Nodes, ObeyTheirOwnRulesAndThoseOfTheCommandLine) {
   EXPECT_STREQ(agnocast::create_publisher<Number>(&node, "points", 1)->get_topic_name(), "/all");
 }
 
+TEST_F(Nodes, ListTheArgumentsThatHaveNoEffect) {
+  const char* const line[] = {"program", "--ros-args", "-p", "rate:=10", "-r", "points:=/all"};
+  init(6, line);
+  EXPECT_THAT(ignored_ros_arguments(6, line), testing::ElementsAre("-p rate:=10"));
+  const NodeOptions own =
+      NodeOptions().arguments({"--ros-args", "--params-file", "/f.yaml", "-r", "a:=b"});
+  EXPECT_THAT(Node("node", own).ignored_arguments(),
+              testing::ElementsAre("--params-file /f.yaml", "-p rate:=10"));
+  EXPECT_THAT(Node("node", NodeOptions().use_global_arguments(false)).ignored_arguments(),
+              testing::IsEmpty());
+  init(1, line);
+  EXPECT_THAT(Node("node").ignored_arguments(), testing::IsEmpty());
+}
+
 TEST_F(Nodes, RefuseWrongArguments) {
   const auto with = [](std::vector<std::string> arguments) {
     return error_of([&] { Node node("node", NodeOptions().arguments(arguments)); });

@@ -15,6 +15,7 @@
 #include <algorithm>
 #include <atomic>
 #include <chrono>
+#include <cstddef>
 #include <cstdint>
 #include <cstdlib>
 #include <deque>
@@ -55,6 +56,30 @@ struct MessageTraits<Moody> {
   static constexpr const char* name = "tests/Moody";
   static void for_each_pointer(const Moody& moody, PointerVisitor& visit) noexcept {
     visit("data", moody.data);
+  }
+};
+
+namespace {
+
+int parts_copied = 0;
+struct Part {
+  std::vector<std::uint8_t> bytes;
+  explicit Part(std::size_t size) : bytes(size) {}
+  Part(const Part& other) : bytes((++parts_copied, other.bytes)) {}
+  Part& operator=(const Part&) = default;
+};
+struct Parts {
+  std::vector<Part> parts;
+};
+
+}  // namespace
+
+template <>
+struct MessageTraits<Parts> {
+  static constexpr const char* name = "tests/Parts";
+  static void for_each_pointer(const Parts& all, PointerVisitor& visit) noexcept {
+    visit("parts", all.parts);
+    for (const Part& part : all.parts) visit("parts[]", part.bytes);
   }
 };
 
@@ -165,6 +190,76 @@ TEST_F(Publishing, ALoanOutlivesItsPublisher) {
   loan.reset();
 }
 
+// Another publisher is made where one was: as a rule at the same address.
+TEST_F(Publishing, ALoanThatOutlivesItsPublisherIsNobodyElses) {
+  std::vector<ipc_shared_ptr<Moody>> loans;
+  for (int round = 0; round < 50; ++round) {
+    auto publisher = create_publisher<Moody>(node, "moody", 1);
+    for (auto& loan : loans) {
+      ASSERT_EQ(publisher->publish(std::move(loan)).code, Errc::loan_invalid) << round;
+      ASSERT_FALSE(publisher->pause(loan));
+      ASSERT_TRUE(loan) << "the caller still has it";
+    }
+    loans.push_back(publisher->borrow_loaned_message());
+    EXPECT_TRUE(publisher->pause(loans.back()));
+  }
+}
+
+// As rclcpp's nodes do it: the caller's message stays the caller's, and a copy of it is published.
+TEST_F(Publishing, AMessageOfTheCallersIsCopiedOnceAndStaysItsOwn) {
+  auto subscription = create_subscription<Parts>(node, "copy", QoS(5));
+  auto publisher = create_publisher<Parts>(node, "copy", 5);
+  ASSERT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 1; }));
+  Parts parts;
+  parts.parts.assign(3, Part(1000));
+  parts_copied = 0;
+  const PublishResult first = publisher->publish(parts);
+  EXPECT_TRUE(first) << sentence_of(first.code);
+  EXPECT_EQ(parts_copied, 3);
+  EXPECT_EQ(first.adopted_bytes, sizeof(Parts) + 3 * (sizeof(Part) + 1000)) << "all of it";
+  ASSERT_EQ(parts.parts.size(), 3u);
+  parts.parts[0].bytes[0] = 1;
+  const Parts& constant = parts;
+  EXPECT_TRUE(publisher->try_publish(constant));
+  EXPECT_TRUE(publisher->publish_for(parts, seconds(1)));
+  EXPECT_TRUE(publisher->publish(Parts(parts)));
+  for (int i = 0; i < 4; ++i) {
+    const auto taken = take_soon(subscription);
+    ASSERT_TRUE(taken);
+    ASSERT_EQ(taken->parts.size(), 3u);
+    EXPECT_EQ(taken->parts[0].bytes[0], i == 0 ? 0 : 1) << i;
+    EXPECT_NE(agnocast_heaphook()->owns(taken->parts[2].bytes.data()), 0);
+  }
+  // A copy is made in a borrow of the same thread, and in a pause, as anywhere.
+  auto loan = publisher->borrow_loaned_message();
+  const LoanPause pause;
+  EXPECT_EQ(publisher->publish(parts).adopted_bytes, first.adopted_bytes);
+  ASSERT_TRUE(take_soon(subscription));
+
+  Parts large;
+  large.parts.assign(1, Part(100 << 20));
+  const PublishResult refused = publisher->publish(large);
+  EXPECT_TRUE(is_full(refused.code)) << sentence_of(refused.code);
+  EXPECT_EQ(refused.adopted_bytes, 0u);
+  Moody moody;
+  copying = Mood::other;
+  EXPECT_EQ(create_publisher<Moody>(node, "moody", 1)->publish(moody).code, Errc::user_code_threw);
+}
+
+TEST_F(Publishing, ACopyWaitsForAKeepAllReaderAsAMessageDoes) {
+  auto subscription = create_subscription<Parts>(node, "copies", QoS(1).keep_all(1));
+  auto publisher = create_publisher<Parts>(node, "copies", QoS(1).keep_all(1));
+  ASSERT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 1; }));
+  Parts parts;
+  parts.parts.assign(1, Part(1000));
+  while (publisher->publish(parts)) ASSERT_LT(parts_copied, 1000);
+  parts_copied = 0;
+  EXPECT_EQ(publisher->publish_for(parts, milliseconds(50)).code, Errc::would_block);
+  EXPECT_EQ(parts_copied, 1) << "however often it was tried";
+  ASSERT_TRUE(take_soon(subscription));
+  EXPECT_TRUE(publisher->publish_for(parts, seconds(60)));
+}
+
 TEST_F(Publishing, KeepAllBlocksAndPublishForWaitsForTheReader) {
   auto subscription = create_subscription<Moody>(node, "all", QoS(1).keep_all(3));
   auto publisher = create_publisher<Moody>(node, "all", QoS(1).keep_all(3));
@@ -242,12 +337,89 @@ TEST_F(Publishing, AFullHeapIsToldAndForgottenWhenReadersRelease) {
   for (std::size_t i = 0; i < held.size(); ++i)
     EXPECT_TRUE(all_are(held[i]->data, static_cast<std::uint8_t>(i)));
   held.clear();
-  EXPECT_TRUE(test::eventually([&] {
-    result = publisher->publish(std::move(loan));
-    return static_cast<bool>(result);
-  })) << sentence_of(result.code);
+  result = publisher->publish(std::move(loan));
+  EXPECT_TRUE(result) << sentence_of(result.code) << ": what readers let go of is there at once";
   EXPECT_EQ(result.adopted_bytes, 4u << 20);
   EXPECT_TRUE(all_are(take_soon(subscription)->data, number));
+}
+
+/// Until the heap is full. What was published is held.
+std::deque<ipc_shared_ptr<const Moody>> fill_heap(const Publisher<Moody>::SharedPtr& publisher,
+                                                  const Subscription<Moody>::SharedPtr& reader) {
+  EXPECT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 1; }));
+  std::deque<ipc_shared_ptr<const Moody>> held;
+  for (;;) {
+    auto loan = publisher->borrow_loaned_message();
+    loan->data.resize(4 << 20);
+    if (const PublishResult result = publisher->publish(std::move(loan)); !result) {
+      EXPECT_TRUE(is_full(result.code)) << sentence_of(result.code);
+      return held;
+    }
+    held.push_back(take_soon(reader));
+  }
+}
+
+TEST_F(Publishing, ABorrowAfterAFullHeapFindsWhatReadersHaveLetGoOf) {
+  auto subscription = create_subscription<Moody>(node, "borrow", QoS(100));
+  auto publisher = create_publisher<Moody>(node, "borrow", 100);
+  for (int round = 0; round < 10; ++round) {
+    auto held = fill_heap(publisher, subscription);
+    ASSERT_GE(held.size(), 8u) << round;
+    held.clear();
+    auto loan = publisher->borrow_loaned_message();
+    loan->data.resize(4 << 20);
+    const PublishResult result = publisher->publish(std::move(loan));
+    ASSERT_TRUE(result) << sentence_of(result.code) << " in round " << round;
+    EXPECT_EQ(result.adopted_bytes, 0u) << round;
+    EXPECT_TRUE(take_soon(subscription));
+  }
+}
+
+// The heap is that of the process: what one publisher needs may lie with another one that is idle.
+TEST_F(Publishing, AFullHeapIsFreedOfOldMessagesOfOtherPublishers) {
+  auto subscription = create_subscription<Moody>(node, "idle", QoS(100));
+  auto publisher = create_publisher<Moody>(node, "idle", 100);
+  auto other = create_publisher<Moody>(node, "busy", 1);
+  for (int round = 0; round < 10; ++round) {
+    auto held = fill_heap(publisher, subscription);
+    ASSERT_GE(held.size(), 8u) << round;
+    auto message = foreign(7);
+    message->data.resize(8 << 20);
+    EXPECT_TRUE(is_full(other->publish(std::move(message)).code));
+    ASSERT_TRUE(message) << "the caller still has it";
+    held.clear();
+    const PublishResult result = other->publish(std::move(message));
+    ASSERT_TRUE(result) << sentence_of(result.code) << " in round " << round;
+    EXPECT_EQ(result.adopted_bytes, sizeof(Moody) + (8u << 20));
+  }
+}
+
+TEST_F(Publishing, AMessageThatDoesNotFitIsNotCopiedToPrivateMemory) {
+  auto publisher = create_publisher<Parts>(node, "parts", 1);
+  Parts first;  // fits at first, and then does not
+  first.parts.assign(200, Part(1 << 20));
+  Parts second;  // does not fit at all
+  second.parts.assign(1, Part(100 << 20));
+  second.parts.resize(200, Part(100));
+  const auto publish = [&](const Parts& parts) {
+    std::unique_ptr<Parts> message;
+    std::thread([&] { message = std::make_unique<Parts>(parts); }).join();
+    const Parts* const before = message.get();
+    parts_copied = 0;
+    const PublishResult result = publisher->publish(std::move(message));
+    EXPECT_TRUE(is_full(result.code)) << sentence_of(result.code);
+    EXPECT_EQ(result.adopted_bytes, 0u);
+    EXPECT_EQ(message.get(), before) << "the caller still has it";
+    return parts_copied;
+  };
+  for (int round = 0; round < 3; ++round) {
+    // What has no room is begun, and is the end of it.
+    EXPECT_LE(publish(first), 65) << round;
+    EXPECT_EQ(publish(second), 1) << round;
+  }
+  auto fits = std::make_unique<Parts>();
+  fits->parts.assign(40, Part(1 << 20));
+  EXPECT_TRUE(publisher->publish(std::move(fits))) << "nothing of the copies was lost";
 }
 
 }  // namespace

@@ -14,6 +14,7 @@
 
 #include <gmock/gmock.h>
 
+#include <algorithm>
 #include <array>
 #include <condition_variable>
 #include <cstdint>
@@ -99,6 +100,48 @@ class TakeBatch : public testing::Test {
   std::mt19937 random_{1};
 };
 test::DaemonProcess* TakeBatch::daemon = nullptr;
+
+/// A thread publishes `count` messages by eight publishers in turn, while this one takes `size` at once:
+/// how many come behind one that was published later.
+std::uint64_t inversions_of(PlainNode& node, const std::string& topic, std::size_t size,
+                            std::uint64_t count) {
+  const auto subscription = create_subscription<Block>(node, topic, QoS(100));
+  std::vector<Publisher<Block>::SharedPtr> publishers;
+  while (publishers.size() < 8)
+    publishers.push_back(create_publisher<Block>(node, topic, QoS(100)));
+  for (const auto& publisher : publishers)
+    EXPECT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 1; }));
+  std::thread publishes([&] {
+    for (std::uint64_t value = 1; value <= count; ++value) {
+      auto loan = publishers[value % publishers.size()]->borrow_loaned_message();
+      loan->value = value;
+      EXPECT_TRUE(publishers[value % publishers.size()]->publish(std::move(loan)));
+    }
+  });
+  std::uint64_t last = 0, inversions = 0;
+  std::vector<Message> messages(size);
+  while (last != count) {
+    std::size_t taken = 0;
+    if (size == 1) {
+      messages[0] = subscription->take();
+      taken = messages[0] ? 1 : 0;
+    } else {
+      taken = subscription->take_batch(messages.data(), size);
+    }
+    for (std::size_t i = 0; i < taken; ++i) {
+      if (messages[i]->value < last) ++inversions;
+      last = std::max(last, messages[i]->value);
+    }
+  }
+  publishes.join();
+  return inversions;
+}
+
+// Whatever is lost.
+TEST_F(TakeBatch, KeepsTheOrderInWhichAThreadPublishesByManyPublishers) {
+  EXPECT_EQ(inversions_of(node, "many_singly", 1, 1'000'000), 0u);
+  EXPECT_EQ(inversions_of(node, "many_in_batches", 16, 1'000'000), 0u);
+}
 
 TEST_F(TakeBatch, GivesTheOldestInOrderAndNoMoreThanThereIs) {
   ASSERT_NO_FATAL_FAILURE(begin(1, QoS(20)));

@@ -297,6 +297,50 @@ TEST_F(Services, AnswerOnlyTheirOwnRequestsWithTheirOwnLoans) {
   EXPECT_TRUE(is_ready_soon(sent));
 }
 
+TEST_F(Services, AnswerNoRequestAndSendNoLoanOfAnEarlierOne) {
+  Node server("server"), asker("asker");
+  Kept kept;
+  std::vector<ipc_shared_ptr<Repeat::Response>> loans;
+  auto client = asker.create_client<Repeat>("earlier");
+  constexpr std::size_t rounds = 20;
+  for (std::size_t round = 0; round < rounds; ++round) {
+    auto service = server.create_service<Repeat>("earlier", kept.keep());
+    ASSERT_TRUE(client->wait_for_service(patience));
+    auto sent = client->async_send_request(ask_for(client, round));
+    ASSERT_TRUE(eventually([&] { return kept.count() == round + 1; }));
+    for (std::size_t i = 0; i < round; ++i) {
+      EXPECT_EQ(kept.answer(service, i), Errc::invalid_argument) << i << " in " << round;
+      EXPECT_EQ(service->send_response(kept.requests[round], std::move(loans[i])).code,
+                Errc::loan_invalid)
+          << i << " in " << round;
+      ASSERT_TRUE(loans[i]) << "the caller still has it";
+    }
+    loans.push_back(service->borrow_loaned_response());
+    EXPECT_TRUE(service->pause(loans.back()));
+    service.reset();
+    ASSERT_TRUE(eventually([&] { return !client->service_is_ready(); }));
+  }
+}
+
+TEST_F(Services, SendNoRequestOfAnEarlierClient) {
+  Node server("server"), asker("asker");
+  auto service = server.create_service<Repeat>("successive", answer);
+  std::vector<ipc_shared_ptr<Repeat::Request>> loans;
+  for (std::uint64_t round = 0; round < 20; ++round) {
+    auto client = asker.create_client<Repeat>("successive");
+    ASSERT_TRUE(client->wait_for_service(patience));
+    for (auto& loan : loans) {
+      const auto sent = client->try_async_send_request(std::move(loan));
+      ASSERT_FALSE(sent) << round;
+      EXPECT_EQ(sent.error().code, Errc::loan_invalid);
+      ASSERT_TRUE(loan) << "the caller still has it";
+    }
+    EXPECT_EQ(client->get_pending_request_count(), 0u);
+    loans.push_back(ask_for(client, round));
+    EXPECT_TRUE(client->pause(loans.back()));
+  }
+}
+
 TEST_F(Services, CanLetGoOfARequestBeforeTheyAnswer) {
   Node server("server"), asker("asker");
   Kept kept;

@@ -4,6 +4,7 @@
 // the example that is installed has every key. Method: texts.
 
 #include <bridge/config.hpp>
+#include <bridge/limits.hpp>
 #include <bridge/options.hpp>
 #include <bridge/status_socket.hpp>
 #include <tests/support/temporary_directory.hpp>
@@ -33,6 +34,7 @@ TEST(BridgeConfig, IsEmptyByDefaultAndThenBridgesEverything) {
   EXPECT_FALSE(config->domain);
   EXPECT_THAT(config->bridge.rules, IsEmpty());
   EXPECT_EQ(config->bridge.otherwise, Direction::both);
+  EXPECT_TRUE(config->bridge.announce);
 }
 
 TEST(BridgeConfig, ReadsEveryKey) {
@@ -42,6 +44,7 @@ discovery_info = "iron"
 type_paths = ["/opt/robot/lib"]
 log_level = "debug"
 default = "none"
+announce = false
 [[topic]]
 name = "/lidar/**"
 direction = "out"
@@ -63,11 +66,12 @@ depth = 5
   EXPECT_EQ(config->bridge.type_paths, std::vector<std::string>{"/opt/robot/lib"});
   EXPECT_EQ(config->log_level, agnocast::LogLevel::debug);
   EXPECT_EQ(config->bridge.otherwise, Direction::none);
+  EXPECT_FALSE(config->bridge.announce);
   ASSERT_THAT(config->bridge.rules, SizeIs(2));
   const Rule& lidar = config->bridge.rules[0];
   EXPECT_EQ(lidar.topic, "/lidar/**");
   EXPECT_EQ(lidar.direction, Direction::outward);
-  EXPECT_EQ(lidar.line, 7u);
+  EXPECT_EQ(lidar.line, 8u);
   EXPECT_EQ(lidar.to_dds, (QosOverride{false, false, 1}));
   EXPECT_EQ(lidar.from_dds, QosOverride());
   EXPECT_FALSE(lidar.always);
@@ -86,6 +90,7 @@ TEST(BridgeConfig, NamesAllMistakesInTheirOrderAndWhatToWrite) {
   } cases[] = {
       {"domain = 233", ":1:10: domain", "no domain", "0 to 232"},
       {"default = \"some\"", ":1:11: default", "no direction", "\"both\""},
+      {"announce = 1", ":1:12: announce", "neither", "true or false"},
       {"log_level = 3", ":1:13: log_level", "no level", "\"info\""},
       {"discovery_info = \"jazzy\"", ":1:18: discovery_info", "no layout", "\"iron\""},
       {"type_paths = [\"lib\"]", ":1:15: type_paths", "no absolute path", "/opt/robot/lib"},
@@ -152,6 +157,18 @@ TEST(BridgeConfig, TheFileOfTheDomainWinsOverTheOneOfAll) {
   EXPECT_EQ(choose_config_file(options, folder), folder + "/bridge.toml");
   options.config = "mine.toml";
   EXPECT_EQ(choose_config_file(options, folder), "mine.toml");
+}
+
+TEST(BridgeLimits, AreAllInTheDocument) {
+  const std::string document = text_of(AGNOCAST_SOURCE_DIR "/docs/bridge.md");
+  for (const LimitRow& row : limit_table) {
+    const std::string most = row.most >= mebibyte ? std::to_string(row.most / mebibyte) + " MiB"
+                             : row.most >= 1000 ? std::to_string(row.most / 1000) + "," +
+                                   std::to_string(1000 + row.most % 1000).substr(1)
+                                                : std::to_string(row.most);
+    EXPECT_THAT(document, HasSubstr("| `" + std::string(row.name) + "` | " + most + " |"));
+    EXPECT_EQ(most_of(row.limit), row.most);
+  }
 }
 
 TEST(BridgeConfig, TheSocketOfTheStatusIsWhereItIsNamedElseBesideTheDaemons) {

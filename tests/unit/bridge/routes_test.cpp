@@ -78,13 +78,15 @@ class Routes : public testing::Test {
                       return type == string_type ? std::nullopt
                                                  : std::optional<std::string>("not found");
                     },
-                    otherwise_, [this](const Guid& guid) { return has_source_.contains(guid); }});
+                    otherwise_, [this](const Guid& guid) { return has_source_.contains(guid); },
+                    announce_});
   }
 
   std::vector<EndpointInfo> locals_;
   DdsParticipant::Remotes remotes_;
   std::vector<Rule> rules_;
   Direction otherwise_ = Direction::both;
+  bool announce_ = false;
   std::set<Guid> has_source_;
   std::uint64_t generation_ = 0;
   int asked_ = 0;
@@ -93,6 +95,64 @@ class Routes : public testing::Test {
 const TopicKey chatter{"/chatter", string_type};
 ReaderKey tap(const QosClass& qos_class, std::size_t depth, bool keep_all = false) {
   return {{chatter, qos_class}, depth, keep_all};
+}
+
+TEST_F(Routes, OfOneParticipantGiveWayToOthersBeyondItsShare) {
+  subscription("/chatter");
+  const auto owned_by = [&](std::uint8_t participant) {
+    const Guid guid = writer("rt/chatter");
+    remotes_[guid].participant.bytes[0] = participant;
+    return guid;
+  };
+  // All of its writers have their sources already.
+  for (std::size_t i = 0; i < sources_per_topic_max + 10; ++i) has_source_.insert(owned_by(1));
+  const auto count_of = [&](std::uint8_t participant) {
+    std::size_t count = 0;
+    for (const auto& [guid, source] : plan().sources)
+      count += remotes_[guid].participant.bytes[0] == participant;
+    return count;
+  };
+  EXPECT_EQ(count_of(1), sources_per_topic_max) << "nobody else wants a place";
+  std::set<Guid> honest;
+  for (std::size_t i = 0; i < 10; ++i) honest.insert(owned_by(2));
+  EXPECT_EQ(count_of(2), honest.size());
+  EXPECT_EQ(count_of(1), sources_per_topic_max - honest.size());
+  // Never below its share.
+  for (std::uint8_t other = 3; other < 100; ++other) owned_by(other);
+  EXPECT_EQ(count_of(1), sources_of_participant_share);
+}
+
+TEST_F(Routes, AnnounceWhatNobodyReadsAndAReaderWouldGet) {
+  announce_ = true;
+  const auto alone = publisher("/chatter", QoS(7).transient_local());
+  const auto read = publisher("/read"), weak = publisher("/read", QoS(5).best_effort());
+  reader("rt/read");
+  publisher("/secret");
+  publisher("/cut");
+  publisher("/-no-ros-name");
+  local(EndpointKind::publisher, "/unknown", QoS(1), "talker");
+  locals_.back().type = "some_msgs/msg/Unknown";
+  rules_ = {{.topic = "/secret", .direction = Direction::none, .line = 1},
+            {.topic = "/cut", .direction = Direction::both, .line = 2,
+             .to_dds = {.reliable = false, .transient_local = {}, .depth = 3}}};
+  const Plan made = plan();
+  ASSERT_THAT(made.announced, SizeIs(3)) << "the one nobody reads, the one that is too weak, /cut";
+  const Outlet& announced = made.announced.at(alone);
+  EXPECT_EQ(announced.tap.of.key, chatter);
+  EXPECT_EQ(announced.node, "/ns/talker");
+  EXPECT_EQ(announced.depth, 7u);
+  EXPECT_EQ(announced.offered, (QosClass{true, true}));
+  EXPECT_TRUE(made.announced.contains(weak));
+  for (const auto& [generation, outlet] : made.announced) {
+    if (outlet.tap.of.key.topic != "/cut") continue;
+    EXPECT_FALSE(outlet.offered.reliable);
+    EXPECT_EQ(outlet.depth, 3u);
+  }
+  ASSERT_THAT(made.outlets, SizeIs(1));
+  EXPECT_TRUE(made.outlets.contains(read));
+  EXPECT_THAT(made.taps, SizeIs(1)) << "nothing subscribes to what is only announced";
+  announce_ = false;
+  EXPECT_THAT(plan().announced, IsEmpty());
 }
 
 TEST_F(Routes, HaveAReaderAndNothingElseForATopicThatIsHereOnly) {

@@ -61,6 +61,24 @@ TEST(Arguments, OfLaunchFilesDoNoHarm) {
   EXPECT_EQ(parsed->rules.size(), 1u);
 }
 
+TEST(Arguments, WithoutEffectAreListedWithTheirValues) {
+  const auto parsed = parse_arguments(
+      {"program", "-p", "own:=1", "--ros-args", "-p", "rate:=10", "--param", "a:=b", "-r", "a:=b",
+       "--params-file", "/f.yaml", "-e", "/enclave", "--enclave", "/e", "--log-level", "info",
+       "--log-config-file", "/l", "--enable-rosout-logs", "--disable-rosout-logs",
+       "--enable-stdout-logs", "--disable-stdout-logs", "--enable-external-lib-logs",
+       "--disable-external-lib-logs", "--", "--log-level", "own"});
+  ASSERT_TRUE(parsed) << text_of(parsed.error());
+  EXPECT_THAT(parsed->ignored,
+              ElementsAre("-p rate:=10", "--param a:=b", "--params-file /f.yaml", "-e /enclave",
+                          "--enclave /e", "--log-level info", "--log-config-file /l",
+                          "--enable-rosout-logs", "--disable-rosout-logs", "--enable-stdout-logs",
+                          "--disable-stdout-logs", "--enable-external-lib-logs",
+                          "--disable-external-lib-logs"));
+  EXPECT_THAT(rules_of({"a:=b"}), testing::SizeIs(1));
+  EXPECT_THAT(parse_arguments({"--ros-args", "-r", "a:=b"})->ignored, testing::IsEmpty());
+}
+
 TEST(Arguments, AreNamedWhenTheyAreWrong) {
   const struct {
     const char* rule;

@@ -14,6 +14,7 @@
 #include <fcntl.h>
 #include <gtest/gtest.h>
 
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -96,6 +97,26 @@ TEST_F(PeerHeapTest, AWindowThatIsAnnouncedBehindALookIsSeenAtTheSameHead) {
   EXPECT_EQ(look.place_of(base_of(1), 64), Place::readable);
 }
 
+TEST_F(PeerHeapTest, BehindTheEndOfTheFileNothingIsOpenedWhateverItsOwnerSays) {
+  UniqueFd file = make_memfd("window", 2 * abi::page_bytes, Length::may_grow).value();
+  const int owner = file.get();
+  UniqueFd reader = reopen_read_only(owner).value();
+  show(0, window_bytes);
+  ASSERT_TRUE(heap_.add(announced(0, 0), std::move(reader)));
+  EXPECT_EQ(place_of(0, abi::page_bytes), Place::readable);
+  EXPECT_EQ(place_of(0, 2 * abi::page_bytes - 63), Place::outside);
+  EXPECT_EQ(place_of(0, 2 * abi::page_bytes), Place::outside);
+  ASSERT_TRUE(lengthen(owner, 4 * abi::page_bytes - 8));
+  EXPECT_EQ(place_of(0, 2 * abi::page_bytes), Place::readable);
+  EXPECT_EQ(place_of(0, 3 * abi::page_bytes), Place::outside) << "whole pages";
+  ASSERT_TRUE(lengthen(owner, window_bytes));
+  EXPECT_EQ(place_of(0, window_bytes - 64), Place::readable);
+  const auto* const last = reinterpret_cast<const volatile unsigned char*>(base_of(0)) +
+                           (window_bytes - 1);
+  const unsigned value = *last;
+  EXPECT_EQ(value, 0u) << "and what is open can be touched";
+}
+
 TEST_F(PeerHeapTest, WhatIsInUseOfAWindowCanBeRead) {
   show(0, abi::page_bytes);
   add(0, 0);
@@ -176,7 +197,9 @@ TEST_F(PeerHeapTest, WhatTheSystemRefusesToMapClosesTheGroup) {
   show(0, abi::page_bytes);
   add(0, 0);
   show(1, abi::page_bytes);
-  ASSERT_TRUE(heap_.add(announced(1, 0), UniqueFd(::open("/dev/null", O_WRONLY | O_CLOEXEC))));
+  const UniqueFd file = make_memfd("window", window_bytes).value();
+  const std::string path = "/proc/self/fd/" + std::to_string(file.get());
+  ASSERT_TRUE(heap_.add(announced(1, 0), UniqueFd(::open(path.c_str(), O_WRONLY | O_CLOEXEC))));
   EXPECT_EQ(place_of(0), Place::unreachable);
 }
 

@@ -16,6 +16,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -43,9 +44,75 @@ struct PointerMember {
   int count;
   const int* first;
 };
+struct ViewMember {
+  int count;
+  std::string_view name;
+};
+struct ReferenceMember {
+  int count;
+  int& other;
+};
+struct ConstantReferenceMember {
+  const std::string& name;
+};
+struct FunctionMember {
+  std::array<int, 3> numbers;
+  std::function<void()> call;
+};
+struct SharedMember {
+  char text[20];
+  std::shared_ptr<int> number;
+};
+struct NestedView {
+  double number;
+  ViewMember inner;
+};
+struct ArrayOfViews {
+  std::array<std::string_view, 2> names;
+};
+struct VectorOfPointers {
+  std::string name;
+  std::vector<std::vector<const int*>> all;
+};
+class PrivatePointer {
+ public:
+  int count = 0;
+
+ private:
+  [[maybe_unused]] const int* first = nullptr;
+};
+struct WithConstructor {
+  explicit WithConstructor(int value = 0) : number(value) {}
+  int number;
+};
 template <class T>
 struct Box {
   T value;
+};
+// What looks like some of the above, and is not.
+struct Tree {
+  std::vector<Tree> children;
+  std::string name;
+};
+struct Inner {
+  float x, y;
+};
+struct Constant {
+  const int number;
+  const Inner inner;
+};
+struct Everything {
+  bool yes : 1, no : 2;
+  char text[33];
+  Number number;
+  std::array<Inner, 3> inner;
+  int Inner::*member;
+  std::optional<int> maybe;
+  std::string names[2];
+  std::vector<bool> bits;
+  std::vector<std::vector<std::string>> words;
+  Constant constant;
+  WithConstructor hidden;
 };
 struct Declared;
 class HiddenCopy {
@@ -94,6 +161,22 @@ struct MessageTraits<refused::Good> {
   static constexpr const char* name = "refused/Good";
   static void for_each_pointer(const refused::Good&, PointerVisitor&) noexcept {}
 };
+#define AGNOCAST_TEST_NAMED(type)                         \
+  template <>                                             \
+  struct MessageTraits<refused::type> {                   \
+    static constexpr const char* name = "refused/" #type; \
+  };
+AGNOCAST_TEST_NAMED(ViewMember)  // which is no excuse
+AGNOCAST_TEST_NAMED(ConstantReferenceMember)
+AGNOCAST_TEST_NAMED(FunctionMember)
+AGNOCAST_TEST_NAMED(SharedMember)
+AGNOCAST_TEST_NAMED(VectorOfPointers)
+AGNOCAST_TEST_NAMED(Tree)
+AGNOCAST_TEST_NAMED(Constant)
+AGNOCAST_TEST_NAMED(Everything)
+#if !defined(CASE_with_constructor)
+AGNOCAST_TEST_NAMED(WithConstructor)
+#endif
 template <>
 struct MessageTraits<refused::Box<long>> {
   static constexpr const char* name = "refused/BoxOfLong";
@@ -153,6 +236,26 @@ bool all() {
   return describe<std::reference_wrapper<int>>();
 #elif defined(CASE_pointer_member)
   return describe<refused::PointerMember>();
+#elif defined(CASE_view_member)
+  return describe<refused::ViewMember>();
+#elif defined(CASE_reference_member)
+  return describe<refused::ReferenceMember>();
+#elif defined(CASE_constant_reference_member)
+  return describe<refused::ConstantReferenceMember>();
+#elif defined(CASE_function_member)
+  return describe<refused::FunctionMember>();
+#elif defined(CASE_shared_member)
+  return describe<refused::SharedMember>();
+#elif defined(CASE_nested_view)
+  return describe<refused::NestedView>();
+#elif defined(CASE_array_of_views)
+  return describe<refused::ArrayOfViews>();
+#elif defined(CASE_vector_of_pointers)
+  return describe<refused::VectorOfPointers>();
+#elif defined(CASE_private_pointer)
+  return describe<refused::PrivatePointer>();
+#elif defined(CASE_with_constructor)
+  return describe<refused::WithConstructor>();
 #elif defined(CASE_template)
   return describe<refused::Box<int>>();
 #elif defined(CASE_nameless)
@@ -165,6 +268,8 @@ bool all() {
   return describe<std_msgs::msg::String>();
 #else
   return describe<refused::Flat>() && describe<refused::Good>() && describe<refused::Box<long>>() &&
+         describe<refused::Tree>() && describe<refused::Constant>() &&
+         describe<refused::Everything>() && describe<refused::WithConstructor>() &&
          describe<std_msgs::msg::String>();
 #endif
 }

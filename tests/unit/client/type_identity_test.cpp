@@ -489,11 +489,11 @@ struct PointerInFirstMember {
   HiddenPointer* first;
 };
 TEST(MessageRules, PointerMembersOfAggregatesAreSeen) {
-  EXPECT_TRUE(agnocast::detail::has_pointer_member<HiddenPointer>());
-  EXPECT_TRUE(agnocast::detail::has_pointer_member<ArrayOfPointers>());
-  EXPECT_TRUE(agnocast::detail::has_pointer_member<PointerInFirstMember>());
-  EXPECT_FALSE(agnocast::detail::has_pointer_member<PointerFree>());
-  EXPECT_FALSE(agnocast::detail::has_pointer_member<identity_test::Pose>());
+  EXPECT_TRUE(agnocast::detail::has_member_elsewhere<HiddenPointer>());
+  EXPECT_TRUE(agnocast::detail::has_member_elsewhere<ArrayOfPointers>());
+  EXPECT_TRUE(agnocast::detail::has_member_elsewhere<PointerInFirstMember>());
+  EXPECT_FALSE(agnocast::detail::has_member_elsewhere<PointerFree>());
+  EXPECT_FALSE(agnocast::detail::has_member_elsewhere<identity_test::Pose>());
 }
 
 TEST(MessageRules, SpellingsThatDifferBetweenCompilersAreNotStable) {

@@ -65,7 +65,8 @@ TEST(DoctorDoor, NamesOneReasonWhateverThereIs) {
         for (const Errc code :
              {Errc::daemon_not_running, Errc::permission_denied, Errc::layout_mismatch,
               Errc::store_damaged, Errc::quota_exceeded, Errc::protocol_violation,
-              Errc::descriptors_withheld, Errc::os_failure, Errc::internal}) {
+              Errc::descriptors_withheld, Errc::daemon_untrusted, Errc::os_failure,
+              Errc::internal}) {
           for (const unsigned bits : {0u, 1u, 2u, 3u, 4u, 5u, 6u, 7u}) {
             // Nobody answers where there is nothing, or nothing that can be walked to.
             const bool can_answer = kind == Kind::socket && *closed == '\0';

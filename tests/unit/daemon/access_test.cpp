@@ -9,6 +9,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <chrono>
 #include <string>
 #include <vector>
@@ -182,6 +183,37 @@ TEST_F(Access, EmptyListMeansNobodyRootIncluded) {
   EXPECT_EQ(decided({0, {0}}, 0, "/secret/x", Action::publish), "denied by rule 2 line 30");
   EXPECT_EQ(decided({0, {0}}, 0, "/secret/x", Action::subscribe), "denied by rule 2 line 30");
   EXPECT_EQ(decided({1001, {}}, 0, "/secret/x", Action::subscribe), "allowed by rule 2 line 30");
+}
+
+Principals only(std::vector<uid_t> uids, std::vector<gid_t> gids = {}) {
+  return {false, std::move(uids), std::move(gids), {}};
+}
+
+TEST(Readers, AreEqualExactlyWhereTheSameUsersAndGroupsMaySubscribe) {
+  const Principals everybody{true, {7}, {}, {"*"}};
+  const std::vector<AccessRule> rules{
+      {"/a", {}, {}, only({1, 2}), 1},      {"/b", {}, {}, only({2, 1, 2}), 2},
+      {"/c", {}, {}, only({1}), 3},         {"/d", {}, {}, only({1, 2}, {1}), 4},
+      {"/e", {}, {}, only({}), 5},          {"/f", {}, {}, everybody, 6},
+      {"/g", {}, only({1}), {}, 7},         {"/h", 3, {}, only({1, 2}), 8},
+      {"/i", {}, {}, only({1}, {2}), 9},    {"/j", {}, {}, only({2}, {1}), 10},
+      {"/k", {}, {}, only({}, {1, 2}), 11},
+  };
+  const auto readers = [&](const char* topic, std::uint64_t domain = 0) {
+    return readers_of(rules, domain, topic);
+  };
+  EXPECT_EQ(readers("/a"), readers("/b"));
+  EXPECT_EQ(readers("/f"), everybody_reads);
+  EXPECT_EQ(readers("/g"), everybody_reads) << "no rule speaks of subscribing";
+  EXPECT_EQ(readers("/none"), everybody_reads);
+  EXPECT_EQ(readers("/h"), everybody_reads) << "another domain";
+  EXPECT_EQ(readers("/h", 3), readers("/a"));
+  std::vector<std::uint64_t> all;
+  for (const char* topic : {"/a", "/c", "/d", "/e", "/f", "/i", "/j", "/k"}) {
+    EXPECT_EQ(std::count(all.begin(), all.end(), readers(topic)), 0) << topic;
+    EXPECT_NE(readers(topic), 0u);
+    all.push_back(readers(topic));
+  }
 }
 
 }  // namespace

@@ -9,11 +9,14 @@
 #include <fcntl.h>
 #include <gtest/gtest.h>
 #include <poll.h>
+#include <sys/mman.h>
 #include <sys/socket.h>
 #include <sys/un.h>
 #include <unistd.h>
 
 #include <array>
+#include <cerrno>
+#include <cstdint>
 #include <cstdlib>
 #include <cstring>
 #include <string>
@@ -97,6 +100,23 @@ TEST(Closer, ClosesAfterTheManagerHasLetGo) {
     barrier.reset();
     EXPECT_TRUE(pipe.is_closed(patience_ms));
   }
+}
+
+TEST(Closer, UnmapsWhatItIsGiven) {
+  constexpr std::uint64_t bytes = 40 << 20;
+  const UniqueFd file(::memfd_create("filled", MFD_CLOEXEC));
+  ASSERT_EQ(::ftruncate(file.get(), bytes), 0);
+  Mapping mapping = std::move(*Mapping::map(file.get(), bytes, Mapping::Access::read_write));
+  std::memset(mapping.base(), 1, bytes);
+  ::mlock(mapping.base(), 4096);
+  std::byte* const base = mapping.base();
+  {
+    Closer closer;
+    closer.close({}, std::move(mapping));
+  }
+  unsigned char resident = 0;
+  EXPECT_EQ(::mincore(base, 4096, &resident), -1);
+  EXPECT_EQ(errno, ENOMEM) << "nothing is there";
 }
 
 TEST(Closer, ClosesWhatIsLeftBeforeItEnds) {

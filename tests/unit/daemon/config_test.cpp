@@ -91,6 +91,9 @@ subscriptions = 17
 heap_bytes = 2147483648
 held_messages = 18
 executors = "unlimited"
+queued_bytes = "2MiB"
+queued_seconds = 3
+dumps_per_second = 4
 [[access]]
 topic = "/lidar/**"
 domain = 7
@@ -123,11 +126,14 @@ publish = []
   EXPECT_EQ(config->quota.heap_bytes, std::uint64_t{1} << 31);
   EXPECT_EQ(config->quota.held_messages, 18U);
   EXPECT_EQ(config->quota.executors, unlimited);
+  EXPECT_EQ(config->quota.queued_bytes, std::uint64_t{2} << 20);
+  EXPECT_EQ(config->quota.queued_seconds, 3U);
+  EXPECT_EQ(config->quota.dumps_per_second, 4U);
   ASSERT_EQ(config->access.size(), 2U);
   const AccessRule& first = config->access[0];
   EXPECT_EQ(first.topic, "/lidar/**");
   EXPECT_EQ(first.domain, 7U);
-  EXPECT_EQ(first.line, 28U);
+  EXPECT_EQ(first.line, 31U);
   EXPECT_THAT(first.publish->uids, ElementsAre(1000U, 0U));
   EXPECT_FALSE(first.publish->everybody);
   EXPECT_THAT(first.subscribe->gids, ElementsAre(50U, 4294967294U));
@@ -156,7 +162,7 @@ TEST(Config, MistakesAreToldWithPlaceAndRemedy) {
        "f.toml:1:1: topics: stands outside of its section; write it below [limits]"},
       {"[daemon]\n\"a\\nb\" = 1\n",
        "f.toml:2:1: daemon.a\\nb: unknown key; known here: socket, runtime_directory, socket_mode, "
-       "socket_group, log_level"},
+       "socket_group, log_level, watchdog_seconds"},
       // wrong type
       {"limits = 5\n",
        "f.toml:1:10: limits: an integer cannot stand here; write a section: [limits]"},

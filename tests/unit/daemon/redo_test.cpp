@@ -165,6 +165,7 @@ TEST_F(Redo, MakesEveryChangeWholeWhateverPartOfItWasMade) {
     });
   step(RecordType::open_window, [&](R& r) { r.open_window(a, {0x200000000000, 1 << 21, 0}); });
   step(RecordType::open_executor, [&](R& r) { r.open_executor(b, 5); });
+  step(RecordType::readers, [&](R& r) { r.set_readers(a, 0x1234567890); });
   step(RecordType::add_topic, [&](R& r) { ASSERT_TRUE(r.add_topic({3, "/topic", "T", 9})); });
   step(RecordType::add_publisher,
        [&](R& r) { r.add_publisher(a, t, qos, r.plan_publisher(a, t, qos).value(), "talker"); });

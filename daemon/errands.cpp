@@ -1,0 +1,150 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <daemon/errands.hpp>
+
+#include <base/signals.hpp>
+#include <base/unique_fd.hpp>
+
+#include <sys/epoll.h>
+#include <sys/eventfd.h>
+
+#include <cerrno>
+#include <chrono>
+#include <condition_variable>
+#include <deque>
+#include <iterator>
+#include <map>
+#include <mutex>
+#include <new>
+#include <system_error>
+#include <thread>
+#include <utility>
+#include <vector>
+
+namespace agnocast::daemon {
+namespace {
+
+// A thread without work stays for a moment: what brings one errand often brings the next.
+constexpr std::chrono::milliseconds idle_time{200};
+
+}  // namespace
+
+// Shared with the threads, which may outlive the pool.
+struct Errands::State {
+  using Key = std::pair<std::uint32_t, Lane>;
+  struct Errand {
+    std::function<void()> work, then;
+  };
+
+  std::mutex mutex;
+  std::condition_variable changed;
+  std::map<Key, std::deque<Errand>> queues;  // the first one of each is ready or under way
+  std::deque<Key> ready;
+  std::vector<std::function<void()>> answers;
+  std::size_t errand_count = 0, thread_count = 0, idle_count = 0;
+  bool stops = false;
+  UniqueFd event;
+
+  static void work(const std::shared_ptr<State>& state);
+  void start_thread(const std::shared_ptr<State>& self);
+};
+
+void Errands::State::work(const std::shared_ptr<State>& state) {
+  std::unique_lock lock(state->mutex);
+  for (;;) {
+    ++state->idle_count;
+    const bool found = state->changed.wait_for(
+        lock, idle_time, [&] { return state->stops || !state->ready.empty(); });
+    --state->idle_count;
+    if (state->stops || !found) break;
+    const Key key = state->ready.front();
+    state->ready.pop_front();
+    Errand& errand = state->queues.at(key).front();  // a deque moves nothing while it grows
+    lock.unlock();
+    try {
+      errand.work();
+    } catch (const std::bad_alloc&) {
+      // As if it had found nothing.
+    }
+    errand.work = nullptr;  // with what it owns
+    lock.lock();
+    std::deque<Errand>& queue = state->queues.at(key);
+    if (queue.front().then) {
+      state->answers.push_back(std::move(queue.front().then));
+      static_cast<void>(::eventfd_write(state->event.get(), 1));
+    }
+    queue.pop_front();
+    --state->errand_count;
+    if (queue.empty()) {
+      state->queues.erase(key);
+    } else {
+      state->ready.push_back(key);
+    }
+  }
+  --state->thread_count;
+}
+
+void Errands::State::start_thread(const std::shared_ptr<State>& self) {
+  if (idle_count >= ready.size() || thread_count >= thread_count_max) return;
+  const SignalsBlocked blocked;  // they are the first thread's business
+  try {
+    std::thread([self] { work(self); }).detach();
+    ++thread_count;
+  } catch (const std::system_error&) {
+    // Those that are there go on with it; without any, the next errand or answer() tries again.
+  }
+}
+
+Result<std::unique_ptr<Errands>> Errands::create(Dispatcher& dispatcher) {
+  auto state = std::make_shared<State>();
+  state->event.reset(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
+  if (!state->event) return fail(Errc::os_failure, "making an eventfd", errno);
+  std::unique_ptr<Errands> made(new Errands(dispatcher, state));
+  Errands* const self = made.get();
+  const auto token =
+      dispatcher.add(state->event.get(), EPOLLIN, [self](std::uint32_t) { self->answer(); });
+  if (!token) return tl::unexpected(token.error());
+  made->token_ = *token;
+  return made;
+}
+
+Errands::~Errands() {
+  dispatcher_.remove(token_);
+  const std::lock_guard lock(state_->mutex);
+  state_->stops = true;
+  state_->changed.notify_all();
+}
+
+void Errands::run(Lane lane, std::uint32_t uid, std::function<void()> errand,
+                  std::function<void()> then) {
+  const std::lock_guard lock(state_->mutex);
+  const State::Key key{uid, lane};
+  std::deque<State::Errand>& queue = state_->queues[key];
+  state_->answers.reserve(state_->answers.size() + ++state_->errand_count);  // for its thread
+  queue.push_back({std::move(errand), std::move(then)});
+  if (queue.size() == 1) state_->ready.push_back(key);
+  state_->start_thread(state_);
+  state_->changed.notify_one();
+}
+
+std::size_t Errands::waiting(Lane lane, std::uint32_t uid) const {
+  const std::lock_guard lock(state_->mutex);
+  const auto found = state_->queues.find({uid, lane});
+  return found == state_->queues.end() ? 0 : found->second.size();
+}
+
+void Errands::answer() {
+  eventfd_t count = 0;
+  static_cast<void>(::eventfd_read(state_->event.get(), &count));
+  std::vector<std::function<void()>> answers;
+  {
+    const std::lock_guard lock(state_->mutex);
+    answers.assign(std::make_move_iterator(state_->answers.begin()),
+                   std::make_move_iterator(state_->answers.end()));
+    state_->answers.clear();  // keeping what run() has reserved
+    if (!state_->ready.empty()) state_->start_thread(state_);
+  }
+  for (const auto& then : answers) then();
+}
+
+}  // namespace agnocast::daemon

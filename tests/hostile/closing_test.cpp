@@ -1,0 +1,265 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: what another user sends may take for ever to close; nobody else waits for that, and the daemon does
+// not run out of descriptors.
+// Method: an attacker sends TCP sockets that linger for years over a peer that reads nothing, in every
+// place where the daemon closes what a client sent; an honest pair's requests are answered meanwhile. Once
+// as the kernel is, and once as one before Linux 6.16 is, where nothing keeps descriptors from being sent.
+// The same with a file of a FUSE server that never answers, whose close not even a signal ends.
+
+#include <tests/hostile/hostile_node.hpp>
+#include <tests/support/deaf_peer.hpp>
+#include <tests/support/silent_fuse.hpp>
+
+#include <fcntl.h>
+#include <sched.h>
+#include <sys/mount.h>
+#include <sys/prctl.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <sys/wait.h>
+
+#include <array>
+#include <chrono>
+#include <csignal>
+#include <cstring>
+#include <thread>
+
+namespace agnocast::test {
+namespace {
+
+using wire::Opcode;
+
+template <class Body>
+bool say(const PacketSocket& socket, Opcode opcode, Body body, std::span<const int> fds = {}) {
+  body.header = {opcode, sizeof body, 1};
+  const auto sent = socket.send(std::as_bytes(std::span(&body, 1)), fds);
+  return sent && *sent == Sent::sent;
+}
+
+wire::Hello some_hello() {
+  wire::Hello hello{};
+  hello.fingerprint = abi::fingerprint();
+  hello.process_name = wire_name("hostile");
+  return hello;
+}
+
+enum Place : unsigned {
+  with_hello,        // a request that carries what it may not
+  before_hello,      // a packet that ends the connection
+  behind_the_end,    // in the queue of a connection that ends
+  unread,            // sent, and the sender is gone
+  with_observe,
+  as_window,         // the request that may carry a descriptor
+  as_window_number,  // the same, with more than the daemon has numbers in a packet for
+  place_count
+};
+
+/// Sends `fd` once. False: the kernel does not let it through.
+bool send_at(Place place, const std::string& path, int fd) {
+  auto connected = PacketSocket::connect(path, std::chrono::milliseconds(200));
+  if (!connected) return true;
+  const PacketSocket socket = std::move(*connected);
+  const std::array<int, 1> one{fd};
+  const std::array<std::byte, 3> nonsense{};
+  const auto send_nonsense = [&](std::span<const int> fds) {
+    const auto sent = socket.send(nonsense, fds);
+    return sent.has_value();  // a connection that has ended is no refusal
+  };
+  // Waits for the daemon's word, so that the order of things is this one. There may be none.
+  const timeval patience{0, 300'000};
+  ::setsockopt(socket.fd(), SOL_SOCKET, SO_RCVTIMEO, &patience, sizeof patience);
+  const auto wait_for_answer = [&] {
+    std::array<std::byte, wire::packet_bytes_max> answer;
+    static_cast<void>(socket.receive(answer, Wait::yes));
+  };
+  switch (place) {
+    case with_hello: {
+      const bool sent = say(socket, Opcode::hello, some_hello(), one);
+      if (sent) wait_for_answer();
+      return sent;
+    }
+    case before_hello:
+      return send_nonsense(one);
+    case behind_the_end:
+      static_cast<void>(send_nonsense({}));
+      return send_nonsense(one);
+    case unread:
+      say(socket, Opcode::hello, some_hello());
+      return send_nonsense(one);
+    case with_observe: {
+      wire::Observe observe{};
+      observe.fingerprint = abi::fingerprint();
+      say(socket, Opcode::observe, observe);
+      wait_for_answer();
+      return say(socket, Opcode::dump, wire::Dump{}, one);
+    }
+    case as_window:
+    case as_window_number: {
+      say(socket, Opcode::hello, some_hello());
+      wait_for_answer();
+      wire::BringWindow window{};
+      window.base = 1 << 30;
+      window.bytes = 64 << 20;
+      const std::vector<int> fds(place == as_window ? 1 : abi::wire::descriptor_count_max, fd);
+      const bool sent = say(socket, Opcode::bring_window, window, fds);
+      if (sent) wait_for_answer();
+      return sent;
+    }
+    case place_count:
+      break;
+  }
+  return false;
+}
+
+bool kernel_refuses_descriptors() {
+  auto ends = PacketSocket::pair();
+  return ends && refuse_descriptors(ends->first.fd());
+}
+
+/// `after`: what is done when the attackers are gone, before the daemon has to have its descriptors back.
+void honest_goes_on_beside(Stage& stage, const std::function<void(Attack&)>& body,
+                           const std::function<void()>& after = [] {}) {
+  const std::size_t before = stage.daemon().descriptor_count();
+  Attacker attacker(body);
+  if (!attacker.wait_until_ready()) return;
+  const auto end = std::chrono::steady_clock::now() + attack_time();
+  std::size_t most = 0;
+  do {
+    stage.honest_goes_on();
+    stage.honest_is_served();
+    most = std::max(most, stage.daemon().descriptor_count());
+  } while ((std::chrono::steady_clock::now() < end || attacker.word(0) < 50) &&
+           !testing::Test::HasFailure());
+  std::printf("%llu sent, at most %zu descriptors in the daemon, %zu before\n",
+              static_cast<unsigned long long>(attacker.word(0)), most, before);
+  attacker.kill();
+  stage.honest_goes_on();
+  after();
+  // Every user's connections are bounded by its quota, and by Disposal::waiting_max where they wait.
+  EXPECT_LT(most, before + 4'096);
+  EXPECT_TRUE(eventually([&] { return stage.daemon().descriptor_count() <= before; }))
+      << stage.daemon().descriptor_count() << " descriptors, before the attack " << before;
+}
+
+class HostileClosing : public testing::TestWithParam<bool> {};
+
+TEST_P(HostileClosing, SocketsThatLingerHoldUpNobody) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  const bool fallback = GetParam();
+  Stage stage({.without_passrights = fallback});
+  const bool refused = !fallback && kernel_refuses_descriptors();
+  const std::string path = stage.socket_path();
+  honest_goes_on_beside(stage, [&](Attack& attack) {
+    DeafPeer peer;
+    {
+      // What the attack lives on: such a close does wait.
+      UniqueFd one = peer.lingering_socket(1);
+      const auto begin = std::chrono::steady_clock::now();
+      one.reset();
+      EXPECT_GE(std::chrono::steady_clock::now() - begin, std::chrono::milliseconds(900));
+    }
+    std::array<bool, place_count> sent{};
+    constexpr unsigned rounds_max = 300;  // what waits in the peer's queue is memory of TCP
+    for (unsigned round = 0; attack.goes_on(); ++round) {
+      if (round >= rounds_max) {
+        std::this_thread::sleep_for(std::chrono::milliseconds(10));
+        continue;
+      }
+      const auto place = static_cast<Place>(round % place_count);
+      // Whoever sends ends, so the last one who has the socket is the daemon.
+      Child sender([&] {
+        return send_at(place, path, peer.lingering_socket(1'000'000).release()) ? 0 : 1;
+      });
+      sent[place] = sender.wait() == 0;
+      ++attack.word(0);
+      if (round == place_count) attack.ready();
+    }
+    for (unsigned place = 0; place < place_count; ++place) {
+      const bool carries_window = place == as_window || place == as_window_number;
+      EXPECT_EQ(sent[place], !refused || carries_window) << "place " << place;
+    }
+  });
+}
+
+TEST_P(HostileClosing, AFileWhoseServerNeverAnswersHoldsUpNobody) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  const std::string directory = make_directory(), place = directory + "/silent";
+  UniqueFd(::open(place.c_str(), O_CREAT | O_WRONLY | O_CLOEXEC, 0666));
+  Stage stage({.without_passrights = GetParam()});
+  SilentFuse file_system(place, S_IFREG);  // ends first: nobody else's end has to wait for it
+  if (!file_system.made()) GTEST_SKIP() << "no FUSE here";
+  const std::string path = stage.socket_path();
+  const auto send_silent_files = [&](Attack& attack) {
+    for (unsigned round = 0; attack.goes_on(); ++round) {
+      if (round >= 8 * place_count) {
+        std::this_thread::sleep_for(std::chrono::milliseconds(10));
+        continue;
+      }
+      // Its own close would not end either, so it stays until the file system ends.
+      const pid_t sender = ::fork();
+      if (sender == 0) {
+        ::prctl(PR_SET_PDEATHSIG, SIGKILL);
+        const int file = ::open(place.c_str(), O_RDWR | O_CLOEXEC);
+        if (file < 0) ::_exit(2);
+        send_at(static_cast<Place>(round % place_count), path, file);
+        ::raise(SIGSTOP);
+        ::_exit(0);
+      }
+      int status = 0;
+      ::waitpid(sender, &status, WUNTRACED);
+      EXPECT_TRUE(WIFSTOPPED(status));
+      ++attack.word(0);
+      if (round == place_count) attack.ready();
+    }
+  };
+  honest_goes_on_beside(stage, send_silent_files, [&] {
+    EXPECT_GT(file_system.unanswered(), 0u) << "somebody waits for a close";
+    // A thread that nothing ends does not keep the daemon from being restarted.
+    const pid_t old = stage.daemon().pid();
+    ::kill(stage.daemon().supervisor_pid(), SIGHUP);
+    EXPECT_TRUE(stage.daemon().wait_for_next(old));
+    stage.honest_goes_on();
+    file_system.end();
+  });
+  remove_directory(directory);
+}
+
+// What the daemon reads of a process there may wait for a lock that the process holds. Here it is a server
+// that answers nothing, in a mount namespace of this test.
+TEST(HostileLooking, ALookAtAProcessThatDoesNotEndHoldsUpNobody) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  ASSERT_EQ(::unshare(CLONE_NEWNS), 0);
+  ASSERT_EQ(::mount("none", "/", nullptr, MS_REC | MS_PRIVATE, nullptr), 0);
+  Stage stage;
+  const std::string path = stage.socket_path();
+  Attacker attacker([&](Attack& attack) {
+    {
+      HostileNode node(path);
+      attack.ready();
+      while (attack.goes_on() && attack.word(1) == 0) ::usleep(1'000);
+    }
+    attack.word(0) = 1;  // it has left, and lives
+    while (attack.goes_on()) ::usleep(1'000);
+  });
+  ASSERT_TRUE(attacker.wait_until_ready());
+  SilentFuse process("/proc/" + std::to_string(attacker.pid()), S_IFDIR);
+  if (!process.made()) GTEST_SKIP() << "no FUSE here";
+  attacker.set_word(1, 1);
+  EXPECT_TRUE(eventually([&] { return attacker.word(0) == 1 && process.unanswered() > 0; }))
+      << "the daemon looks at it";
+  for (int round = 0; round < 5; ++round) {
+    stage.honest_goes_on();
+    stage.honest_is_served();
+  }
+  const auto another = stage.another_honest_process();
+  EXPECT_EQ(another->ask(std::string("watch ") + open_topic), "ok") << "the next one is welcomed";
+  process.end();
+  attacker.end();
+}
+
+INSTANTIATE_TEST_SUITE_P(Kernels, HostileClosing, testing::Bool(),
+                         [](const auto& param) { return param.param ? "before_6_16" : "as_it_is"; });
+
+}  // namespace
+}  // namespace agnocast::test

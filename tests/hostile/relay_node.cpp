@@ -1,0 +1,91 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// An honest relay for the hostile tests: reads texts of anybody, and would pass on what it has read. It
+// reads a secret stream as well, so that one lies in its memory.
+//
+//   relay_node UID      becomes that user first
+//   then line by line on its standard input, each answered with one line:
+//     read TOPIC      → ok     a subscription to a stream of Numbered
+//     relay TOPIC     → ok     a subscription to std_msgs/msg/String, of which it makes checked copies
+//     state           → read relayed refused strange      strange: texts in which there is anything but 'h'
+
+#include <agnocast/relay.hpp>
+#include <tests/hostile/messages.hpp>
+#include <tests/support/plain_node.hpp>
+
+#include <grp.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <cstdint>
+#include <cstdlib>
+#include <iostream>
+#include <sstream>
+#include <string>
+
+namespace agnocast::test {
+namespace {
+
+class RelayNode {
+ public:
+  std::string execute(std::istringstream& line) {
+    std::string what, topic;
+    line >> what >> topic;
+    if (what == "read") {
+      secret_ = create_subscription<Numbered>(node_, topic, QoS(10),
+                                              [this](ipc_shared_ptr<const Numbered>) { ++read_; });
+      return "ok";
+    }
+    if (what == "relay") {
+      rumor_ = create_generic_subscription(
+          node_, topic, "std_msgs/msg/String", QoS(100),
+          [this](const GenericMessage& message) { pass_on(message); });
+      return "ok";
+    }
+    if (what == "state")
+      return std::to_string(read_) + ' ' + std::to_string(relayed_) + ' ' +
+             std::to_string(refused_) + ' ' + std::to_string(strange_);
+    return "unknown " + what;
+  }
+
+ private:
+  void pass_on(const GenericMessage& message) {
+    const auto copy = try_copy_checked(message);
+    if (!copy) {
+      ++refused_;
+      return;
+    }
+    const auto& text = *reinterpret_cast<const std::string*>(copy->get());
+    ++relayed_;
+    if (text.find_first_not_of('h') != std::string::npos) ++strange_;
+  }
+
+  PlainNode node_;
+  std::atomic<std::uint64_t> read_{0}, relayed_{0}, refused_{0}, strange_{0};
+  Subscription<Numbered>::SharedPtr secret_;
+  GenericSubscription::SharedPtr rumor_;
+};
+
+bool become(uid_t uid) {
+  return ::setgroups(0, nullptr) == 0 && ::setgid(uid) == 0 && ::setuid(uid) == 0;
+}
+
+}  // namespace
+}  // namespace agnocast::test
+
+int main(int argc, char** argv) {
+  if (argc != 2 || !agnocast::test::become(static_cast<uid_t>(std::atol(argv[1])))) return 2;
+  static agnocast::test::RelayNode node;
+  std::string text;
+  while (std::getline(std::cin, text)) {
+    std::istringstream line(text);
+    std::string answer;
+    try {
+      answer = node.execute(line);
+    } catch (const std::exception& error) {
+      answer = error.what();
+    }
+    std::cout << answer << std::endl;
+  }
+  return 0;
+}

@@ -1,0 +1,114 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// SilentFuse: a file system whose server says as little as it must. What waits for it waits until this ends.
+//
+// The whole file system is its root: a file that can be opened, and whose close waits for ever for the answer
+// to FUSE_FLUSH; or a directory in which every look for a name waits for ever. Not even SIGKILL ends the
+// first. Needs root and /dev/fuse; see made().
+#pragma once
+
+#include <base/unique_fd.hpp>
+
+#include <fcntl.h>
+#include <linux/fuse.h>
+#include <sys/mount.h>
+#include <sys/stat.h>
+#include <sys/uio.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <atomic>
+#include <cerrno>
+#include <cstdint>
+#include <cstdio>
+#include <cstring>
+#include <string>
+#include <thread>
+#include <utility>
+
+namespace agnocast::test {
+
+class SilentFuse {
+ public:
+  /// Over what is at `path`: S_IFREG over a file, S_IFDIR over a directory.
+  SilentFuse(std::string path, mode_t kind)
+      : path_(std::move(path)), kind_(kind), device_(::open("/dev/fuse", O_RDWR | O_CLOEXEC)) {
+    if (!device_) return;
+    std::array<char, 128> options{};
+    std::snprintf(options.data(), options.size(), "fd=%d,rootmode=%o,user_id=0,group_id=0,allow_other",
+                  device_.get(), kind_);
+    made_ = ::mount("silent", path_.c_str(), "fuse", MS_NOSUID | MS_NODEV, options.data()) == 0;
+    if (made_) server_ = std::thread([this] { serve(); });
+  }
+  /// Ends everything that waits.
+  ~SilentFuse() { end(); }
+  SilentFuse(const SilentFuse&) = delete;
+  SilentFuse& operator=(const SilentFuse&) = delete;
+
+  bool made() const noexcept { return made_; }
+  /// Requests that were not answered.
+  unsigned unanswered() const noexcept { return unanswered_.load(); }
+  void end() {
+    if (!std::exchange(made_, false)) return;
+    ::umount2(path_.c_str(), MNT_FORCE);  // ends all requests, and the server's read
+    ::umount2(path_.c_str(), MNT_DETACH);
+    stops_ = true;
+    server_.join();
+    device_.reset();
+  }
+
+ private:
+  template <class Body>
+  void answer(std::uint64_t unique, const Body& body) {
+    fuse_out_header header{};
+    header.len = sizeof header + sizeof body;
+    header.unique = unique;
+    iovec parts[] = {{&header, sizeof header}, {const_cast<Body*>(&body), sizeof body}};
+    static_cast<void>(!::writev(device_.get(), parts, 2));
+  }
+  void serve() {
+    ::fcntl(device_.get(), F_SETFL, O_NONBLOCK);
+    std::array<char, 1 << 16> request;
+    while (!stops_) {
+      const ssize_t bytes = ::read(device_.get(), request.data(), request.size());
+      if (bytes < static_cast<ssize_t>(sizeof(fuse_in_header))) {
+        if (bytes < 0 && errno == ENODEV) return;  // unmounted
+        ::usleep(1'000);
+        continue;
+      }
+      fuse_in_header header{};
+      std::memcpy(&header, request.data(), sizeof header);
+      if (header.opcode == FUSE_INIT) {
+        fuse_init_in asked{};
+        std::memcpy(&asked, request.data() + sizeof header, sizeof(std::uint32_t) * 4);
+        fuse_init_out init{};
+        init.major = FUSE_KERNEL_VERSION;
+        init.minor = std::min<std::uint32_t>(asked.minor, FUSE_KERNEL_MINOR_VERSION);
+        init.max_write = 4096;
+        answer(header.unique, init);
+      } else if (header.opcode == FUSE_GETATTR) {
+        fuse_attr_out out{};
+        out.attr_valid = 3600;
+        out.attr.ino = FUSE_ROOT_ID;
+        out.attr.mode = kind_ | 0777;
+        out.attr.nlink = 1;
+        answer(header.unique, out);
+      } else if (header.opcode == FUSE_OPEN) {
+        answer(header.unique, fuse_open_out{});
+      } else {
+        ++unanswered_;
+      }
+    }
+  }
+
+  std::string path_;
+  mode_t kind_;
+  UniqueFd device_;
+  bool made_ = false;
+  std::atomic<bool> stops_ = false;
+  std::atomic<unsigned> unanswered_ = 0;
+  std::thread server_;
+};
+
+}  // namespace agnocast::test
