@@ -463,35 +463,42 @@ bool Bridge::is_plan_due() const {
 
 void Bridge::look_around() {
   plan_again_.reset();
-  is_dds_changed_ = false;
-  const std::vector<Remote> gone = std::exchange(gone_writers_, {});
   // While the daemon is away whatever is made here would wait for it, and everything that flows for this thread.
   if (connection_state() == ConnectionState::reconnecting) {
-    plan_again_ = std::chrono::steady_clock::now() + daemon_interval;
+    plan_again_ = next_dds_plan_ = std::chrono::steady_clock::now() + daemon_interval;
     return;
   }
+  is_dds_changed_ = false;
+  const std::vector<Remote> gone = std::exchange(gone_writers_, {});
   const Outlets::Time begin = std::chrono::steady_clock::now();
+  bool is_whole = true;
   if (!gone.empty()) {
     DdsParticipant::Remotes with_gone = participant_->remotes();
     for (const Remote& remote : gone) with_gone.emplace(remote.guid, remote);
-    plan_and_apply(with_gone);
+    is_whole = plan_and_apply(with_gone);
   }
-  plan_and_apply(participant_->remotes());
+  is_whole = is_whole && plan_and_apply(participant_->remotes());
   const Outlets::Time end = std::chrono::steady_clock::now();
   next_dds_plan_ =
       end + std::min<std::chrono::steady_clock::duration>(plan_pause_factor * (end - begin),
                                                           plan_pause_max);
+  if (!is_whole) {
+    is_dds_changed_ = true;
+    gone_writers_ = gone;
+    next_dds_plan_ = end + daemon_interval;
+  }
   publish_unplaced();
 }
 
-void Bridge::plan_and_apply(const DdsParticipant::Remotes& remotes) {
+bool Bridge::plan_and_apply(const DdsParticipant::Remotes& remotes) {
+  is_cut_short_ = false;
   const bool was_active = !standby_for_;
   const Role role = find_role();
   if (role == Role::unknown) {
     if (marker_ == nullptr) plan_again_ = std::chrono::steady_clock::now() + daemon_interval;
     if (no_marker_ && no_marker_->code != Errc::daemon_not_running)
       refused(marker_task, no_marker_->why);
-    return;
+    return false;
   }
   if (role == Role::standby && was_active) stand_by();
   former_refusals_ = std::exchange(refusals_, {});
@@ -515,11 +522,13 @@ void Bridge::plan_and_apply(const DdsParticipant::Remotes& remotes) {
   tell_ros(plan);
   unbridged_ = plan.unbridged;
   unbridged_.insert(unbridged_.end(), services.unbridged.begin(), services.unbridged.end());
+  return !is_cut_short_;
 }
 
 // agnocastd does not answer, and each call waits for it: what is left of the plan is for later.
 bool Bridge::gives_up(Errc why) {
   if (why != Errc::daemon_not_running) return false;
+  is_cut_short_ = true;
   plan_again_ = std::chrono::steady_clock::now() + daemon_interval;
   return true;
 }

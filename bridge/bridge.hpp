@@ -147,7 +147,8 @@ class Bridge {
   /// take a part of the time only.
   bool is_plan_due() const;
   void look_around();
-  void plan_and_apply(const DdsParticipant::Remotes& remotes);
+  /// Whether all of it could be planned and made; if not, what comes of writers without a source waits for the next one.
+  bool plan_and_apply(const DdsParticipant::Remotes& remotes);
   bool gives_up(Errc why);
   void apply_outward(const Plan& plan);
   void apply_inward(const Plan& plan);
@@ -198,7 +199,8 @@ class Bridge {
   std::map<ReaderKey, OpenInlet> inlets_;
   std::unordered_map<const DdsReader*, const ReaderKey*> inlet_of_;  // keys of inlets_
   std::map<Guid, OpenSource> sources_;
-  bool is_dds_changed_ = false;        // since the newest plan
+  bool is_dds_changed_ = false;        // since the newest plan that was made as a whole
+  bool is_cut_short_ = false;          // the newest plan: agnocastd did not answer
   std::vector<Remote> gone_writers_;   // since then, without a source
   Outlets::Time next_dds_plan_;        // not before
   std::deque<std::pair<ReaderKey, DdsSample>> unplaced_;  // of writers that no plan knows yet, by inlet

@@ -217,22 +217,30 @@ class DdsParticipantState {
       }
       qos = of.qos;
     }
+    if (info.valid_data) {
+      if (kind == Remote::Kind::participant)
+        remote.qos.user_data = user_data_of(qos);
+      else
+        remote.qos = qos_from(qos, remote.guid);
+    }
     // Beside the own ones, those of built-in topics, which are only seen within a process.
     if (remote.guid.is_of_participant(guid) || remote.topic.starts_with("DCPS")) return;
     if (info.instance_state != DDS_IST_ALIVE) {
       if (kind == Remote::Kind::writer) forget_later(info.instance_handle, remote.guid);
       const auto at = remotes.find(remote.guid);
-      if (at == remotes.end()) return;
+      if (at == remotes.end()) {
+        // It came and went since the last look; what it was is in front of the word that it is gone.
+        if (!info.valid_data || !has_place(remote)) return;
+        changes.push_back({true, remote});
+        changes.push_back({false, std::move(remote)});
+        return;
+      }
       count(at->second, false);
       changes.push_back({false, std::move(at->second)});
       remotes.erase(at);
       return;
     }
     if (!info.valid_data) return;
-    if (kind == Remote::Kind::participant)
-      remote.qos.user_data = user_data_of(qos);
-    else
-      remote.qos = qos_from(qos, remote.guid);
     const auto at = remotes.find(remote.guid);
     if (at != remotes.end() && (at->second == remote || is_too_long(remote))) return;
     if (at == remotes.end()) {
@@ -248,6 +256,7 @@ class DdsParticipantState {
 
   void forget_later(dds_instance_handle_t handle, const Guid& writer) {
     writers[handle] = writer;
+    if (!gone.empty() && gone.back() == handle) return;
     gone.push_back(handle);
     if (gone.size() <= gone_writers_max) return;
     writers.erase(gone.front());

@@ -161,6 +161,68 @@ TEST_F(BridgeTest, BringsInTheLastMessagesOfAWriterThatIsGone) {
   }
 }
 
+// Writers whose whole life falls into a time in which the bridge does not plan.
+class ShortLived : public BridgeTest {
+ protected:
+  void SetUp() override {
+    start_bridge({"--status-socket", socket_});
+    // A writer here is matched as soon as it is made, once the bridge's reader is known.
+    make_writer().reset();
+  }
+  std::unique_ptr<DdsWriter> make_writer() {
+    auto writer = other_.participant().create_writer(dds_topic(), test::dds_type_name<String>(),
+                                                     keep_last(100));
+    EXPECT_TRUE(other_.eventually([&] { return (*writer)->matched() == 1; }));
+    return std::move(*writer);
+  }
+  void lives_and_goes() {
+    auto writer = make_writer();
+    for (int i = 0; i < 20; ++i) ASSERT_TRUE(Other::write(*writer, text(std::to_string(i))));
+    writer.reset();  // when all of them are acknowledged
+    // For Cyclone in the bridge to hear that it is gone; where this is too short, less is tested.
+    std::this_thread::sleep_for(300ms);
+  }
+  void expect_all() {
+    for (int i = 0; i < 20; ++i) {
+      const auto got = test::take_soon(subscription_);
+      ASSERT_TRUE(got) << i;
+      EXPECT_EQ(got->data, std::to_string(i));
+    }
+  }
+  std::string status() const { return status_at(socket_); }
+
+ private:
+  const std::string socket_ = daemon->directory() + "/short-lived.sock";
+  Subscription<String>::SharedPtr subscription_ =
+      create_subscription<String>(PlainNode(), topic(), 100);
+};
+
+TEST_F(ShortLived, WhileItPlans) {
+  auto other_subscription = create_subscription<String>(PlainNode(), topic() + "_other", 1);
+  ASSERT_TRUE(other_.eventually([&] {
+    return other_.remote_count(dds_topic() + "_other", Remote::Kind::reader) == 1;
+  }));
+  // The plan for this one waits for agnocastd.
+  const pid_t waits_for = daemon->kill_worker(SIGSTOP);
+  other_.writes(dds_topic() + "_other", test::dds_type_name<String>(), {});
+  EXPECT_TRUE(other_.eventually([&] { return status().empty(); }));
+  lives_and_goes();
+  ASSERT_EQ(::kill(waits_for, SIGCONT), 0);
+  expect_all();
+}
+
+TEST_F(ShortLived, WhileAgnocastdIsAway) {
+  ASSERT_EQ(::kill(daemon->supervisor_pid(), SIGSTOP), 0);
+  const pid_t old = daemon->kill_worker();
+  EXPECT_TRUE(other_.eventually([&] {
+    return status().find("\"has_daemon\":false") != std::string::npos;
+  }));
+  lives_and_goes();
+  ASSERT_EQ(::kill(daemon->supervisor_pid(), SIGCONT), 0);
+  ASSERT_TRUE(daemon->wait_for_next(old));
+  expect_all();
+}
+
 TEST_F(BridgeTest, KeepsAllForASubscriptionThatReadsLate) {
   auto subscription = create_subscription<String>(PlainNode(), topic(), QoS(1).keep_all(5));
   DdsQos keep_all;

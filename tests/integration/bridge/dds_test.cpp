@@ -412,6 +412,43 @@ TEST(Discovery, SaysWhoCameWithWhichQosAndWhoWent) {
   EXPECT_EQ(find(changes, false, Remote::Kind::reader, "rt/r"), nullptr);
 }
 
+TEST(Discovery, SaysWhoCameAndWentBetweenTwoLooks) {
+  const Domain domain;
+  const auto participant = domain.participant();
+  const auto to = reader(*participant, "rt/w");
+  const auto peer = domain.peer();
+  ASSERT_EQ(peer->ask("reader rt/r agnocast_test::msg::dds_::Raw_ reliable 1"), "made");
+  ASSERT_TRUE(until(*participant, [&] { return participant->remotes().size() == 2; }));
+  // From here on only Cyclone's threads follow.
+  const auto unseen = [](const auto& condition) {
+    const auto end = std::chrono::steady_clock::now() + patience;
+    while (!condition() && std::chrono::steady_clock::now() < end) std::this_thread::sleep_for(5ms);
+    return condition();
+  };
+  ASSERT_EQ(peer->ask("writer rt/w agnocast_test::msg::dds_::Raw_ reliable transient 7"), "made");
+  ASSERT_TRUE(unseen([&] { return to->matched() == 1; }));
+  ASSERT_EQ(peer->ask("write rt/w 4"), "sent");
+  ASSERT_TRUE(unseen([&] { return to->decoded() == 1; }));
+  ASSERT_EQ(peer->ask("delete rt/w"), "gone");
+  ASSERT_TRUE(unseen([&] { return to->matched() == 0; }));
+  std::vector<RemoteChange> changes;
+  const RemoteChange* went = nullptr;
+  ASSERT_TRUE(until(
+      *participant,
+      [&] { return (went = find(changes, false, Remote::Kind::writer, "rt/w")) != nullptr; },
+      &changes));
+  const RemoteChange* const came = find(changes, true, Remote::Kind::writer, "rt/w");
+  ASSERT_NE(came, nullptr);
+  EXPECT_LT(came, went);
+  EXPECT_EQ(came->remote, went->remote);
+  EXPECT_EQ(went->remote.type, raw_type);
+  EXPECT_EQ(went->remote.qos.depth, 7);
+  EXPECT_FALSE(participant->remotes().contains(went->remote.guid));
+  const auto sample = to->take();
+  ASSERT_TRUE(sample);
+  EXPECT_EQ(sample->writer, went->remote.guid);
+}
+
 TEST(Discovery, ForgetsWhatAKilledProcessHadWhenItsLeaseEnds) {
   const Domain domain;
   const auto participant = domain.participant();
