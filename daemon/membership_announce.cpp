@@ -27,6 +27,7 @@ wire::Announcement announcement_of(const EndpointRef& ref, const Record& record,
   packet.client_generation = registry.client(record.client).generation;
   packet.extent = record.extent;
   packet.qos = record.qos;
+  packet.uid = registry.client(record.client).uid;
   return packet;
 }
 

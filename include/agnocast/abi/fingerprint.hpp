@@ -23,7 +23,7 @@ namespace agnocast::abi {
 #ifdef AGNOCAST_OTHER_LAYOUT  // tests: what another build would be
 inline constexpr std::uint64_t layout_version = 0x7e57;
 #else
-inline constexpr std::uint64_t layout_version = 1;
+inline constexpr std::uint64_t layout_version = 2;
 #endif
 
 // FNV-1a over numbers, each as eight bytes: two different lists collide with probability 2^-64.
@@ -149,7 +149,7 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::Announcement, extent), offsetof(wire::Announcement, qos),
           offsetof(wire::Announcement, first_sequence), offsetof(wire::Announcement, executor),
           offsetof(wire::Announcement, from_start), offsetof(wire::Announcement, window_count),
-          offsetof(wire::Announcement, doorbell_count), offsetof(wire::Announcement, reserved),
+          offsetof(wire::Announcement, doorbell_count), offsetof(wire::Announcement, uid),
           offsetof(wire::Announcement, window));
   sum.add(sizeof(wire::Orphaned), offsetof(wire::Orphaned, header), offsetof(wire::Orphaned, topic),
           offsetof(wire::Orphaned, reserved), offsetof(wire::Orphaned, index),

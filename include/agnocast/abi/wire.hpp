@@ -276,7 +276,7 @@ struct Announcement {
   std::uint32_t window_count;    // publisher
   std::uint32_t doorbell_count;  // subscription: 1 datagram socket, 2 eventfd (same user), then
                                  // datagram socket, 0 nobody listens any more
-  std::uint32_t reserved;
+  std::uint32_t uid;  // of its process, as the daemon knows it
   struct Window {
     std::uint64_t base;
     std::uint64_t bytes;
