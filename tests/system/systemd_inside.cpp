@@ -574,6 +574,17 @@ TEST(Systemd, ADaemonThatHangsIsEndedAndGoesOnUnderTrafficAndOneThatIsIdleIsNot)
 
 // --- what the unit takes from the daemon
 
+TEST(Systemd, SeesHowManyMappingsAProcessMayHave) {
+  ASSERT_TRUE(systemctl("start"));
+  const auto count_in = [](const std::string& root) {
+    std::uint64_t count = 0;
+    std::ifstream(root + "/proc/sys/vm/max_map_count") >> count;
+    return count;
+  };
+  EXPECT_EQ(count_in("/proc/" + std::to_string(main_pid()) + "/root"), count_in(""));
+  EXPECT_GT(count_in(""), 0u);
+}
+
 // Whether a process that has left still maps something is in /proc/PID/maps, which is for its user and for
 // who may trace it. It lives, so there is nothing else to tell by.
 TEST(Systemd, SeesThatAProcessOfAnotherUserHasLetGo) {
