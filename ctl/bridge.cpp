@@ -52,12 +52,12 @@ struct Route {
   std::string topic, type;
   bool is_out = true;
   std::uint64_t endpoints = 0, matched = 0, messages = 0, bytes = 0, unacknowledged = 0,
-                refused = 0, malformed = 0, lost = 0, without_source = 0;
+                refused = 0, malformed = 0, lost = 0, without_source = 0, overflow = 0;
   std::optional<std::uint64_t> last_age_ns;
   double messages_hz = 0, bytes_per_second = 0;
 
   std::uint64_t dropped() const {
-    return unacknowledged + refused + malformed + lost + without_source;
+    return unacknowledged + refused + malformed + lost + without_source + overflow;
   }
 };
 
@@ -92,6 +92,7 @@ std::vector<Route> routes_of(const BridgeState& bridge, const Rates& rates) {
     route.matched += inlet.matched;
     route.malformed += inlet.malformed;
     route.without_source += inlet.without_source;
+    route.overflow += inlet.overflow;
   }
   for (const BridgeTap& tap : bridge.taps) route_of(tap.topic, tap.type, true).lost += tap.lost;
   std::vector<Route> list;
@@ -207,6 +208,7 @@ Object list_object(const std::vector<BridgeState>& bridges, const Rates& rates) 
                         {"malformed", route.malformed},
                         {"lost", route.lost},
                         {"without_source", route.without_source},
+                        {"overflow", route.overflow},
                         {"last_age_ns", number_or_null(route.last_age_ns)}});
     }
     for (const BridgeService& service : bridge.services)
@@ -377,9 +379,10 @@ void print_about(const About& about, Console& console) {
     console.line("  QoS: " + qos_words(inlet->qos));
     console.line("  Matched: " + counted(inlet->matched, "writer") + ", " +
                  std::to_string(inlet->incompatible) + " refused for their QoS");
-    if (inlet->malformed + inlet->without_source != 0)
+    if (inlet->malformed + inlet->without_source + inlet->overflow != 0)
       console.line("  Dropped: " + std::to_string(inlet->malformed) + " malformed, " +
-                   std::to_string(inlet->without_source) + " of writers without a publisher here");
+                   std::to_string(inlet->without_source) + " of writers without a publisher here, " +
+                   std::to_string(inlet->overflow) + " beyond a limit");
   }
   for (const BridgeTap* const tap : about.taps) {
     if (tap->lost != 0)
@@ -419,7 +422,8 @@ Object about_object(const About& about) {
                       {"matched", inlet->matched},
                       {"incompatible", inlet->incompatible},
                       {"malformed", inlet->malformed},
-                      {"without_source", inlet->without_source}});
+                      {"without_source", inlet->without_source},
+                      {"overflow", inlet->overflow}});
   for (const BridgeTap* const tap : about.taps)
     taps.push_back({{"type", tap->type}, {"qos", qos_object(tap->qos)}, {"lost", tap->lost}});
   for (const BridgeService* const service : about.services)

@@ -229,6 +229,7 @@ Outcome<BridgeState> parse_bridge(std::string_view text, const std::string& path
     of("incompatible", inlet.incompatible);
     of("malformed", inlet.malformed);
     if (of.has("without_source")) of("without_source", inlet.without_source);
+    if (of.has("overflow")) of("overflow", inlet.overflow);
   });
   fields.each("taps", [&](Fields& of) {
     BridgeTap& tap = state.taps.emplace_back();

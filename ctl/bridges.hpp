@@ -40,6 +40,7 @@ struct BridgeInlet {
   BridgeQos qos;
   std::uint64_t matched = 0, incompatible = 0;  // writers
   std::uint64_t malformed = 0, without_source = 0;
+  std::uint64_t overflow = 0;  // payloads that were dropped for a limit
 };
 /// A subscription of the bridge, to the publishers of this host that have outlets.
 struct BridgeTap {

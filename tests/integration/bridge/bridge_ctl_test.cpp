@@ -533,8 +533,11 @@ TEST_F(BridgeCtl, SaysWhichBridgeStandsByAndWhatItHasLost) {
         R"("limits":[{"limit":"endpoints","most":9,"refused":7},{"limit":"x","most":1,"refused":0}],)"
         R"("outlets":[],"sources":[],)"
         R"("taps":[{"topic":"/t","type":"p/msg/T","lost":5,"qos":{"reliability":"reliable",)"
-        R"("durability":"volatile","history":"keep_last","depth":2}}],"inlets":[],"services":[],)"
-        R"("unbridged":[],"failures":[]})");
+        R"("durability":"volatile","history":"keep_last","depth":2}}],)"
+        R"("inlets":[{"topic":"/i","type":"p/msg/T","nodes":[],"guid":"0","qos":{)"
+        R"("reliability":"reliable","durability":"volatile","history":"keep_last","depth":2},)"
+        R"("matched":0,"incompatible":0,"malformed":0,"without_source":0,"overflow":8}],)"
+        R"("services":[],"unbridged":[],"failures":[]})");
   }));
   const std::string text = ctl({"list", "-d", "0.05"}).out;
   EXPECT_THAT(text, HasSubstr("the bridge of domain 7 (pid 12) stands by for pid 11"));
@@ -549,8 +552,15 @@ TEST_F(BridgeCtl, SaysWhichBridgeStandsByAndWhatItHasLost) {
   EXPECT_THAT(text, HasSubstr("has refused 7 beyond the limit endpoints (9)"));
   EXPECT_THAT(text, testing::Not(HasSubstr("limit x")));
   EXPECT_EQ(said["limits"].size(), 2u);
-  ASSERT_EQ(said["routes"].size(), 1u);
-  EXPECT_EQ(said["routes"][0]["lost"], 5);
+  ASSERT_EQ(said["routes"].size(), 2u);
+  EXPECT_EQ(said["routes"][0]["topic"], "/i");
+  EXPECT_EQ(said["routes"][0]["overflow"], 8);
+  EXPECT_THAT(text, HasSubstr("/i")) << "a route that only drops is shown";
+  const auto inlet = ctl({"info", "/i", "-j"}).json()["bridges"][0]["inlets"][0];
+  EXPECT_EQ(inlet["overflow"], 8);
+  EXPECT_THAT(ctl({"info", "/i"}).out,
+              HasSubstr("Dropped: 0 malformed, 0 of writers without a publisher here, 8 beyond a limit"));
+  EXPECT_EQ(said["routes"][1]["lost"], 5);
   EXPECT_THAT(ctl({"info", "/t"}).out,
               HasSubstr("Lost on the way to DDS: 5 messages (reliable, volatile, keep_last 2)"));
 }
