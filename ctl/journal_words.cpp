@@ -180,6 +180,8 @@ std::string deed_of(const JournalRecord& record) {
       return "is over: nobody publishes or subscribes there";
     case RecordType::raise_slots:
       return "has " + counted(argument(record, "slot_count"), "slot") + " now";
+    case RecordType::topic_forgotten:
+      return "has let go of everything of this topic";
     case RecordType::client_forgotten:
       return "has let go of everything of others";
     case RecordType::recovered:

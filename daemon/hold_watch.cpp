@@ -48,16 +48,19 @@ void HoldWatch::go_on() {
     if (topic_ >= registry_.topic_high()) topic_ = 0, subscription_ = 0;
     if (registry_.topic_high() == 0) return;
     const TopicIndex topic{topic_};
-    const TopicRecord& record = registry_.topic(topic);
-    if (record.state == TopicState::free || subscription_ >= record.subscription_high) {
+    const auto next = registry_.topic(topic).state == TopicState::free
+                          ? std::nullopt
+                          : registry_.next_place(Kind::subscription, topic, subscription_);
+    if (!next) {
       ++topic_, ++begun, --left;
       subscription_ = 0;
       continue;
     }
-    const std::uint32_t subscription = subscription_++;
-    const std::uint32_t cost = record.publisher_high + 1;
-    left -= std::min(left, cost);
+    const std::uint32_t subscription = *next;
+    subscription_ = subscription + 1;
+    --left;
     registry_.for_each_publisher(topic, [&](std::uint32_t publisher, const PublisherRecord&) {
+      left -= std::min(left, 1U);
       if (held_beyond_quota(topic, subscription, publisher) != 0)
         suspects_.try_emplace(Key{number(topic), subscription, publisher},
                               Suspect{registry_.subscription(topic, subscription).generation, 0});
@@ -71,9 +74,9 @@ std::optional<HoldWatch::Finding> HoldWatch::look() {
     const auto [topic, subscription, publisher] = at->first;
     const EndpointRef ref{Kind::subscription, TopicIndex{topic}, subscription};
     const bool is_there =
-        registry_.was_used(ref) &&
+        registry_.is_used(ref) &&
         registry_.subscription(ref.topic, subscription).generation == at->second.generation &&
-        publisher < registry_.topic(ref.topic).publisher_high;
+        registry_.is_used({Kind::publisher, ref.topic, publisher});
     const std::uint64_t held = is_there ? held_beyond_quota(ref.topic, subscription, publisher) : 0;
     if (held == 0) {
       at = suspects_.erase(at);

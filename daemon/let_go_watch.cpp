@@ -78,7 +78,7 @@ void LetGoWatch::told_again(ClientIndex client) {
 
 bool LetGoWatch::is_true(const Finding& finding) const {
   const EndpointRef& ref = finding.oldest;
-  return registry_.was_used(ref) && registry_.generation_of(ref) == finding.generation &&
+  return registry_.is_used(ref) && registry_.generation_of(ref) == finding.generation &&
          registry_.told_of(ref).contains(number(finding.client));
 }
 

@@ -184,7 +184,7 @@ Result<void> Membership::make_ready(TopicIndex topic, const SubscriptionPlan& pl
 
 bool Membership::is_own(ClientIndex client, const wire::Reference& reference) const {
   const EndpointRef ref = ref_of(reference);
-  if (!registry_.was_used(ref)) return false;
+  if (!registry_.is_used(ref)) return false;
   const EndpointState state = ref.kind == Kind::publisher
                                   ? registry_.publisher(ref.topic, ref.index).state
                                   : registry_.subscription(ref.topic, ref.index).state;
@@ -316,7 +316,7 @@ Result<void> Membership::unlinked(ClientIndex client, const wire::Unlinked& stat
   }
   const EndpointRef ref{statement.kind, static_cast<TopicIndex>(statement.topic),
                         static_cast<std::uint32_t>(statement.index)};
-  if (!registry_.was_used(ref) || registry_.generation_of(ref) != statement.generation ||
+  if (!registry_.is_used(ref) || registry_.generation_of(ref) != statement.generation ||
       session->announcements().is_void(subject_of(ref), statement.seen))
     return {};
   session->announcements().forget(subject_of(ref));

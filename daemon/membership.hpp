@@ -96,11 +96,14 @@ class Membership {
   void bury_subscription(const EndpointRef& ref);
   /// Nobody publishes there any more: board, then everybody is rung and told.
   void orphan(const EndpointRef& ref, std::uint64_t final_head, journal::LeaveCause cause);
-  /// Frees what nobody has any more, everywhere: after a process was forgotten.
-  void settle_all();
+  /// Frees the endpoint if it is over and nobody has it any more, and with it its topic and its process.
+  void settle(const EndpointRef& ref);
+  void settle_topic(TopicIndex topic);
+  /// When it has left the announce sets of all topics.
   void forget_client(ClientIndex client);
   /// Frees the place of a process if nobody has anything of it any more.
   void settle_client(ClientIndex client);
+  void settle_clients();
   /// Of the processes that are gone and of which others have something, gives up the oldest of the user
   /// who has most, when they are too many.
   void limit_gone();
@@ -164,9 +167,10 @@ class Membership {
   void give_up_all_of(ClientIndex client);
   [[nodiscard]] tl::unexpected<Failure> explain_full(TopicIndex topic, const Failure& why) const;
   void let_go(const EndpointRef& ref, ClientIndex by);
-  void settle(const EndpointRef& ref);
   void free_publisher(const EndpointRef& ref);
-  void settle_topic(TopicIndex topic);
+  void discard(ClientIndex owner, std::uint64_t extent, std::uint64_t bytes);
+  /// Frees what nobody has any more, everywhere.
+  void settle_all();
   void say_done(ClientIndex client, const wire::Reference& reference);
   bool is_own(ClientIndex client, const wire::Reference& reference) const;
   bool is_active(ClientIndex client, const wire::Reference& reference) const;

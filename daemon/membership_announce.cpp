@@ -93,6 +93,7 @@ void Membership::announce_subscription(TopicIndex topic, std::uint32_t index,
 // It may be over by now: whoever has drained its last publisher there has let go of what it never read
 // about. Then its place may be another's, of another user perhaps, and that one's bells are not for it.
 void Membership::add_doorbells(Outgoing& packet, const Attachment& attachment, bool same_user) {
+  if (!registry_.is_used({Kind::subscription, attachment.topic, attachment.subscription})) return;
   const SubscriptionRecord& subscription =
       registry_.subscription(attachment.topic, attachment.subscription);
   if (subscription.generation != attachment.subscription_generation ||
@@ -112,6 +113,9 @@ void Membership::add_doorbells(Outgoing& packet, const Attachment& attachment, b
 
 void Membership::announce_waiting() {
   for (const Attachment& again : std::exchange(waiting_, {})) {
+    if (!registry_.is_used({Kind::publisher, again.topic, again.publisher}) ||
+        !registry_.is_used({Kind::subscription, again.topic, again.subscription}))
+      continue;
     const PublisherRecord& own = registry_.publisher(again.topic, again.publisher);
     const SubscriptionRecord& other = registry_.subscription(again.topic, again.subscription);
     if (own.generation == again.publisher_generation &&
@@ -264,7 +268,7 @@ void Membership::tell_more(ClientIndex client, ToTell rest) {
 
 void Membership::tell_next(ClientIndex client, ToTell& rest) {
   const auto is_there = [this](std::uint64_t generation, const EndpointRef& ref) {
-    return registry_.was_used(ref) && registry_.generation_of(ref) == generation;
+    return registry_.is_used(ref) && registry_.generation_of(ref) == generation;
   };
   if (!rest.own.empty()) {
     const auto node = rest.own.extract(rest.own.begin());

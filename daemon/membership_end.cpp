@@ -194,7 +194,7 @@ void Membership::let_go(const EndpointRef& ref, ClientIndex by) {
 }
 
 void Membership::settle(const EndpointRef& ref) {
-  if (!registry_.told_of(ref).reusable()) return;
+  if (!registry_.is_used(ref) || !registry_.told_of(ref).reusable()) return;
   AGNOCAST_CRASH_POINT(B_settle);
   const ClientIndex owner = registry_.owner_of(ref);
   const bool owner_dead = !registry_.is_alive(owner);
@@ -216,7 +216,7 @@ void Membership::settle(const EndpointRef& ref) {
     given_up_.erase(registry_.generation_of(ref));
     const std::uint64_t extent = registry_.subscription(ref.topic, ref.index).extent;
     registry_.free_subscription(ref.topic, ref.index);
-    regions_.discard(owner, extent, abi::subscription_extent_bytes);
+    discard(owner, extent, abi::subscription_extent_bytes);
   }
   settle_topic(ref.topic);
   settle_client(owner);
@@ -226,7 +226,12 @@ void Membership::free_publisher(const EndpointRef& ref) {
   const ClientIndex owner = registry_.owner_of(ref);
   const std::uint64_t extent = registry_.publisher(ref.topic, ref.index).extent;
   registry_.end_publisher(ref.topic, ref.index, EndpointState::free);
-  regions_.discard(owner, extent, abi::publisher_extent_bytes);
+  discard(owner, extent, abi::publisher_extent_bytes);
+}
+
+// A process that was revoked goes on storing there.
+void Membership::discard(ClientIndex owner, std::uint64_t extent, std::uint64_t bytes) {
+  if (!registry_.is_revoked(owner)) regions_.discard(owner, extent, bytes);
 }
 
 void Membership::settle_topic(TopicIndex topic) {
@@ -251,41 +256,33 @@ void Membership::forget_client(ClientIndex client) {
 // drained() has two halves: its own record, and one for each thing that its process has let go of
 // with it. The second half follows from what the tables say then.
 void Membership::finish() {
-  const auto lets_go = [&](const EndpointRef& ref, auto has_use) {
+  const auto lets_go = [&](const EndpointRef& ref, const std::set<ClientIndex>& users) {
     std::vector<ClientIndex> gone;
     for_each_told(registry_.told_of(ref), [&](ClientIndex to) {
-      if (registry_.is_alive(to) && !has_use(to)) gone.push_back(to);
+      if (registry_.is_alive(to) && users.count(to) == 0) gone.push_back(to);
     });
     for (const ClientIndex client : gone) let_go(ref, client);
   };
   for (std::uint32_t t = 0; t < registry_.topic_high(); ++t) {
     const TopicIndex topic{t};
-    // The topic goes with its last endpoint, in the middle of this.
-    const auto is_used = [&] { return registry_.topic(topic).state == TopicState::used; };
-    for (std::uint32_t p = 0; is_used() && p < registry_.topic(topic).publisher_high; ++p) {
-      const PublisherRecord& publisher = registry_.publisher(topic, p);
-      if (publisher.state == EndpointState::free) continue;
-      lets_go({Kind::publisher, topic, p}, [&](ClientIndex to) {
-        bool uses = false;
-        registry_.for_each_subscription(topic, [&](std::uint32_t, const SubscriptionRecord& own) {
-          uses = uses ||
-                 (own.client == to &&
-                  (own.state == EndpointState::active || own.state == EndpointState::leaving) &&
-                  matches(publisher, own));
-        });
-        return uses;
+    if (registry_.topic(topic).state != TopicState::used) continue;
+    // Places are freed in the middle of this, and the topic goes with its last endpoint.
+    registry_.for_each_publisher(topic, [&](std::uint32_t p, const PublisherRecord& publisher) {
+      std::set<ClientIndex> users;
+      registry_.for_each_subscription(topic, [&](std::uint32_t, const SubscriptionRecord& own) {
+        if ((own.state == EndpointState::active || own.state == EndpointState::leaving) &&
+            matches(publisher, own))
+          users.insert(own.client);
       });
-    }
-    for (std::uint32_t s = 0; is_used() && s < registry_.topic(topic).subscription_high; ++s) {
-      if (registry_.subscription(topic, s).state == EndpointState::free) continue;
-      lets_go({Kind::subscription, topic, s}, [&](ClientIndex to) {
-        bool uses = false;
-        registry_.for_each_publisher(topic, [&](std::uint32_t, const PublisherRecord& own) {
-          uses = uses || own.client == to;
-        });
-        return uses;
-      });
-    }
+      lets_go({Kind::publisher, topic, p}, users);
+    });
+    std::set<ClientIndex> publish;
+    registry_.for_each_publisher(topic, [&](std::uint32_t, const PublisherRecord& own) {
+      publish.insert(own.client);
+    });
+    registry_.for_each_subscription(topic, [&](std::uint32_t s, const SubscriptionRecord&) {
+      lets_go({Kind::subscription, topic, s}, publish);
+    });
   }
   settle_all();
   // Who comes back is told at once whom to let go of.
@@ -300,14 +297,19 @@ void Membership::finish() {
 void Membership::settle_all() {
   for (std::uint32_t t = 0; t < registry_.topic_high(); ++t) {
     const TopicIndex topic{t};
-    for (std::uint32_t i = 0; i < registry_.topic(topic).publisher_high; ++i) {
-      if (registry_.topic(topic).state == TopicState::used) settle({Kind::publisher, topic, i});
-    }
-    for (std::uint32_t i = 0; i < registry_.topic(topic).subscription_high; ++i) {
-      if (registry_.topic(topic).state == TopicState::used) settle({Kind::subscription, topic, i});
-    }
+    if (registry_.topic(topic).state != TopicState::used) continue;
+    registry_.for_each_publisher(topic, [&](std::uint32_t i, const PublisherRecord&) {
+      settle({Kind::publisher, topic, i});
+    });
+    registry_.for_each_subscription(topic, [&](std::uint32_t i, const SubscriptionRecord&) {
+      settle({Kind::subscription, topic, i});
+    });
     settle_topic(topic);
   }
+  settle_clients();
+}
+
+void Membership::settle_clients() {
   for (std::uint32_t c = 0; c < registry_.client_high(); ++c)
     settle_client(static_cast<ClientIndex>(c));
 }

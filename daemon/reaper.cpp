@@ -50,6 +50,7 @@ Reaping::Reaping(ClientIndex client, DeathReason reason, Registry& registry, Reg
       membership_(membership) {
   if (registry_.is_alive(client_)) registry_.client_died(client_, reason_);
   endpoints_ = registry_.endpoints_of(client_);
+  for (const EndpointRef& ref : endpoints_) topics_.insert(ref.topic);
 }
 
 bool Reaping::go_on(std::uint64_t until_ns) {
@@ -60,13 +61,21 @@ bool Reaping::go_on(std::uint64_t until_ns) {
   while (next_publisher_ < endpoints_.size()) {
     if (end_publisher(endpoints_[next_publisher_++]) && monotonic_ns() >= until_ns) return false;
   }
+  // Others keep what they map; nobody new is told of it. What it has itself stays as it is: it may live.
+  if (!std::exchange(buried_, true)) {
+    regions_.bury_client(client_);
+    AGNOCAST_CRASH_POINT(B_buried);
+  }
+  while (settle_next()) {
+    if (monotonic_ns() >= until_ns) return false;
+  }
   if (!std::exchange(done_, true)) finish();
   return true;
 }
 
 // A place that was free by the time may be somebody else's by now.
 bool Reaping::is_ours(const EndpointRef& ref) const noexcept {
-  return registry_.was_used(ref) && registry_.owner_of(ref) == client_;
+  return registry_.is_used(ref) && registry_.owner_of(ref) == client_;
 }
 
 bool Reaping::end_subscription(const EndpointRef& ref) {
@@ -99,14 +108,33 @@ bool Reaping::end_publisher(const EndpointRef& ref) {
   return true;
 }
 
+// What nobody has any more lies in the topics that it knew, and in those of its own endpoints. Nothing of it is
+// active by now, so it is told of nothing again.
+bool Reaping::settle_next() {
+  if (!to_settle_.empty()) {
+    const EndpointRef ref = to_settle_.back();
+    to_settle_.pop_back();
+    membership_.settle(ref);
+    return true;
+  }
+  std::optional<TopicIndex> topic = registry_.known_topic_of(client_);
+  if (!topic && !topics_.empty()) topic = *topics_.begin();
+  if (!topic) return false;
+  topics_.erase(*topic);
+  registry_.forget_in_topic(client_, *topic);
+  for (const Kind kind : {Kind::subscription, Kind::publisher}) {
+    for (auto at = registry_.next_place(kind, *topic, 0); at;
+         at = registry_.next_place(kind, *topic, *at + 1))
+      to_settle_.push_back({kind, *topic, *at});
+  }
+  return true;
+}
+
 void Reaping::finish() {
   membership_.forget_client(client_);
   doorbells_.close_client(client_);
   AGNOCAST_CRASH_POINT(B_bells_closed);
-  // Others keep what they map; nobody new is told of it.
-  regions_.bury_client(client_);
-  AGNOCAST_CRASH_POINT(B_buried);
-  membership_.settle_all();
+  membership_.settle_clients();
   membership_.limit_gone();
 }
 

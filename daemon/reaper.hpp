@@ -7,7 +7,8 @@
 // and a window may be used again only when everybody who was told about it has let go (rule RU):
 //
 //     journal the death → its subscriptions dead → its intents back or forward, its publishers
-//     orphans, everybody rung and told → it leaves all announce sets → what became free is freed
+//     orphans, everybody rung and told → topic by topic it leaves the announce sets, and what became
+//     free is freed → it leaves those of regions
 //
 // Every step may be repeated. The reaper never trusts a value that the dead process wrote, and
 // never takes the end of a connection for a death: only the pidfd says it, or a process that has no
@@ -24,6 +25,7 @@
 
 #include <cstdint>
 #include <optional>
+#include <set>
 #include <vector>
 
 namespace agnocast::daemon {
@@ -37,7 +39,7 @@ struct Reaped {
   std::uint64_t corrupt = 0;
 };
 
-/// The end of one process, endpoint by endpoint. `client` is alive in the tables, or was being reaped when
+/// The end of one process, endpoint by endpoint, and topic by topic of what it knew. `client` is alive in the tables, or was being reaped when
 /// the daemon died, and its process stores no more, unless the reason is `revoked`. A process whose region was
 /// lost has no queues to repair: its publishers end as they are. Between two calls others are served; what is
 /// left of the process looks to them as if it lived.
@@ -47,7 +49,7 @@ class Reaping {
   Reaping(ClientIndex client, journal::DeathReason reason, Registry& registry, Regions& regions,
           Doorbells& doorbells, Membership& membership);
 
-  /// Goes on until that time (CLOCK_MONOTONIC), with one endpoint at least. True: it is done.
+  /// Goes on until that time (CLOCK_MONOTONIC), with one step at least. True: it is done.
   bool go_on(std::uint64_t until_ns);
   ClientIndex client() const noexcept { return client_; }
   const Reaped& reaped() const noexcept { return reaped_; }
@@ -56,6 +58,7 @@ class Reaping {
   bool is_ours(const EndpointRef& ref) const noexcept;
   bool end_subscription(const EndpointRef& ref);
   bool end_publisher(const EndpointRef& ref);
+  bool settle_next();
   void finish();
 
   ClientIndex client_;
@@ -66,7 +69,9 @@ class Reaping {
   Membership& membership_;
   std::vector<EndpointRef> endpoints_;  // as they were at the beginning: they go one by one
   std::size_t next_subscription_ = 0, next_publisher_ = 0;
-  bool done_ = false;
+  std::set<TopicIndex> topics_;       // of those endpoints, yet to be settled
+  std::vector<EndpointRef> to_settle_;  // of one topic, the last one first
+  bool buried_ = false, done_ = false;
   Reaped reaped_;
 };
 

@@ -74,12 +74,15 @@ void Registry::rebuild() {
     const TopicIndex at{t};
     if (topic(at).state == TopicState::free) continue;
     topics_.emplace(topic_key(topic(at).domain, topic(at).name), at);
-    for_each_publisher(at, [&](std::uint32_t i, const PublisherRecord&) {
-      track({Kind::publisher, at, i});
-    });
-    for_each_subscription(at, [&](std::uint32_t i, const SubscriptionRecord&) {
-      track({Kind::subscription, at, i});
-    });
+    for (const Kind kind : {Kind::publisher, Kind::subscription}) {
+      for_each_place(kind, at, [&](std::uint32_t i) {
+        const EndpointRef ref{kind, at, i};
+        track(ref);
+        for (std::uint32_t c = 0; c < client_high(); ++c) {
+          if (told_of(ref).contains(c)) ++views_[c].knows[t];
+        }
+      });
+    }
   }
 }
 
@@ -150,6 +153,34 @@ void Registry::untrack(const EndpointRef& ref) {
   count_endpoint(ref, false);
   view.extents.erase(ref.kind == Kind::publisher ? publisher(ref.topic, ref.index).extent
                                                  : subscription(ref.topic, ref.index).extent);
+}
+
+void Registry::add_to(AnnounceSet& set, TopicIndex topic, std::uint64_t client) {
+  if (set.contains(client)) return;
+  ++views_[client].knows[number(topic)];
+  AGNOCAST_CRASH_POINT(B_told);
+  set.tell(client);
+}
+
+void Registry::take_from(AnnounceSet& set, TopicIndex topic, std::uint64_t client) {
+  if (!set.contains(client)) return;
+  // A change that open() completes comes before what is derived.
+  auto& knows = views_[client].knows;
+  if (const auto known = knows.find(number(topic)); known != knows.end() && --known->second == 0)
+    knows.erase(known);
+  AGNOCAST_CRASH_POINT(B_told);
+  set.let_go(client, set.generation());
+}
+
+std::optional<std::uint32_t> Registry::next_place(Kind kind, TopicIndex topic,
+                                                  std::uint32_t index) const noexcept {
+  const auto places = places_of(kind, topic);
+  for (std::uint32_t word = index / 64; word < places.size(); ++word) {
+    std::uint64_t rest = places[word];
+    if (word == index / 64) rest &= ~std::uint64_t{0} << index % 64;
+    if (rest != 0) return word * 64 + static_cast<std::uint32_t>(std::countr_zero(rest));
+  }
+  return std::nullopt;
 }
 
 std::optional<std::uint64_t> Registry::lowest_extent(ClientIndex client,
@@ -232,8 +263,21 @@ void Registry::client_died(ClientIndex index, DeathReason reason) {
           death_counter(counters(), reason) + more});
 }
 
+void Registry::forget_in_topic(ClientIndex gone, TopicIndex topic) {
+  AGNOCAST_CHECK(client(gone).state == ClientState::dead);
+  if (views_[number(gone)].knows.count(number(topic)) == 0) return;
+  change(Type::topic_forgotten, {number(topic), number(gone), client(gone).generation});
+}
+
+std::optional<TopicIndex> Registry::known_topic_of(ClientIndex index) const {
+  const auto& knows = views_[number(index)].knows;
+  if (knows.empty()) return std::nullopt;
+  return TopicIndex{knows.begin()->first};
+}
+
 void Registry::client_forgotten(ClientIndex index) {
   AGNOCAST_CHECK(client(index).state == ClientState::dead);
+  AGNOCAST_CHECK(!known_topic_of(index));
   change(Type::client_forgotten, {number(index), client(index).generation});
 }
 
@@ -267,10 +311,7 @@ Result<TopicIndex> Registry::add_topic(const NewTopic& wanted) {
 }
 
 bool Registry::topic_is_empty(TopicIndex index) const {
-  bool empty = true;
-  for_each_publisher(index, [&](std::uint32_t, const PublisherRecord&) { empty = false; });
-  for_each_subscription(index, [&](std::uint32_t, const SubscriptionRecord&) { empty = false; });
-  return empty;
+  return !next_place(Kind::publisher, index, 0) && !next_place(Kind::subscription, index, 0);
 }
 
 void Registry::free_topic(TopicIndex index) {
@@ -303,8 +344,8 @@ std::uint64_t Registry::slots_needed(TopicIndex topic, const abi::Qos& offered,
 }
 
 namespace {
-// A free place that somebody has not let go of is damage that open() does not look for: such a place
-// is not given out.
+// A place that has no bit and is not free, or that somebody has not let go of, is damage that open() does
+// not look for: such a place is not given out.
 template <class Record>
 bool is_vacant(const Record& record) noexcept {
   return record.state == EndpointState::free && record.told.reusable();
@@ -315,7 +356,9 @@ Result<PublisherPlan> Registry::plan_publisher(ClientIndex client, TopicIndex to
                                                const abi::Qos& qos) const {
   PublisherPlan plan;
   const std::uint32_t high = this->topic(topic).publisher_high;
-  while (plan.index < high && !is_vacant(publisher(topic, plan.index))) ++plan.index;
+  while (plan.index < high && (is_used({Kind::publisher, topic, plan.index}) ||
+                               !is_vacant(publisher(topic, plan.index))))
+    ++plan.index;
   if (plan.index >= capacity_.publishers_per_topic)
     return full("publishers_per_topic", capacity_.publishers_per_topic);
   if (!is_vacant(publisher(topic, plan.index)))
@@ -347,7 +390,9 @@ Result<SubscriptionPlan> Registry::plan_subscription(ClientIndex client, TopicIn
                                                      std::uint64_t quota) const {
   SubscriptionPlan plan;
   const std::uint32_t high = this->topic(topic).subscription_high;
-  while (plan.index < high && !is_vacant(subscription(topic, plan.index))) ++plan.index;
+  while (plan.index < high && (is_used({Kind::subscription, topic, plan.index}) ||
+                               !is_vacant(subscription(topic, plan.index))))
+    ++plan.index;
   if (plan.index >= capacity_.subscriptions_per_topic)
     return full("subscriptions_per_topic", capacity_.subscriptions_per_topic);
   if (!is_vacant(subscription(topic, plan.index)))

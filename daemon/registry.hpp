@@ -25,6 +25,7 @@
 #include <cstdint>
 #include <map>
 #include <optional>
+#include <span>
 #include <string>
 #include <string_view>
 #include <unordered_map>
@@ -186,7 +187,12 @@ class Registry {
     return client(index).state >= ClientState::dead &&
            client(index).reason == journal::DeathReason::revoked;
   }
-  /// It has let go of everything that it was ever told about.
+  /// It leaves the announce sets of all endpoints of this topic.
+  void forget_in_topic(ClientIndex gone, TopicIndex topic);
+  /// A topic with an endpoint that it was told of and has not let go of.
+  std::optional<TopicIndex> known_topic_of(ClientIndex index) const;
+  /// It leaves those of all regions, and has let go of everything that it was ever told about. Only when
+  /// there is no such topic any more.
   void client_forgotten(ClientIndex index);
   /// Gone, forgotten, without endpoints, known to nobody: its place may be used again after
   /// end_client().
@@ -247,13 +253,12 @@ class Registry {
   /// Does some publisher of the topic use slots whose hold bits lie behind the link lines?
   bool uses_far_slots(TopicIndex topic) const;
 
-  /// Has this place ever been used since its topic began? What was never used must not be looked
-  /// at: reading a hole of the tables gives it memory, and clients name places at will.
-  bool was_used(const EndpointRef& ref) const noexcept {
+  /// Is there an endpoint at this place? Where there is none nobody may look: reading a hole of the
+  /// tables gives it memory, and clients name places at will.
+  bool is_used(const EndpointRef& ref) const noexcept {
     if (number(ref.topic) >= topic_high() || topic(ref.topic).state != TopicState::used)
       return false;
-    return ref.index < (ref.kind == Kind::publisher ? topic(ref.topic).publisher_high
-                                                    : topic(ref.topic).subscription_high);
+    return is_set(places_of(ref.kind, ref.topic), ref.index);
   }
 
   // --- rule RU
@@ -268,16 +273,17 @@ class Registry {
   /// Visits all endpoints of a topic that are not free: function(index, record).
   template <class Function>
   void for_each_publisher(TopicIndex topic, Function function) const {
-    for (std::uint32_t i = 0; i < this->topic(topic).publisher_high; ++i) {
-      if (publisher(topic, i).state != EndpointState::free) function(i, publisher(topic, i));
-    }
+    for_each_place(Kind::publisher, topic,
+                   [&](std::uint32_t i) { function(i, publisher(topic, i)); });
   }
   template <class Function>
   void for_each_subscription(TopicIndex topic, Function function) const {
-    for (std::uint32_t i = 0; i < this->topic(topic).subscription_high; ++i) {
-      if (subscription(topic, i).state != EndpointState::free) function(i, subscription(topic, i));
-    }
+    for_each_place(Kind::subscription, topic,
+                   [&](std::uint32_t i) { function(i, subscription(topic, i)); });
   }
+  /// The first place from `index` on with an endpoint; nothing: there is none.
+  std::optional<std::uint32_t> next_place(Kind kind, TopicIndex topic,
+                                          std::uint32_t index) const noexcept;
 
   journal::RedoLog& log() noexcept { return log_; }
   const journal::RedoLog& log() const noexcept { return log_; }
@@ -287,11 +293,12 @@ class Registry {
   using Record = journal::Record;
   using Type = journal::RecordType;
 
-  /// Derived: what a process has in its region, and what of its user's usage is the process's own:
-  /// itself, its executors and windows.
+  /// Derived: what a process has in its region, what it knows, and what of its user's usage is the
+  /// process's own: itself, its executors and windows.
   struct View {
     std::vector<EndpointRef> endpoints;
     std::map<std::uint64_t, std::uint64_t> extents;  // offset → bytes
+    std::map<std::uint32_t, std::uint32_t> knows;    // topic → announce sets there that it is in
     std::uint32_t uid = 0;
     Usage own;
   };
@@ -305,6 +312,7 @@ class Registry {
   void apply(const Record& record);
   void apply_to_client(const Record& record);
   void apply_to_endpoint(const Record& record);
+  void apply_to_announce_sets(const Record& record);
   void apply_to_counters(const Record& record);
   void rebuild();
   const char* flaw_of_change(const Record& record) const noexcept;
@@ -323,6 +331,28 @@ class Registry {
   void count_endpoint(const EndpointRef& ref, bool is_there);
   void track(const EndpointRef& ref);
   void untrack(const EndpointRef& ref);
+  /// Derived as well: who knows something of which topic. `set` is one of that topic's.
+  void add_to(AnnounceSet& set, TopicIndex topic, std::uint64_t client);
+  void take_from(AnnounceSet& set, TopicIndex topic, std::uint64_t client);
+
+  std::span<const std::uint64_t> places_of(Kind kind, TopicIndex topic) const noexcept {
+    const TopicRecord& record = this->topic(topic);
+    if (kind == Kind::publisher) return record.publishers;
+    return record.subscriptions;
+  }
+  static bool is_set(std::span<const std::uint64_t> places, std::uint32_t index) noexcept {
+    return index / 64 < places.size() && (places[index / 64] >> index % 64 & 1) != 0;
+  }
+  /// An endpoint may end while it is visited, and its topic with it.
+  template <class Function>
+  void for_each_place(Kind kind, TopicIndex topic, Function function) const {
+    for (auto place = next_place(kind, topic, 0); place; place = next_place(kind, topic, *place + 1))
+      function(*place);
+  }
+  void use_place(const EndpointRef& ref);
+  /// Gives the memory of its record back when nothing else is there.
+  void vacate_place(const EndpointRef& ref);
+  bool has_record_at(Kind kind, std::uint64_t number) const noexcept;
   dataplane::TopicWords<M> words(TopicIndex topic) const noexcept {
     return {board_, abi::topic_offset(number(topic))};
   }

@@ -10,7 +10,11 @@
 #include <daemon/registry.hpp>
 #include <daemon/registry_counters.hpp>
 
+#include <sys/mman.h>
+#include <unistd.h>
+
 #include <algorithm>
+#include <cstddef>
 #include <type_traits>
 
 namespace agnocast::daemon {
@@ -24,11 +28,6 @@ template <class Field>
 void store(Field& field, const std::type_identity_t<Field>& value) noexcept {
   AGNOCAST_CRASH_POINT(B_table);
   field = value;
-}
-
-void forget(AnnounceSet& told, std::uint64_t gone) noexcept {
-  AGNOCAST_CRASH_POINT(B_told);
-  told.died(gone);
 }
 
 TopicIndex topic_of(const journal::Record& record) noexcept {
@@ -76,6 +75,8 @@ void Registry::apply(const Record& record) {
       store(topic.layout_hash, record.argument[3]);
       store(topic.publisher_high, 0);
       store(topic.subscription_high, 0);
+      for (std::uint64_t& word : topic.publishers) store(word, 0);
+      for (std::uint64_t& word : topic.subscriptions) store(word, 0);
       store(topic.state, TopicState::used);
       store(tables_.header.topic_high, std::max(tables_.header.topic_high, number(at) + 1));
       note_generation(topic.generation);
@@ -102,27 +103,39 @@ void Registry::apply(const Record& record) {
     case Type::free_subscription:
       apply_to_endpoint(record);
       break;
-    case Type::announced: {
-      const EndpointRef ref{static_cast<Kind>(record.argument[3]), topic_of(record),
-                            index_of(record)};
-      const std::uint64_t to = record.argument[2];
-      AGNOCAST_CRASH_POINT(B_told);
-      told(ref).tell(to);
-      const ClientIndex owner = owner_of(ref);
-      if (number(owner) == to) break;
-      AGNOCAST_CRASH_POINT(B_told);
-      tables_.client[number(owner)].told.tell(to);
+    case Type::announced:
+    case Type::unlinked:
+    case Type::topic_forgotten:
+      apply_to_announce_sets(record);
       break;
+  }
+}
+
+void Registry::apply_to_announce_sets(const Record& record) {
+  const TopicIndex topic = topic_of(record);
+  const auto kind = static_cast<Kind>(record.argument[3]);
+  const std::uint64_t who = record.argument[record.type == Type::topic_forgotten ? 1 : 2];
+  if (record.type == Type::topic_forgotten) {
+    for (const Kind each : {Kind::publisher, Kind::subscription}) {
+      for_each_place(each, topic, [&](std::uint32_t index) {
+        take_from(told({each, topic, index}), topic, who);
+      });
     }
-    case Type::unlinked: {
-      const auto kind = static_cast<Kind>(record.argument[3]);
-      const std::uint64_t by = record.argument[2];
-      AnnounceSet& set = kind == Kind::region ? tables_.client[record.argument[0]].told
-                                              : told({kind, topic_of(record), index_of(record)});
+  } else if (record.type == Type::unlinked) {
+    if (kind == Kind::region) {
+      AnnounceSet& set = tables_.client[record.argument[0]].told;
       AGNOCAST_CRASH_POINT(B_told);
-      set.let_go(by, set.generation());
-      break;
+      set.let_go(who, set.generation());
+    } else {
+      take_from(told({kind, topic, index_of(record)}), topic, who);
     }
+  } else {
+    const EndpointRef ref{kind, topic, index_of(record)};
+    add_to(told(ref), topic, who);
+    const ClientIndex owner = owner_of(ref);
+    if (number(owner) == who) return;
+    AGNOCAST_CRASH_POINT(B_told);
+    tables_.client[number(owner)].told.tell(who);
   }
 }
 
@@ -167,17 +180,12 @@ void Registry::apply_to_client(const Record& record) {
             record.argument[3]);
       break;
     case Type::client_forgotten: {
+      // Of endpoints it has left them: forget_in_topic().
       const std::uint64_t gone = record.argument[0];
       for (std::uint32_t i = 0; i < tables_.header.client_high; ++i) {
-        if (tables_.client[i].state != ClientState::free) forget(tables_.client[i].told, gone);
-      }
-      for (std::uint32_t t = 0; t < tables_.header.topic_high; ++t) {
-        const TopicRecord& topic = tables_.topic[t];
-        if (topic.state == TopicState::free) continue;
-        for (std::uint32_t i = 0; i < topic.publisher_high; ++i)
-          forget(tables_.publisher[t][i].told, gone);
-        for (std::uint32_t i = 0; i < topic.subscription_high; ++i)
-          forget(tables_.subscription[t][i].told, gone);
+        if (tables_.client[i].state == ClientState::free) continue;
+        AGNOCAST_CRASH_POINT(B_told);
+        tables_.client[i].told.died(gone);
       }
       store(client.state, ClientState::forgotten);
       break;
@@ -210,6 +218,7 @@ void Registry::apply_to_endpoint(const Record& record) {
       AGNOCAST_CRASH_POINT(B_told);
       publisher.told.begin(publisher.generation);
       store(publisher.state, EndpointState::active);
+      use_place({Kind::publisher, at, index});
       store(topic.publisher_high, std::max(topic.publisher_high, index + 1));
       note_generation(publisher.generation);
       track({Kind::publisher, at, index});
@@ -238,7 +247,9 @@ void Registry::apply_to_endpoint(const Record& record) {
       const auto state = static_cast<EndpointState>(argument[2]);
       store(publisher.state, state);
       board(at).free_publisher(index, publisher.generation);
-      if (state == EndpointState::free) untrack({Kind::publisher, at, index});
+      if (state != EndpointState::free) break;
+      untrack({Kind::publisher, at, index});
+      vacate_place({Kind::publisher, at, index});
       break;
     }
     case Type::add_subscription:
@@ -252,6 +263,7 @@ void Registry::apply_to_endpoint(const Record& record) {
       AGNOCAST_CRASH_POINT(B_told);
       subscription.told.begin(subscription.generation);
       store(subscription.state, EndpointState::active);
+      use_place({Kind::subscription, at, index});
       store(topic.subscription_high, std::max(topic.subscription_high, index + 1));
       note_generation(subscription.generation);
       track({Kind::subscription, at, index});
@@ -269,7 +281,47 @@ void Registry::apply_to_endpoint(const Record& record) {
       store(subscription.state, EndpointState::free);
       board(at).set_subscription(index, subscription.generation, abi::MemberState::free);
       untrack({Kind::subscription, at, index});
+      vacate_place({Kind::subscription, at, index});
       break;
+  }
+}
+
+void Registry::use_place(const EndpointRef& ref) {
+  TopicRecord& topic = tables_.topic[number(ref.topic)];
+  std::uint64_t* const places =
+      ref.kind == Kind::publisher ? topic.publishers : topic.subscriptions;
+  store(places[ref.index / 64], places[ref.index / 64] | std::uint64_t{1} << ref.index % 64);
+}
+
+bool Registry::has_record_at(Kind kind, std::uint64_t number) const noexcept {
+  const std::uint64_t places =
+      kind == Kind::publisher ? abi::publisher_count_max : abi::subscription_count_max;
+  return is_used({kind, TopicIndex{static_cast<std::uint32_t>(number / places)},
+                  static_cast<std::uint32_t>(number % places)});
+}
+
+// A page belongs to the records that begin before its end and end behind its beginning, of one topic or
+// two. What is not whole pages of the table stays: a page at its beginning and one at its end.
+void Registry::vacate_place(const EndpointRef& ref) {
+  TopicRecord& topic = tables_.topic[number(ref.topic)];
+  const bool publisher = ref.kind == Kind::publisher;
+  std::uint64_t* const places = publisher ? topic.publishers : topic.subscriptions;
+  store(places[ref.index / 64], places[ref.index / 64] & ~(std::uint64_t{1} << ref.index % 64));
+
+  static const std::uint64_t page = static_cast<std::uint64_t>(::sysconf(_SC_PAGESIZE));
+  const std::uint64_t table = publisher ? offsetof(Tables, publisher) : offsetof(Tables, subscription);
+  const std::uint64_t size = publisher ? sizeof(PublisherRecord) : sizeof(SubscriptionRecord);
+  const std::uint64_t places_max =
+      publisher ? abi::publisher_count_max : abi::subscription_count_max;
+  const std::uint64_t end = table + size * places_max * abi::topic_count_max;
+  const std::uint64_t begin = table + size * (number(ref.topic) * places_max + ref.index);
+  for (std::uint64_t at = begin / page * page; at < begin + size; at += page) {
+    if (at < table || at + page > end) continue;
+    bool empty = true;
+    for (std::uint64_t i = (at - table) / size; empty && table + i * size < at + page; ++i)
+      empty = !has_record_at(ref.kind, i);
+    // Where the system refuses, the page stays and is used again.
+    if (empty) ::madvise(reinterpret_cast<std::byte*>(&tables_) + at, page, MADV_REMOVE);
   }
 }
 

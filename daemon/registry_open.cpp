@@ -31,7 +31,8 @@ constexpr std::uint64_t layout_of_tables() noexcept {
   sum.add(sizeof(ClientRecord), offsetof(ClientRecord, reason), offsetof(ClientRecord, executors),
           offsetof(ClientRecord, readers), offsetof(ClientRecord, window_count), offsetof(ClientRecord, window),
           offsetof(ClientRecord, told), offsetof(ClientRecord, name));
-  sum.add(sizeof(TopicRecord), offsetof(TopicRecord, domain), offsetof(TopicRecord, layout_hash),
+  sum.add(sizeof(TopicRecord), offsetof(TopicRecord, publishers),
+          offsetof(TopicRecord, subscriptions), offsetof(TopicRecord, domain), offsetof(TopicRecord, layout_hash),
           offsetof(TopicRecord, name), offsetof(TopicRecord, type));
   sum.add(sizeof(PublisherRecord), offsetof(PublisherRecord, slot_count),
           offsetof(PublisherRecord, final_head), offsetof(PublisherRecord, creation),
@@ -78,6 +79,13 @@ std::uint64_t agree(Word&& word, std::uint64_t value) noexcept {
   AGNOCAST_CRASH_POINT(B_board_field);
   word.store(value, std::memory_order_release);
   return 1;
+}
+
+/// Of a place without an endpoint: its record may be gone, and with it the generation.
+template <class Word>
+std::uint64_t repair_free(Word&& word) noexcept {
+  const std::uint64_t generation = abi::generation_of(word.load(std::memory_order_relaxed));
+  return agree(word, abi::pack_member(generation, abi::MemberState::free));
 }
 
 }  // namespace
@@ -178,14 +186,6 @@ const char* Registry::flaw_of_change(const Record& record) const noexcept {
   if (has("window") && argument("window") >= abi::window_count_max) return flawed;
   if (record.type == Type::open_executor && argument("executor") >= abi::executor_count_max)
     return flawed;
-  if (record.type == Type::client_forgotten) {
-    for (std::uint32_t t = 0; t < tables_.header.topic_high; ++t) {
-      const TopicRecord& topic = tables_.topic[t];
-      if (topic.publisher_high > abi::publisher_count_max ||
-          topic.subscription_high > abi::subscription_count_max)
-        return "the members of a topic";
-    }
-  }
   if (of_region) return record.argument[0] < abi::client_count_max ? nullptr : flawed;
   if (!has("topic")) return nullptr;
   if (argument("topic") >= abi::topic_count_max) return flawed;
@@ -224,32 +224,36 @@ const char* Registry::flaw_of_topic(std::uint32_t index) const noexcept {
       topic.subscription_high > abi::subscription_count_max)
     return "the members of a topic";
   if (!ends(topic.name) || !ends(topic.type)) return "the name of a topic";
+  const auto are_places = [&](Kind kind, std::uint32_t high) {
+    return !next_place(kind, TopicIndex{index}, high);
+  };
+  if (!are_places(Kind::publisher, topic.publisher_high) ||
+      !are_places(Kind::subscription, topic.subscription_high))
+    return "the places of a topic";
   const auto check = [&](const auto& record, std::uint64_t extent_bytes, bool state_is_known) {
-    if (record.state == EndpointState::free) return true;
     return state_is_known && number(record.client) < tables_.header.client_high &&
            client(record.client).state != ClientState::free && record.generation != 0 &&
            record.generation <= tables_.header.last_generation &&
            record.extent >= abi::page_bytes && record.extent % abi::cache_line_bytes == 0 &&
            record.extent <= client_region_bytes - extent_bytes && ends(record.node);
   };
-  for (std::uint32_t i = 0; i < topic.publisher_high; ++i) {
-    const PublisherRecord& record = tables_.publisher[index][i];
+  const char* flaw = nullptr;
+  for_each_publisher(TopicIndex{index}, [&](std::uint32_t, const PublisherRecord& record) {
     const bool known = record.state == EndpointState::active ||
                        record.state == EndpointState::orphan || record.state == EndpointState::over;
     if (!check(record, abi::publisher_extent_bytes, known) ||
-        (known && record.slot_count > abi::slot_count_max))
-      return "a publisher";
-  }
-  for (std::uint32_t i = 0; i < topic.subscription_high; ++i) {
-    const SubscriptionRecord& record = tables_.subscription[index][i];
+        record.slot_count > abi::slot_count_max)
+      flaw = "a publisher";
+  });
+  for_each_subscription(TopicIndex{index}, [&](std::uint32_t, const SubscriptionRecord& record) {
     const bool known = record.state == EndpointState::active ||
                        record.state == EndpointState::leaving ||
                        record.state == EndpointState::over || record.state == EndpointState::dead;
     if (!check(record, abi::subscription_extent_bytes, known) ||
-        (known && record.executor >= abi::executor_count_max))
-      return "a subscription";
-  }
-  return nullptr;
+        record.executor >= abi::executor_count_max)
+      flaw = "a subscription";
+  });
+  return flaw;
 }
 
 const char* Registry::flaw() const noexcept {
@@ -264,38 +268,35 @@ const char* Registry::flaw() const noexcept {
 
 std::uint64_t Registry::repair_publisher(TopicIndex topic, std::uint32_t index) {
   using Entry = abi::PublisherEntry;
-  const PublisherRecord& record = publisher(topic, index);
   const auto at = [&](std::size_t offset) -> decltype(auto) {
     return words(topic).publisher(index, offset);
   };
+  if (!is_used({Kind::publisher, topic, index})) return repair_free(at(offsetof(Entry, word)));
+  const PublisherRecord& record = publisher(topic, index);
   std::uint64_t repaired = 0;
-  if (record.state != EndpointState::free) {
-    repaired += agree(at(offsetof(Entry, qos)), record.qos);
-    repaired += agree(at(offsetof(Entry, client)), number(record.client));
-    repaired += agree(at(offsetof(Entry, extent)), record.extent);
-    repaired += agree(at(offsetof(Entry, slot_count)), record.slot_count);
-    repaired +=
-        agree(at(offsetof(Entry, first_sequence)), abi::first_sequence_of(record.generation));
-    repaired += agree(at(offsetof(Entry, final_head)), record.final_head);
-  }
+  repaired += agree(at(offsetof(Entry, qos)), record.qos);
+  repaired += agree(at(offsetof(Entry, client)), number(record.client));
+  repaired += agree(at(offsetof(Entry, extent)), record.extent);
+  repaired += agree(at(offsetof(Entry, slot_count)), record.slot_count);
+  repaired += agree(at(offsetof(Entry, first_sequence)), abi::first_sequence_of(record.generation));
+  repaired += agree(at(offsetof(Entry, final_head)), record.final_head);
   return repaired + agree(at(offsetof(Entry, word)),
                           abi::pack_member(record.generation, on_board(record.state)));
 }
 
 std::uint64_t Registry::repair_subscription(TopicIndex topic, std::uint32_t index) {
   using Entry = abi::SubscriptionEntry;
-  const SubscriptionRecord& record = subscription(topic, index);
   const auto at = [&](std::size_t offset) -> decltype(auto) {
     return words(topic).subscription(index, offset);
   };
+  if (!is_used({Kind::subscription, topic, index})) return repair_free(at(offsetof(Entry, word)));
+  const SubscriptionRecord& record = subscription(topic, index);
   std::uint64_t repaired = 0;
-  if (record.state != EndpointState::free) {
-    repaired += agree(at(offsetof(Entry, qos)), record.qos);
-    repaired += agree(at(offsetof(Entry, client)), number(record.client));
-    repaired += agree(at(offsetof(Entry, extent)), record.extent);
-    repaired += agree(at(offsetof(Entry, quota)), record.quota);
-    repaired += agree(at(offsetof(Entry, executor)), record.executor);
-  }
+  repaired += agree(at(offsetof(Entry, qos)), record.qos);
+  repaired += agree(at(offsetof(Entry, client)), number(record.client));
+  repaired += agree(at(offsetof(Entry, extent)), record.extent);
+  repaired += agree(at(offsetof(Entry, quota)), record.quota);
+  repaired += agree(at(offsetof(Entry, executor)), record.executor);
   return repaired + agree(at(offsetof(Entry, word)),
                           abi::pack_member(record.generation, on_board(record.state)));
 }
@@ -306,7 +307,6 @@ std::uint64_t Registry::repair_board() {
     const TopicIndex at{t};
     const TopicRecord& record = topic(at);
     if (record.state == TopicState::free) continue;
-    // What was never used is not looked at: reading a hole of the tables gives it memory.
     for (std::uint32_t i = 0; i < record.publisher_high; ++i) repaired += repair_publisher(at, i);
     for (std::uint32_t i = 0; i < record.subscription_high; ++i)
       repaired += repair_subscription(at, i);

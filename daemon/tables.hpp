@@ -6,8 +6,9 @@
 //   header · client[2048] · topic[4096] · publisher[4096][254] · subscription[4096][768]
 //
 // An endpoint's record lies at the place its board entry has, so nothing is searched and nothing is
-// moved. The memfd is sparse: what was never used has no memory, and nobody looks behind the
-// high-water marks (a read of a hole would allocate it). A record of zero bytes is a free one.
+// moved. The memfd is sparse: a page on which every record is free has no memory (it is given back when
+// the last of them is freed), and nobody looks at a place that is not in use (a read of a hole would
+// allocate it): each topic has one bit for each of its places. A record of zero bytes is a free one.
 // Only the redo log's records change a table (registry_apply.cpp); names are the exception: they are
 // written into a free place first, and the record that follows makes the place count.
 #pragma once
@@ -71,12 +72,20 @@ struct ClientRecord {
 };
 static_assert(abi::executor_count_max < 64, "the executors of a client are one word of bits");
 
+/// Which places of a topic are in use: one bit each.
+template <std::uint32_t capacity>
+using PlaceBits = std::uint64_t[(capacity + 63) / 64];
+
 struct TopicRecord {
   std::uint64_t generation;
   TopicState state;
-  std::uint32_t publisher_high;  // one more than the highest index ever used
+  // One more than the highest index ever used, as the board has it: publishers remember members up to
+  // there. Nobody else walks so far.
+  std::uint32_t publisher_high;
   std::uint32_t subscription_high;
   std::uint32_t reserved;
+  PlaceBits<abi::publisher_count_max> publishers;
+  PlaceBits<abi::subscription_count_max> subscriptions;
   std::uint64_t domain;
   std::uint64_t layout_hash;
   char name[abi::wire::name_bytes];

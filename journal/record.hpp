@@ -35,6 +35,7 @@ namespace agnocast::journal {
   X(raise_slots, 18, "topic index slot_count generation client")                                  \
   X(client_forgotten, 19, "client generation")                                                    \
   X(readers, 22, "client set generation")                                                         \
+  X(topic_forgotten, 23, "topic client generation")                                               \
   /* Change nothing but counters. */                                                              \
   X(recovered, 20, "pid redone_lsn dead_count board_word_count restart_count dead_total") \
   X(rejoined, 21, "client generation rejoined_count")

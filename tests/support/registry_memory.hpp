@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Anonymous memory for a registry: redo log, tables and board, all zero, as the daemon's memfds are.
+// Anonymous memory for a registry: redo log, tables and board, all zero, as the daemon's memfds are, and
+// shared like those, so that pages can be given back.
 #pragma once
 
 #include <daemon/registry.hpp>
@@ -15,7 +16,7 @@ class RegistryMemory {
  public:
   RegistryMemory() {
     base_ = static_cast<std::byte*>(::mmap(nullptr, bytes, PROT_READ | PROT_WRITE,
-                                           MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0));
+                                           MAP_SHARED | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0));
     if (base_ == MAP_FAILED) std::abort();
   }
   ~RegistryMemory() { ::munmap(base_, bytes); }

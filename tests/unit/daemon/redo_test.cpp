@@ -188,6 +188,7 @@ TEST_F(Redo, MakesEveryChangeWholeWhateverPartOfItWasMade) {
   step(RecordType::leave_subscription,
        [&](R& r) { r.change_subscription(t, 0, EndpointState::over); });
   step(RecordType::client_dead, [&](R& r) { r.client_died(a, DeathReason::died); });
+  step(RecordType::topic_forgotten, [&](R& r) { r.forget_in_topic(a, t); });
   step(RecordType::client_forgotten, [&](R& r) { r.client_forgotten(a); });
   step(RecordType::unlinked, [&](R& r) { r.let_go(publisher, b); });
   step(RecordType::unlinked, [&](R& r) { r.let_go_of_region(a, b); });
@@ -229,6 +230,8 @@ TEST_F(Redo, RefusesAChangeThatItCannotCarryOutAndTouchesNothing) {
       {RecordType::add_publisher, {0, 0, 1, abi::client_count_max}},
       {RecordType::add_subscription, {0, abi::subscription_count_max, 1, 0}},
       {RecordType::free_subscription, {far, 0, 1, 0}},
+      {RecordType::topic_forgotten, {0, abi::client_count_max, 1}},
+      {RecordType::topic_forgotten, {abi::topic_count_max, 0, 1}},
       {RecordType::announced, {0, 0, abi::client_count_max, 0, 1, 0}},
       {RecordType::announced, {0, far, 0, 1, 1, 0}},
       {RecordType::unlinked, {far, 0, 0, static_cast<std::uint64_t>(Kind::region), 1, 0}},

@@ -12,6 +12,9 @@
 
 #include <gtest/gtest.h>
 
+#include <sys/mman.h>
+#include <unistd.h>
+
 #include <algorithm>
 #include <bit>
 #include <cstdio>
@@ -189,6 +192,12 @@ TEST_F(RegistryTest, ForgetsADeadProcessEverywhere) {
   registry.tell({Kind::publisher, t, p.index}, b);
   registry.tell({Kind::subscription, u, s.index}, b);
   registry.client_died(b, journal::DeathReason::died);
+  EXPECT_EQ(registry.known_topic_of(b), t);
+  registry.forget_in_topic(b, t);
+  EXPECT_EQ(registry.known_topic_of(b), u);
+  registry.forget_in_topic(b, u);
+  EXPECT_FALSE(registry.known_topic_of(b));
+  EXPECT_TRUE(registry.client(a).told.contains(number(b))) << "its region is let go of last";
   registry.client_forgotten(b);
   EXPECT_TRUE(registry.told_of({Kind::publisher, t, p.index}).reusable());
   EXPECT_TRUE(registry.told_of({Kind::subscription, u, s.index}).reusable());
@@ -280,6 +289,7 @@ TEST_F(RegistryTest, RefusesDamageAndSaysWhich) {
     const Tables& tables = *reinterpret_cast<Tables*>(memory.parts().tables);
     const TableHeader header = tables.header;
     const ClientRecord first_client = tables.client[0];
+    const TopicRecord first_topic = tables.topic[0];
     const PublisherRecord first_publisher = tables.publisher[0][0];
     damage();
     const auto opened = Registry(memory.parts()).open();
@@ -293,6 +303,7 @@ TEST_F(RegistryTest, RefusesDamageAndSaysWhich) {
     Tables& mended = *reinterpret_cast<Tables*>(memory.parts().tables);
     mended.header = header;
     mended.client[0] = first_client;
+    mended.topic[0] = first_topic;
     mended.publisher[0][0] = first_publisher;
     ASSERT_TRUE(Registry(memory.parts()).open());
   };
@@ -317,6 +328,8 @@ TEST_F(RegistryTest, RefusesDamageAndSaysWhich) {
   refused_with([&] { tables.publisher[0][0].extent = Registry::client_region_bytes; },
                "a publisher");
   refused_with([&] { tables.publisher[0][0].client = ClientIndex{77}; }, "a publisher");
+  refused_with([&] { tables.publisher[0][0].state = EndpointState::free; }, "a publisher");
+  refused_with([&] { tables.topic[0].subscriptions[3] = 1; }, "places of a topic");
   refused_with([&] { log_word(16).store(2); }, "not of one incarnation");
 }
 
@@ -341,8 +354,89 @@ TEST_F(RegistryTest, GivesOutNoFreePlaceThatSomebodyIsStillToldOf) {
   registry.free_subscription(t, 0);
   tables.subscription[number(t)][1].told.let_go(5, 0);
   tables.subscription[number(t)][0].told.tell(5);
-  EXPECT_TRUE(registry.was_used(ref));
+  EXPECT_FALSE(registry.is_used(ref));
   EXPECT_EQ(registry.plan_subscription(a, t, qos, 1).value().index, 1u);
+}
+
+/// Pages of the tables that have memory.
+std::uint64_t pages_of(const Registry::Memory& memory) {
+  const auto page = static_cast<std::uint64_t>(::sysconf(_SC_PAGESIZE));
+  std::vector<unsigned char> there(tables_bytes / page);
+  EXPECT_EQ(::mincore(memory.tables, there.size() * page, there.data()), 0);
+  return static_cast<std::uint64_t>(
+      std::count_if(there.begin(), there.end(), [](unsigned char one) { return (one & 1) != 0; }));
+}
+
+// Places that were used once cost nothing, whoever took them and however high they were.
+TEST_F(RegistryTest, GivesTheMemoryOfFreePlacesBack) {
+  const ClientIndex a = client();
+  std::vector<TopicIndex> topics;
+  for (int i = 0; i < 3; ++i) topics.push_back(topic("/topic" + std::to_string(i)));
+  subscription(a, topics[0]);
+  publisher(a, topics[0]);
+  const std::uint64_t before = pages_of(memory.parts());
+  for (const TopicIndex at : topics) {
+    while (registry.topic(at).subscription_high < abi::subscription_count_max) subscription(a, at);
+    while (registry.topic(at).publisher_high < abi::publisher_count_max) publisher(a, at);
+  }
+  const std::uint64_t full = pages_of(memory.parts());
+  EXPECT_GT(full, before + 300);
+  const auto end = [&](const EndpointRef& ref) {
+    if (ref.kind == Kind::publisher) {
+      registry.orphan_publisher(ref.topic, ref.index, 0);
+      registry.end_publisher(ref.topic, ref.index, EndpointState::over);
+      registry.end_publisher(ref.topic, ref.index, EndpointState::free);
+    } else {
+      registry.change_subscription(ref.topic, ref.index, EndpointState::over);
+      registry.free_subscription(ref.topic, ref.index);
+    }
+  };
+  // The first topic keeps its first and its last places: what lies between them goes all the same.
+  const auto is_kept = [&](const EndpointRef& ref) {
+    const std::uint32_t last = ref.kind == Kind::publisher ? abi::publisher_count_max - 1
+                                                           : abi::subscription_count_max - 1;
+    return ref.topic == topics[0] && (ref.index == 0 || ref.index == last);
+  };
+  for (const EndpointRef& ref : std::vector(registry.endpoints_of(a))) {
+    if (!is_kept(ref)) end(ref);
+  }
+  for (const std::size_t i : {1u, 2u}) registry.free_topic(topics[i]);
+  // A page for each of two places, and two for one that lies in both.
+  EXPECT_LE(pages_of(memory.parts()), before + 6);
+  // Nobody looks at what is not there: not to walk, not to answer who names a place, not at a start.
+  const std::uint64_t after = pages_of(memory.parts());
+  EXPECT_FALSE(registry.is_used({Kind::subscription, topics[0], 300}));
+  EXPECT_FALSE(registry.is_used({Kind::subscription, topics[0], 1u << 31}));
+  EXPECT_FALSE(registry.is_used({Kind::publisher, topics[1], 3}));
+  std::vector<std::uint32_t> met;
+  registry.for_each_subscription(
+      topics[0], [&](std::uint32_t i, const SubscriptionRecord&) { met.push_back(i); });
+  EXPECT_EQ(met, (std::vector<std::uint32_t>{0, abi::subscription_count_max - 1}));
+  Registry later(memory.parts());
+  ASSERT_TRUE(later.open());
+  EXPECT_EQ(later.repair_board(), 0u);
+  EXPECT_EQ(later.endpoints_of(a).size(), 4u);
+  EXPECT_EQ(pages_of(memory.parts()), after);
+  // And what is given out again is as if it were new.
+  const auto again = later.plan_subscription(a, topics[0], {1, false, true, false, false}, 1).value();
+  EXPECT_EQ(again.index, 1u);
+}
+
+TEST_F(RegistryTest, VisitsWhatIsThereThoughItEndsMeanwhile) {
+  const ClientIndex a = client();
+  const TopicIndex t = topic();
+  for (int i = 0; i < 130; ++i) subscription(a, t);
+  std::vector<std::uint32_t> met;
+  registry.for_each_subscription(t, [&](std::uint32_t i, const SubscriptionRecord&) {
+    met.push_back(i);
+    for (const std::uint32_t one : {i, i + 1}) {
+      if (!registry.is_used({Kind::subscription, t, one})) continue;
+      registry.change_subscription(t, one, EndpointState::over);
+      registry.free_subscription(t, one);
+    }
+  });
+  EXPECT_EQ(met.size(), 65u);
+  EXPECT_TRUE(registry.topic_is_empty(t));
 }
 
 TEST_F(RegistryTest, MakesTheBoardSayWhatTheTablesSay) {

@@ -1,0 +1,159 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: the end of a process is done in steps that are short whatever it has left behind, in the topics that it
+// knew and in no others, and others may be served between any two of them.
+// Method: registry, membership and regions as the daemon has them, processes without connections; time that is
+// over at once, so that each call is one step; what a step does is counted in records of the redo log.
+
+#include <daemon/reaper.hpp>
+#include <tests/support/temporary_directory.hpp>
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <string>
+#include <vector>
+
+namespace agnocast::daemon {
+namespace {
+
+class NobodyIsConnected final : public Post {
+ public:
+  Session* session_of(ClientIndex) override { return nullptr; }
+  std::uint64_t user_namespace_of(ClientIndex) override { return 0; }
+  void send(ClientIndex, Outgoing) override {}
+};
+
+class ReaperTest : public testing::Test {
+ protected:
+  ReaperTest()
+      : regions(Regions::create(store).value()),
+        registry(regions.memory()),
+        doorbells(directory.path(), store),
+        membership(registry, regions, doorbells, post) {
+    registry.create(1);
+  }
+
+  ClientIndex process(std::uint32_t uid) {
+    const ClientPlan plan = registry.plan_client().value();
+    EXPECT_TRUE(regions.open_client(plan.index, plan.generation));
+    registry.add_client({uid, uid, 1, 0, "a process"}, plan);
+    EXPECT_TRUE(doorbells.open(plan.index, 0));
+    registry.open_executor(plan.index, 0);
+    return plan.index;
+  }
+  void create(ClientIndex client, Kind kind, const std::string& topic) {
+    CreateRequest request;
+    request.kind = kind;
+    request.request = ++last_request;
+    request.topic = topic;
+    request.type = "T";
+    request.node = "node";
+    request.qos = {1, false, true, false, false};
+    request.quota = 1;
+    ASSERT_TRUE(membership.create(client, request));
+  }
+  std::uint64_t lsn() { return registry.log().committed_lsn(); }
+
+  test::TemporaryDirectory directory;
+  DescriptorStore store;
+  Regions regions;
+  Registry registry;
+  NobodyIsConnected post;
+  Doorbells doorbells;
+  Membership membership;
+  std::uint64_t last_request = 0;
+};
+
+TEST_F(ReaperTest, EndsAProcessInStepsThatDoNotGrowWithWhatItLeaves) {
+  const ClientIndex a = process(1), b = process(2);
+  constexpr int topic_count = 20;
+  for (int i = 0; i < topic_count; ++i) {
+    const std::string topic = "/topic" + std::to_string(i);
+    create(b, Kind::publisher, topic);
+    create(a, Kind::subscription, topic);
+    create(a, Kind::publisher, topic + "/own");
+    create(a, Kind::subscription, topic + "/own");
+  }
+  Reaping reaping(a, journal::DeathReason::died, registry, regions, doorbells, membership);
+  std::uint64_t most = 0;
+  int steps = 1;
+  bool done = false;
+  for (; !done; ++steps) {
+    const std::uint64_t before = lsn();
+    done = reaping.go_on(0);
+    most = std::max(most, lsn() - before);
+    // The state between two steps is one that another daemon can go on with.
+    Registry next(regions.memory());
+    ASSERT_TRUE(next.open());
+    ASSERT_LT(steps, 1000);
+  }
+  EXPECT_LE(most, 3u) << "an endpoint, its topic and its process";
+  EXPECT_GT(steps, 3 * topic_count);
+  EXPECT_EQ(registry.client(a).state, ClientState::forgotten) << "b has its region";
+  for (int i = 0; i < topic_count; ++i) {
+    const std::string topic = "/topic" + std::to_string(i);
+    const auto at = registry.find_topic(0, topic);
+    ASSERT_TRUE(at);
+    EXPECT_FALSE(registry.told_of({Kind::publisher, *at, 0}).contains(number(a)));
+    EXPECT_FALSE(registry.find_topic(0, topic + "/own")) << "nobody else had any of it";
+  }
+  EXPECT_EQ(registry.endpoints_of(a).size(), std::size_t{topic_count})
+      << "those that b was told of, until it lets go";
+}
+
+TEST_F(ReaperTest, LooksOnlyWhereTheProcessWas) {
+  const ClientIndex a = process(1), b = process(2), c = process(3);
+  create(a, Kind::publisher, "/here");
+  create(b, Kind::subscription, "/here");
+  const auto steps_of = [&](ClientIndex client) {
+    Reaping reaping(client, journal::DeathReason::died, registry, regions, doorbells, membership);
+    int steps = 1;
+    while (!reaping.go_on(0)) ++steps;
+    return steps;
+  };
+  const int alone = steps_of(a);
+  // It is somebody else's, and there is much more of it elsewhere.
+  const ClientIndex again = process(1);
+  for (int i = 0; i < 200; ++i) {
+    create(c, Kind::publisher, "/elsewhere" + std::to_string(i));
+    create(c, Kind::subscription, "/elsewhere" + std::to_string(i));
+  }
+  create(again, Kind::publisher, "/there");
+  create(b, Kind::subscription, "/there");
+  EXPECT_EQ(steps_of(again), alone);
+}
+
+// Others are served between two steps: what they take and leave meanwhile is theirs.
+TEST_F(ReaperTest, LeavesAlonePlacesThatAreTakenMeanwhile) {
+  const ClientIndex a = process(1), b = process(2);
+  for (const char* const topic : {"/x", "/y", "/z"}) create(a, Kind::publisher, topic);
+  Reaping reaping(a, journal::DeathReason::died, registry, regions, doorbells, membership);
+  int step = 0;
+  for (bool done = false; !done; ++step) {
+    done = reaping.go_on(0);
+    if (step % 2 == 0) create(b, step % 4 == 0 ? Kind::publisher : Kind::subscription, "/x");
+    if (step % 3 == 0) create(b, Kind::publisher, "/z");
+  }
+  EXPECT_EQ(registry.client(a).state, ClientState::free);
+  EXPECT_FALSE(registry.find_topic(0, "/y"));
+  std::size_t of_b = 0;
+  for (const char* const topic : {"/x", "/z"}) {
+    const auto at = registry.find_topic(0, topic);
+    ASSERT_TRUE(at);
+    registry.for_each_publisher(*at, [&](std::uint32_t, const PublisherRecord& record) {
+      EXPECT_EQ(record.client, b);
+      EXPECT_EQ(record.state, EndpointState::active);
+      ++of_b;
+    });
+    registry.for_each_subscription(*at, [&](std::uint32_t, const SubscriptionRecord& record) {
+      EXPECT_EQ(record.client, b);
+      ++of_b;
+    });
+  }
+  EXPECT_EQ(of_b, registry.endpoints_of(b).size());
+  EXPECT_GT(of_b, 2u);
+}
+
+}  // namespace
+}  // namespace agnocast::daemon
