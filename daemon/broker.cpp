@@ -770,14 +770,16 @@ int Broker::due_ms() const noexcept {
 }
 
 void Broker::watch_holds() {
-  const auto liar = hold_watch_.look();
-  if (!liar) return;
-  Peer* const peer = by_client_[number(registry_.owner_of(liar->subscription))];
-  if (peer == nullptr) return;
-  revoke(*peer, "its subscription to " +
-                    std::string(registry_.topic(liar->subscription.topic).name) + " holds " +
-                    std::to_string(liar->held) + " messages of one publisher, its quota is " +
-                    std::to_string(liar->quota));
+  for (const HoldWatch::Finding& liar : hold_watch_.look()) {
+    // The end of another one may have been the end of this place.
+    if (!registry_.is_used(liar.subscription)) continue;
+    Peer* const peer = by_client_[number(registry_.owner_of(liar.subscription))];
+    if (peer == nullptr) continue;
+    revoke(*peer, "its subscription to " +
+                      std::string(registry_.topic(liar.subscription.topic).name) + " holds " +
+                      std::to_string(liar.held) + " messages of one publisher, its quota is " +
+                      std::to_string(liar.quota));
+  }
 }
 
 void Broker::watch_letting_go() {

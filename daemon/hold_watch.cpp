@@ -10,8 +10,11 @@
 namespace agnocast::daemon {
 namespace {
 
-// Lines and empty places that one look goes over: some tens of microseconds.
+// Lines and places that one look goes over, of all users: below a millisecond.
 constexpr std::uint32_t steps_per_look = 4096;
+// And of one user. So the lines of each are looked at once in as many looks as there are shares in them, times one
+// for each eight users. A subscription that is begun is finished: at most 254 lines more.
+constexpr std::uint32_t steps_per_turn = 512;
 // Looks in a row above the quota that make it certain. One a second: there is no hurry, and somebody
 // who looks with agnocast-ctl verify can still see it.
 constexpr unsigned looks_needed = 6;
@@ -41,35 +44,50 @@ std::uint64_t HoldWatch::held_beyond_quota(TopicIndex topic, std::uint32_t subsc
   return held > record.quota ? held : 0;
 }
 
-void HoldWatch::go_on() {
-  std::uint32_t left = steps_per_look;
-  std::uint32_t begun = 0;  // topics: nobody is looked at twice in one look
-  while (left > 0 && begun <= registry_.topic_high()) {
-    if (topic_ >= registry_.topic_high()) topic_ = 0, subscription_ = 0;
-    if (registry_.topic_high() == 0) return;
-    const TopicIndex topic{topic_};
-    const auto next = registry_.topic(topic).state == TopicState::free
-                          ? std::nullopt
-                          : registry_.next_place(Kind::subscription, topic, subscription_);
+std::uint32_t HoldWatch::look_at(TopicIndex topic, std::uint32_t subscription) {
+  std::uint32_t steps = 1;
+  registry_.for_each_publisher(topic, [&](std::uint32_t publisher, const PublisherRecord&) {
+    ++steps;
+    if (held_beyond_quota(topic, subscription, publisher) != 0)
+      suspects_.try_emplace(Key{number(topic), subscription, publisher},
+                            Suspect{registry_.subscription(topic, subscription).generation, 0});
+  });
+  return steps;
+}
+
+// Nothing is looked at twice in one turn: it ends with the last topic of the user.
+std::uint32_t HoldWatch::take_turn(std::uint32_t uid, Position& at) {
+  std::uint32_t steps = 0;
+  while (steps < steps_per_turn) {
+    const auto next = at.topic && registry_.takes_part(uid, *at.topic)
+                          ? registry_.next_place(Kind::subscription, *at.topic, at.place)
+                          : std::nullopt;
+    ++steps;
     if (!next) {
-      ++topic_, ++begun, --left;
-      subscription_ = 0;
+      at = {registry_.next_topic_of(uid, at.topic), 0};
+      if (!at.topic) break;
       continue;
     }
-    const std::uint32_t subscription = *next;
-    subscription_ = subscription + 1;
-    --left;
-    registry_.for_each_publisher(topic, [&](std::uint32_t publisher, const PublisherRecord&) {
-      left -= std::min(left, 1U);
-      if (held_beyond_quota(topic, subscription, publisher) != 0)
-        suspects_.try_emplace(Key{number(topic), subscription, publisher},
-                              Suspect{registry_.subscription(topic, subscription).generation, 0});
-    });
+    at.place = *next + 1;
+    const ClientIndex owner = registry_.subscription(*at.topic, *next).client;
+    if (registry_.client(owner).uid == uid) steps += look_at(*at.topic, *next);
+  }
+  return steps;
+}
+
+void HoldWatch::go_on() {
+  std::erase_if(positions_, [&](const auto& one) { return !registry_.has_user(one.first); });
+  std::uint32_t steps = 0;
+  for (std::size_t turn = 0; turn < registry_.user_count() && steps < steps_per_look; ++turn) {
+    last_user_ = registry_.next_user(last_user_);
+    if (!last_user_) last_user_ = registry_.next_user(std::nullopt);
+    steps += take_turn(*last_user_, positions_[*last_user_]);
   }
 }
 
-std::optional<HoldWatch::Finding> HoldWatch::look() {
+std::vector<HoldWatch::Finding> HoldWatch::look() {
   go_on();
+  std::map<std::uint32_t, Finding> found;  // by uid
   for (auto at = suspects_.begin(); at != suspects_.end();) {
     const auto [topic, subscription, publisher] = at->first;
     const EndpointRef ref{Kind::subscription, TopicIndex{topic}, subscription};
@@ -80,14 +98,20 @@ std::optional<HoldWatch::Finding> HoldWatch::look() {
     const std::uint64_t held = is_there ? held_beyond_quota(ref.topic, subscription, publisher) : 0;
     if (held == 0) {
       at = suspects_.erase(at);
-    } else if (++at->second.looks < looks_needed) {
-      ++at;
+      continue;
+    }
+    const SubscriptionRecord& record = registry_.subscription(ref.topic, subscription);
+    if (++at->second.looks >= looks_needed &&
+        found.try_emplace(registry_.client(record.client).uid, Finding{ref, held, record.quota})
+            .second) {
+      at = suspects_.erase(at);
     } else {
-      suspects_.erase(at);
-      return Finding{ref, held, registry_.subscription(ref.topic, subscription).quota};
+      ++at;
     }
   }
-  return std::nullopt;
+  std::vector<Finding> all;
+  for (const auto& [uid, finding] : found) all.push_back(finding);
+  return all;
 }
 
 }  // namespace agnocast::daemon

@@ -20,6 +20,8 @@ constexpr unsigned looks_needed = 30;
 // Records and words of shared memory that one call looks at: below a millisecond. An endpoint that is
 // begun is finished: another 25,000 at most.
 constexpr std::uint64_t steps_per_call = 16'384;
+// And for one user, so that four have a turn in each call.
+constexpr std::uint64_t steps_per_turn = steps_per_call / 4;
 
 }  // namespace
 
@@ -41,7 +43,7 @@ bool LetGoWatch::holds(const SubscriptionRecord& subscription, const EndpointRef
   return false;
 }
 
-void LetGoWatch::note_debtors(std::uint64_t generation, const EndpointRef& ref) {
+void LetGoWatch::note_debtors(Round& round, std::uint64_t generation, const EndpointRef& ref) {
   const AnnounceSet& told = registry_.told_of(ref);
   std::set<ClientIndex> holders;
   if (ref.kind == Kind::publisher) {
@@ -57,23 +59,44 @@ void LetGoWatch::note_debtors(std::uint64_t generation, const EndpointRef& ref) 
   for (std::uint32_t i = 0; i < registry_.client_high(); ++i) {
     const ClientIndex client{i};
     if (told.contains(i) && registry_.is_alive(client) && holders.count(client) == 0)
-      ++debts_.try_emplace(client, Finding{client, ref, generation, 0}).first->second.count;
+      ++round.debts.try_emplace(client, Finding{client, ref, generation, 0}).first->second.count;
+  }
+}
+
+void LetGoWatch::take_turn(std::uint32_t uid, Round& round,
+                           std::map<ClientIndex, Finding>& found) {
+  const auto of_user = membership_.given_up().find(uid);
+  const std::uint64_t until = steps_ + steps_per_turn;
+  for (; steps_ < until; ++round.next) {
+    if (of_user == membership_.given_up().end()) return conclude(round, found);
+    const auto oldest = of_user->second.lower_bound(round.next);
+    if (oldest == of_user->second.end()) return conclude(round, found);
+    round.next = oldest->first;
+    note_debtors(round, oldest->first, oldest->second);
   }
 }
 
 std::vector<LetGoWatch::Finding> LetGoWatch::look() {
-  const auto& given_up = membership_.given_up();  // oldest first
-  for (steps_ = 0; steps_ < steps_per_call; ++next_) {
-    const auto found = given_up.lower_bound(next_);
-    if (found == given_up.end()) return conclude();
-    next_ = found->first;
-    note_debtors(found->first, found->second);
+  const auto& given_up = membership_.given_up();
+  std::map<ClientIndex, Finding> found;
+  std::erase_if(rounds_, [&](const auto& one) { return !given_up.contains(one.first); });
+  steps_ = 0;
+  for (std::size_t turn = 0; turn < given_up.size() && steps_ < steps_per_call; ++turn) {
+    auto user = given_up.lower_bound(next_user_);
+    if (user == given_up.end()) user = given_up.begin();
+    take_turn(user->first, rounds_[user->first], found);
+    next_user_ = user->first + 1;  // 0 behind the last number there is
   }
-  return {};
+  std::vector<Finding> all;
+  for (const auto& [client, finding] : found) all.push_back(finding);
+  return all;
 }
 
 void LetGoWatch::told_again(ClientIndex client) {
-  if (const auto found = suspects_.find(client); found != suspects_.end()) found->second.deaf = 0;
+  for (auto& [uid, round] : rounds_) {
+    const auto found = round.suspects.find(client);
+    if (found != round.suspects.end()) found->second.deaf = 0;
+  }
 }
 
 bool LetGoWatch::is_true(const Finding& finding) const {
@@ -82,9 +105,9 @@ bool LetGoWatch::is_true(const Finding& finding) const {
          registry_.told_of(ref).contains(number(finding.client));
 }
 
-LetGoWatch::Suspect LetGoWatch::looked_at(const Finding& debt) const {
-  const auto before = suspects_.find(debt.client);
-  const bool same = before != suspects_.end() && before->second.generation == debt.generation;
+LetGoWatch::Suspect LetGoWatch::looked_at(const Round& round, const Finding& debt) const {
+  const auto before = round.suspects.find(debt.client);
+  const bool same = before != round.suspects.end() && before->second.generation == debt.generation;
   Suspect suspect = same ? before->second : Suspect{debt.generation};
   ++suspect.looks;
   const Session* const session = post_.session_of(debt.client);
@@ -97,21 +120,19 @@ LetGoWatch::Suspect LetGoWatch::looked_at(const Finding& debt) const {
   return suspect;
 }
 
-std::vector<LetGoWatch::Finding> LetGoWatch::conclude() {
-  std::vector<Finding> found;
+void LetGoWatch::conclude(Round& round, std::map<ClientIndex, Finding>& found) {
   std::map<ClientIndex, Suspect> suspects;
-  for (const auto& [client, debt] : debts_) {
-    const Suspect suspect = looked_at(debt);
+  for (const auto& [client, debt] : round.debts) {
+    const Suspect suspect = looked_at(round, debt);
     if (suspect.deaf >= deaf_looks_needed || suspect.looks >= looks_needed) {
-      found.push_back(debt);
+      found.try_emplace(client, debt);
     } else {
       suspects.emplace(client, suspect);
     }
   }
-  suspects_ = std::move(suspects);
-  debts_.clear();
-  next_ = 0;
-  return found;
+  round.suspects = std::move(suspects);
+  round.debts.clear();
+  round.next = 0;
 }
 
 }  // namespace agnocast::daemon

@@ -15,8 +15,9 @@
 // nothing of it. Who reads, has no connection or has just come back gets more, and no more than that,
 // however often it comes back.
 //
-// One look goes over everything that was given up, in as many calls as that takes: others must not
-// wait for it.
+// One look goes over everything that one user's processes had and that was given up, in as many calls as
+// that takes: others must not wait for it. Each user has looks of its own, and in a call its turn: what
+// one has left behind makes no look at another's longer.
 #pragma once
 
 #include <daemon/membership.hpp>
@@ -41,7 +42,8 @@ class LetGoWatch {
     std::uint64_t generation = 0;  // of the oldest
     std::uint64_t count = 0;       // of such endpoints
   };
-  /// To be called about once a second. All that were found: one alone may make no place free.
+  /// To be called about once a second. All that were found, a process once: one alone may make no place
+  /// free.
   std::vector<Finding> look();
   /// It is told everything once more.
   void told_again(ClientIndex client);
@@ -56,20 +58,25 @@ class LetGoWatch {
     unsigned deaf = 0;
     std::uint64_t sent = 0;  // packets, on its connection
   };
+  /// Of one user: the look that is under way, up to which generation, and what it found.
+  struct Round {
+    std::uint64_t next = 0;
+    std::map<ClientIndex, Finding> debts;
+    std::map<ClientIndex, Suspect> suspects;
+  };
   bool holds(const SubscriptionRecord& subscription, const EndpointRef& of);
-  void note_debtors(std::uint64_t generation, const EndpointRef& ref);
-  Suspect looked_at(const Finding& debt) const;
-  std::vector<Finding> conclude();
+  void note_debtors(Round& round, std::uint64_t generation, const EndpointRef& ref);
+  void take_turn(std::uint32_t uid, Round& round, std::map<ClientIndex, Finding>& found);
+  Suspect looked_at(const Round& round, const Finding& debt) const;
+  void conclude(Round& round, std::map<ClientIndex, Finding>& found);
 
   const Registry& registry_;
   const Regions& regions_;
   const Membership& membership_;
   Post& post_;
-  // The look that is under way: up to which generation, and what it found; steps of this call.
-  std::uint64_t next_ = 0;
-  std::map<ClientIndex, Finding> debts_;
-  std::uint64_t steps_ = 0;
-  std::map<ClientIndex, Suspect> suspects_;
+  std::map<std::uint32_t, Round> rounds_;  // by uid
+  std::uint32_t next_user_ = 0;            // whose turn is the first
+  std::uint64_t steps_ = 0;                // of this call
 };
 
 }  // namespace agnocast::daemon

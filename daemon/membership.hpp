@@ -107,8 +107,10 @@ class Membership {
   /// Of the processes that are gone and of which others have something, gives up the oldest of the user
   /// who has most, when they are too many.
   void limit_gone();
-  /// What is over, by generation: whoever was told of it and holds nothing of it is to let go now.
-  const std::map<std::uint64_t, EndpointRef>& given_up() const noexcept { return given_up_; }
+  /// What is over, by the user whose it was and generation: whoever was told of it and holds nothing of it
+  /// is to let go now.
+  using GivenUp = std::map<std::uint32_t, std::map<std::uint64_t, EndpointRef>>;
+  const GivenUp& given_up() const noexcept { return given_up_; }
 
   // --- for a daemon that goes on
   /// Carries out what follows from the records of the former life and has no record yet: who has
@@ -164,6 +166,9 @@ class Membership {
   void limit_dead_subscriptions(TopicIndex topic);
   void give_up_oldest(std::vector<std::pair<std::uint64_t, EndpointRef>>& over, std::size_t kept);
   void give_up(const EndpointRef& ref);
+  std::uint32_t user_of(const EndpointRef& ref) const;
+  bool is_given_up(const EndpointRef& ref) const;
+  void forget_given_up(const EndpointRef& ref);
   void give_up_all_of(ClientIndex client);
   [[nodiscard]] tl::unexpected<Failure> explain_full(TopicIndex topic, const Failure& why) const;
   void let_go(const EndpointRef& ref, ClientIndex by);
@@ -190,7 +195,7 @@ class Membership {
   std::map<std::uint32_t, std::vector<wire::Notice>> missed_notices_;
   std::set<Attachment> waiting_;
   std::map<ClientIndex, ToTell> to_tell_;
-  std::map<std::uint64_t, EndpointRef> given_up_;
+  GivenUp given_up_;
 };
 
 }  // namespace agnocast::daemon

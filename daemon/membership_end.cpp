@@ -41,16 +41,32 @@ void Membership::say_orphaned(const EndpointRef& ref, ClientIndex to) {
   packet.index = ref.index;
   packet.generation = registry_.generation_of(ref);
   packet.final_head =
-      given_up_.contains(packet.generation) ? 0 : registry_.final_head_of(ref.topic, ref.index);
+      is_given_up(ref) ? 0 : registry_.final_head_of(ref.topic, ref.index);
   post_.send(to, packet_of(packet), {});
 }
 
 // Only asked for: a place is free when everybody has said `unlinked`, as ever. Who neither does nor
 // holds anything is found by LetGoWatch.
 void Membership::give_up(const EndpointRef& ref) {
-  if (!given_up_.try_emplace(registry_.generation_of(ref), ref).second) return;
+  if (!given_up_[user_of(ref)].try_emplace(registry_.generation_of(ref), ref).second) return;
   if (ref.kind == Kind::subscription) return;  // `forget` has asked for it
   for_each_told(registry_.told_of(ref), [&](ClientIndex to) { say_orphaned(ref, to); });
+}
+
+std::uint32_t Membership::user_of(const EndpointRef& ref) const {
+  return registry_.client(registry_.owner_of(ref)).uid;
+}
+
+bool Membership::is_given_up(const EndpointRef& ref) const {
+  const auto of_user = given_up_.find(user_of(ref));
+  return of_user != given_up_.end() && of_user->second.contains(registry_.generation_of(ref));
+}
+
+void Membership::forget_given_up(const EndpointRef& ref) {
+  const auto of_user = given_up_.find(user_of(ref));
+  if (of_user == given_up_.end()) return;
+  of_user->second.erase(registry_.generation_of(ref));
+  if (of_user->second.empty()) given_up_.erase(of_user);
 }
 
 void Membership::give_up_oldest(std::vector<std::pair<std::uint64_t, EndpointRef>>& over,
@@ -201,7 +217,7 @@ void Membership::settle(const EndpointRef& ref) {
   if (ref.kind == Kind::publisher) {
     const EndpointState state = registry_.publisher(ref.topic, ref.index).state;
     if (state != EndpointState::orphan && state != EndpointState::over) return;
-    given_up_.erase(registry_.generation_of(ref));
+    forget_given_up(ref);
     if (owner_dead) {
       free_publisher(ref);
     } else if (state == EndpointState::orphan) {
@@ -213,7 +229,7 @@ void Membership::settle(const EndpointRef& ref) {
   } else {
     const EndpointState state = registry_.subscription(ref.topic, ref.index).state;
     if (!is_over(state)) return;
-    given_up_.erase(registry_.generation_of(ref));
+    forget_given_up(ref);
     const std::uint64_t extent = registry_.subscription(ref.topic, ref.index).extent;
     registry_.free_subscription(ref.topic, ref.index);
     discard(owner, extent, abi::subscription_extent_bytes);

@@ -236,6 +236,22 @@ bool Registry::takes_part(std::uint32_t uid, TopicIndex topic) const {
   return found != accounts_.end() && found->second.topics.count(number(topic)) != 0;
 }
 
+std::optional<std::uint32_t> Registry::next_user(std::optional<std::uint32_t> after) const {
+  const auto next = after ? accounts_.upper_bound(*after) : accounts_.begin();
+  if (next == accounts_.end()) return std::nullopt;
+  return next->first;
+}
+
+std::optional<TopicIndex> Registry::next_topic_of(std::uint32_t uid,
+                                                  std::optional<TopicIndex> after) const {
+  const auto account = accounts_.find(uid);
+  if (account == accounts_.end()) return std::nullopt;
+  const auto& topics = account->second.topics;
+  const auto next = after ? topics.upper_bound(number(*after)) : topics.begin();
+  if (next == topics.end()) return std::nullopt;
+  return TopicIndex{next->first};
+}
+
 void Registry::open_window(ClientIndex index, const WindowRecord& window) {
   AGNOCAST_CHECK(is_alive(index));
   AGNOCAST_CHECK(client(index).window_count < abi::window_count_max);

@@ -175,6 +175,12 @@ class Registry {
   Usage usage_of(std::uint32_t uid) const;
   /// Has a process of this user an endpoint there?
   bool takes_part(std::uint32_t uid, TopicIndex topic) const;
+  /// Users that have something, and the topics of one in which it has endpoints, each in turn: the first
+  /// one behind what is given, the very first when nothing is.
+  std::optional<std::uint32_t> next_user(std::optional<std::uint32_t> after) const;
+  std::optional<TopicIndex> next_topic_of(std::uint32_t uid, std::optional<TopicIndex> after) const;
+  std::size_t user_count() const noexcept { return accounts_.size(); }
+  bool has_user(std::uint32_t uid) const { return accounts_.count(uid) != 0; }
   void open_window(ClientIndex index, const WindowRecord& window);
   void open_executor(ClientIndex index, std::uint32_t executor);
   /// Who may read what the process publishes (access.hpp, readers_of): for its whole life.
@@ -305,7 +311,7 @@ class Registry {
   /// Derived: of a user that has something.
   struct Account {
     Usage usage;
-    std::unordered_map<std::uint32_t, std::uint64_t> topics;  // number → endpoints there
+    std::map<std::uint32_t, std::uint64_t> topics;  // number → endpoints there
   };
 
   void change(Type type, std::initializer_list<std::uint64_t> arguments);
@@ -368,7 +374,7 @@ class Registry {
   std::uint64_t redone_lsn_ = 0;
   std::vector<View> views_;
   std::unordered_map<std::string, TopicIndex> topics_;
-  std::unordered_map<std::uint32_t, Account> accounts_;  // by uid
+  std::map<std::uint32_t, Account> accounts_;  // by uid
 };
 
 /// What the board says of an endpoint in this state.

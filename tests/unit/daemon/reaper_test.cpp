@@ -6,7 +6,7 @@
 // over at once, so that each call is one step; what a step does is counted in records of the redo log.
 
 #include <daemon/reaper.hpp>
-#include <tests/support/temporary_directory.hpp>
+#include <tests/support/daemon_core.hpp>
 
 #include <gtest/gtest.h>
 
@@ -17,52 +17,19 @@
 namespace agnocast::daemon {
 namespace {
 
-class NobodyIsConnected final : public Post {
- public:
-  Session* session_of(ClientIndex) override { return nullptr; }
-  std::uint64_t user_namespace_of(ClientIndex) override { return 0; }
-  void send(ClientIndex, Outgoing) override {}
-};
-
 class ReaperTest : public testing::Test {
  protected:
-  ReaperTest()
-      : regions(Regions::create(store).value()),
-        registry(regions.memory()),
-        doorbells(directory.path(), store),
-        membership(registry, regions, doorbells, post) {
-    registry.create(1);
-  }
-
-  ClientIndex process(std::uint32_t uid) {
-    const ClientPlan plan = registry.plan_client().value();
-    EXPECT_TRUE(regions.open_client(plan.index, plan.generation));
-    registry.add_client({uid, uid, 1, 0, "a process"}, plan);
-    EXPECT_TRUE(doorbells.open(plan.index, 0));
-    registry.open_executor(plan.index, 0);
-    return plan.index;
-  }
+  ClientIndex process(std::uint32_t uid) { return core.process(uid); }
   void create(ClientIndex client, Kind kind, const std::string& topic) {
-    CreateRequest request;
-    request.kind = kind;
-    request.request = ++last_request;
-    request.topic = topic;
-    request.type = "T";
-    request.node = "node";
-    request.qos = {1, false, true, false, false};
-    request.quota = 1;
-    ASSERT_TRUE(membership.create(client, request));
+    core.create(client, kind, topic);
   }
   std::uint64_t lsn() { return registry.log().committed_lsn(); }
 
-  test::TemporaryDirectory directory;
-  DescriptorStore store;
-  Regions regions;
-  Registry registry;
-  NobodyIsConnected post;
-  Doorbells doorbells;
-  Membership membership;
-  std::uint64_t last_request = 0;
+  test::DaemonCore core;
+  Registry& registry = core.registry;
+  Regions& regions = core.regions;
+  Doorbells& doorbells = core.doorbells;
+  Membership& membership = core.membership;
 };
 
 TEST_F(ReaperTest, EndsAProcessInStepsThatDoNotGrowWithWhatItLeaves) {

@@ -1,0 +1,71 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// The daemon's core without its sockets: registry, membership and reaper on memory as the daemon has it, and
+// processes that have no connection.
+#pragma once
+
+#include <daemon/reaper.hpp>
+#include <tests/support/temporary_directory.hpp>
+
+#include <gtest/gtest.h>
+
+#include <cstdint>
+#include <string>
+
+namespace agnocast::test {
+
+struct DaemonCore {
+  class NobodyIsConnected final : public daemon::Post {
+   public:
+    daemon::Session* session_of(daemon::ClientIndex) override { return nullptr; }
+    std::uint64_t user_namespace_of(daemon::ClientIndex) override { return 0; }
+    void send(daemon::ClientIndex, daemon::Outgoing) override {}
+  };
+
+  explicit DaemonCore(const daemon::Capacity& capacity = {})
+      : regions(daemon::Regions::create(store).value()),
+        registry(regions.memory(), capacity),
+        doorbells(directory.path(), store),
+        membership(registry, regions, doorbells, post) {
+    registry.create(1);
+  }
+
+  daemon::ClientIndex process(std::uint32_t uid) {
+    const daemon::ClientPlan plan = registry.plan_client().value();
+    EXPECT_TRUE(regions.open_client(plan.index, plan.generation));
+    registry.add_client({uid, uid, 1, 0, "a process"}, plan);
+    EXPECT_TRUE(doorbells.open(plan.index, 0));
+    registry.open_executor(plan.index, 0);
+    return plan.index;
+  }
+  daemon::EndpointRef create(daemon::ClientIndex client, daemon::Kind kind,
+                             const std::string& topic) {
+    daemon::CreateRequest request;
+    request.kind = kind;
+    request.request = ++last_request;
+    request.topic = topic;
+    request.type = "T";
+    request.node = "node";
+    request.qos = {1, false, true, false, false};
+    request.quota = 1;
+    const auto created = membership.create(client, request);
+    EXPECT_TRUE(created) << (created ? "" : detail_of(created.error()));
+    return registry.find_creation(client, kind, request.request).value_or(daemon::EndpointRef());
+  }
+  void end(daemon::ClientIndex client) {
+    daemon::Reaping reaping(client, journal::DeathReason::died, registry, regions, doorbells,
+                            membership);
+    EXPECT_TRUE(reaping.go_on(UINT64_MAX));
+  }
+
+  TemporaryDirectory directory;
+  daemon::DescriptorStore store;
+  daemon::Regions regions;
+  daemon::Registry registry;
+  NobodyIsConnected post;
+  daemon::Doorbells doorbells;
+  daemon::Membership membership;
+  std::uint64_t last_request = 0;
+};
+
+}  // namespace agnocast::test

@@ -1,0 +1,124 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: who holds more than its quota, and who does not let go of what is over, is found within a bounded number
+// of looks, however much another user has that is to be looked at.
+// Method: registry, membership and regions as the daemon has them, processes without connections. One user has
+// thousands of lines (of things that are over), another one a few, and one that is wrong; looks are counted.
+
+#include <client/dataplane/views.hpp>
+#include <daemon/hold_watch.hpp>
+#include <daemon/let_go_watch.hpp>
+#include <tests/support/daemon_core.hpp>
+
+#include <gtest/gtest.h>
+
+#include <string>
+#include <vector>
+
+namespace agnocast::daemon {
+namespace {
+
+class WatchesTest : public testing::Test {
+ protected:
+  WatchesTest() : core({.publishers_per_topic = 64}) {}
+
+  dataplane::LinkWords<SharedMemory> line(const EndpointRef& subscription, std::uint32_t publisher) {
+    const SubscriptionRecord& record =
+        core.registry.subscription(subscription.topic, subscription.index);
+    return {core.regions.region(record.client), record.extent, publisher};
+  }
+  /// So many of each kind on each topic, of one user: a line for each pair.
+  void fill(std::uint32_t uid, int topics, int of_each) {
+    const ClientIndex client = core.process(uid);
+    for (int t = 0; t < topics; ++t) {
+      for (int i = 0; i < of_each; ++i) {
+        core.create(client, Kind::publisher, "/many" + std::to_string(t));
+        core.create(client, Kind::subscription, "/many" + std::to_string(t));
+      }
+    }
+  }
+  int looks_until_found(HoldWatch& watch, ClientIndex wanted) {
+    for (int looks = 1; looks < 1000; ++looks) {
+      for (const HoldWatch::Finding& finding : watch.look()) {
+        if (core.registry.owner_of(finding.subscription) == wanted) return looks;
+      }
+    }
+    return 1000;
+  }
+
+  test::DaemonCore core;
+};
+
+TEST_F(WatchesTest, FindsWhoHoldsTooMuchWhateverAnotherUserHasToLookAt) {
+  const ClientIndex owner = core.process(1), liar = core.process(2);
+  core.create(owner, Kind::publisher, "/victim");
+  const EndpointRef subscription = core.create(liar, Kind::subscription, "/victim");
+  line(subscription, 0).hold(0).store(0xff);  // its quota is one
+  HoldWatch alone(core.registry, core.regions);
+  const int without = looks_until_found(alone, liar);
+  EXPECT_LE(without, 7);
+  fill(3, 12, 60);  // 43,200 lines: eleven looks of everything
+  HoldWatch watch(core.registry, core.regions);
+  EXPECT_LE(looks_until_found(watch, liar), without + 1);
+}
+
+TEST_F(WatchesTest, GoesOverEverythingOfAUserInTheEnd) {
+  fill(3, 12, 60);
+  const ClientIndex owner = core.process(3);
+  core.create(owner, Kind::publisher, "/zzz");
+  const EndpointRef subscription = core.create(owner, Kind::subscription, "/zzz");
+  line(subscription, 0).hold(0).store(0xff);
+  HoldWatch watch(core.registry, core.regions);
+  EXPECT_LT(looks_until_found(watch, owner), 200);
+}
+
+TEST_F(WatchesTest, LetsNobodyWaitBehindAnotherUsersFindings) {
+  const ClientIndex owner = core.process(1);
+  std::vector<ClientIndex> liars;
+  for (std::uint32_t i = 0; i < 20; ++i) liars.push_back(core.process(2));
+  liars.push_back(core.process(3));
+  for (std::size_t i = 0; i < liars.size(); ++i) {
+    const std::string topic = "/t" + std::to_string(i);
+    core.create(owner, Kind::publisher, topic);
+    const EndpointRef subscription = core.create(liars[i], Kind::subscription, topic);
+    line(subscription, 0).hold(0).store(0xff);
+  }
+  HoldWatch watch(core.registry, core.regions);
+  EXPECT_LE(looks_until_found(watch, liars.back()), 7);
+}
+
+TEST_F(WatchesTest, FindsWhoDoesNotLetGoWhateverAnotherUserHasLeftBehind) {
+  const auto leave_behind = [&](std::uint32_t uid, const std::string& topic, int count) {
+    const ClientIndex keeper = core.process(uid);
+    core.create(keeper, Kind::subscription, topic);
+    for (int i = 0; i < count; ++i) {
+      const ClientIndex owner = core.process(uid);
+      core.create(owner, Kind::publisher, topic);
+      core.end(owner);
+    }
+    return keeper;
+  };
+  const auto looks_until = [&](ClientIndex wanted) {
+    LetGoWatch watch(core.registry, core.regions, core.membership, core.post);
+    for (int looks = 1; looks < 10'000; ++looks) {
+      for (const LetGoWatch::Finding& finding : watch.look()) {
+        if (finding.client == wanted) return looks;
+      }
+    }
+    return 10'000;
+  };
+  const ClientIndex keeper = leave_behind(2, "/victim", 33);
+  const int alone = looks_until(keeper);
+  ASSERT_LT(alone, 100);
+  // 768 subscriptions of each of which every line is looked at.
+  const ClientIndex many = core.process(1);
+  for (int t = 0; t < 8; ++t) {
+    const std::string topic = "/many" + std::to_string(t);
+    for (int i = 0; i < 700; ++i) core.create(many, Kind::subscription, topic);
+    leave_behind(1, topic, 40);
+  }
+  EXPECT_LE(looks_until(keeper), alone + 1);
+}
+
+}  // namespace
+}  // namespace agnocast::daemon
