@@ -19,7 +19,8 @@
 //   closes WHERE       closes every descriptor and opens files: at the numbers that are free then (low), or
 //                      at each number that was open before (same). Tells what becomes of the endpoints and
 //                      whether anybody has touched the files
-//   closes forked      the same in a forked child, which then destroys its endpoints (low)
+//   closes forked      the same (at each number), and forks: what the library closes in a child is then the
+//                      program's. The child destroys its endpoints and looks at the files
 //   relative DIRECTORY  connects by a relative path from there, goes elsewhere, and is connected again after
 //                      the daemon was restarted
 //   begins FROM TO     nobody listens at TO when it connects first; right after the first refusal, FROM is
@@ -472,6 +473,10 @@ int closes(const std::string& where) {
   all.make();
   all.use();
   wait_until([&] { return all.calls >= 4; });
+  const std::vector<int> numbers = open_numbers();
+  ::close_range(STDERR_FILENO + 1, ~0U, 0);
+  std::vector<OwnFile> files;
+  for (const int number : numbers) files.emplace_back(where == "low" ? -1 : number);
   if (where == "forked") {
     if (const pid_t child = ::fork(); child != 0) {
       int status = 0;
@@ -479,10 +484,6 @@ int closes(const std::string& where) {
       return WIFEXITED(status) ? WEXITSTATUS(status) : 1;
     }
   }
-  const std::vector<int> numbers = open_numbers();
-  ::close_range(STDERR_FILENO + 1, ~0U, 0);
-  std::vector<OwnFile> files;
-  for (const int number : numbers) files.emplace_back(where == "low" ? -1 : number);
   const auto tell_files = [&] {
     int touched = 0;
     for (const OwnFile& file : files) touched += !file.is_untouched();
