@@ -73,6 +73,7 @@ bool drain_carefully(int socket) noexcept {
 }  // namespace
 
 Doorbell::Rung Doorbell::ring() const noexcept {
+  if (!datagram_) return Rung::gone;
   if (has_lost_kept() &&
       (!is_intact(datagram_.get()) || (eventfd_ && !is_intact(eventfd_.get()))))
     return Rung::gone;

@@ -41,6 +41,7 @@ class Doorbell {
     exhausted,  ///< the kernel is out of memory; the executor's safety timeout remains
   };
 
+  /// Mute: rings nobody.
   Doorbell() = default;
   /// `eventfd` may be empty: then every ring is a datagram.
   explicit Doorbell(UniqueFd datagram, UniqueFd eventfd = UniqueFd()) noexcept

@@ -272,6 +272,18 @@ Result<void> Context::add_window_of(KnownPeer& known, const PeerHeap::Announced&
   return added;
 }
 
+namespace {
+
+/// Mute if there is none: nobody has its receiver any more, or the daemon had no descriptor for it.
+Doorbell bell_among(std::span<UniqueFd> fds, std::uint32_t count) noexcept {
+  if (fds.size() < count) return {};
+  if (count == 1) return Doorbell(std::move(fds[0]));
+  if (count == 2) return Doorbell(std::move(fds[1]), std::move(fds[0]));
+  return {};
+}
+
+}  // namespace
+
 void Context::on_announce(Incoming& packet) {
   wire::Announcement announcement{};
   if (!packet.read(announcement)) return;
@@ -295,9 +307,7 @@ void Context::on_announce(Incoming& packet) {
            announcement.from_start != 0},
           std::move(peer));
     }
-  } else if (peer != nullptr && announcement.kind == Kind::subscription &&
-             announcement.doorbell_count >= 1 && announcement.doorbell_count <= 2 &&
-             fds.size() >= used + announcement.doorbell_count) {
+  } else if (peer != nullptr && announcement.kind == Kind::subscription) {
     std::shared_ptr<PublisherEndpoint> publisher;
     {
       const std::lock_guard lock(endpoints_);
@@ -305,12 +315,9 @@ void Context::on_announce(Incoming& packet) {
         publisher = found->second;
     }
     if (publisher != nullptr && publisher->identity().generation == announcement.own_generation) {
-      const bool both = announcement.doorbell_count == 2;
-      Doorbell bell = both ? Doorbell(std::move(fds[used + 1]), std::move(fds[used]))
-                           : Doorbell(std::move(fds[used]));
       publisher->attach(
           {announcement.index, announcement.generation, announcement.extent, announcement.executor},
-          std::move(peer), std::move(bell));
+          std::move(peer), bell_among(fds.subspan(used), announcement.doorbell_count));
       linked = true;
     }
   }

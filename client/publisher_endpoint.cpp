@@ -47,6 +47,7 @@ struct PublisherEndpoint::Work {
   }
   void ring(std::uint64_t executor, std::uint64_t armed) noexcept {
     Executor& sleeper = endpoint.executors_[executor];
+    if (!sleeper.bell) return;
     if (rung++ < ring_at_once_max) {
       sleeper.bell.ring();
     } else {
@@ -214,6 +215,7 @@ std::size_t PublisherEndpoint::executor_of(const Peer& peer, std::uint64_t execu
     } else if (known.client == peer.client() && known.client_generation == peer.generation() &&
                known.executor == executor) {
       ++known.users;
+      if (bell) std::swap(known.bell, bell);
       return i;
     }
   }
@@ -225,7 +227,8 @@ std::size_t PublisherEndpoint::executor_of(const Peer& peer, std::uint64_t execu
 
 void PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr<Peer> peer,
                                Doorbell bell) {
-  if (is_attached(subscription.index, subscription.generation)) return;
+  if (is_attached(subscription.index, subscription.generation))
+    return replace_bell(subscription, std::move(bell));
   {
     const std::lock_guard lock(mutex_);
     reserve_one_more(attached_);
@@ -241,6 +244,20 @@ void PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr
     core_->pass(work);
   });
   note_links();
+}
+
+// The one that was here may be mute, or lead to a receiver that is no more.
+void PublisherEndpoint::replace_bell(const Subscription& subscription, Doorbell bell) noexcept {
+  if (!bell) return;
+  const std::lock_guard lock(mutex_);
+  for (const Attached& attached : attached_) {
+    if (attached.index != subscription.index || attached.generation != subscription.generation)
+      continue;
+    std::swap(executors_[attached.executor].bell, bell);
+    // What was published since it fell asleep has rung the former one.
+    executors_[attached.executor].bell.ring();
+    return;
+  }
 }
 
 bool PublisherEndpoint::is_attached(std::uint64_t index, std::uint64_t generation) const noexcept {

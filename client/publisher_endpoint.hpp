@@ -95,8 +95,8 @@ class PublisherEndpoint {
   // --- control thread
   // ------------------------------------------------------------------------------------------------------------
 
-  /// An announced subscription; `bell` may be empty if the executor is known already. Nothing when
-  /// it is attached. Allocates.
+  /// An announced subscription. `bell` may be mute (empty): the subscription is looked at like any other and
+  /// rung by nobody. A bell of one that is attached already replaces the one it has. Allocates.
   void attach(const Subscription& subscription, std::shared_ptr<Peer> peer, Doorbell bell);
   bool is_attached(std::uint64_t index, std::uint64_t generation) const noexcept;
   /// It is over: looks at it no more and lets go of its region.
@@ -189,6 +189,7 @@ class PublisherEndpoint {
   void in_control_thread(Do work) noexcept;
   void count(std::size_t counter, std::uint64_t more) noexcept;
   std::size_t executor_of(const Peer& peer, std::uint64_t executor, Doorbell bell);
+  void replace_bell(const Subscription& subscription, Doorbell bell) noexcept;
   bool is_linked(const Attached& attached) const noexcept;
   void note_links() noexcept;
   std::size_t linked_count() const noexcept;  // under the mutex

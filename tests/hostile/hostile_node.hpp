@@ -69,6 +69,15 @@ class HostileNode {
   int window_read_fd() const { return window_fds_[1].get(); }
   std::byte* heap() const { return heap_.base(); }
 
+  void open_executor() {
+    Incoming opened = wire_.open_executor();
+    EXPECT_EQ(opened.opcode(), wire::Opcode::executor_opened) << opened.refused_text();
+    bells_ = std::move(opened.fds);
+    executor_ = true;
+  }
+  /// Nobody has the receivers of the own executor any more.
+  void close_bells() { bells_.clear(); }
+
   /// An endpoint on a topic that is there, of its type.
   wire::EndpointCreated join(wire::Kind kind, const char* topic, abi::Qos qos = {},
                              std::uint64_t quota = 64) {
@@ -80,10 +89,7 @@ class HostileNode {
     if (kind == wire::Kind::publisher) {
       open_window();
     } else if (!executor_) {
-      Incoming opened = wire_.open_executor();
-      EXPECT_EQ(opened.opcode(), wire::Opcode::executor_opened) << opened.refused_text();
-      bells_ = std::move(opened.fds);
-      executor_ = true;
+      open_executor();
     }
     const Incoming made =
         wire_.ask(kind == wire::Kind::publisher ? wire::Opcode::create_publisher

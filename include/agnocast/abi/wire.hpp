@@ -275,7 +275,7 @@ struct Announcement {
       from_start;  // publisher: it joined after the subscription, so nothing of it may be missed
   std::uint32_t window_count;    // publisher
   std::uint32_t doorbell_count;  // subscription: 1 datagram socket, 2 eventfd (same user), then
-                                 // datagram socket, 0 nobody listens any more
+                                 // datagram socket, 0 nobody can ring it
   std::uint32_t uid;  // of its process, as the daemon knows it
   struct Window {
     std::uint64_t base;
