@@ -46,6 +46,8 @@ namespace agnocast {
   X(P10_free, "slot: free")                                        \
   X(P10_retire, "slot: retired")                                   \
   X(P11_idle, "intent: idle")                                      \
+  X(E1_withdraw, "tell a member that it gets nothing more")        \
+  X(E2_clear, "has such a member let go of everything?")           \
   X(K0_room, "would a keep-all member be overrun?")                \
   /* take and release */                                           \
   X(T1_head, "load the head")                                      \
@@ -54,6 +56,7 @@ namespace agnocast {
   X(T3_live, "is the slot live before the hold?")                  \
   X(T4_hold, "publish the hold")                                   \
   X(T5_valid, "is the slot still live after the hold?")            \
+  X(T5_withdrawn, "does the publisher serve it no more?")          \
   X(T5_undo, "take the hold back")                                 \
   X(T6_frontier, "load the owner's frontiers and open up to them") \
   X(T6_inside, "does the message lie in an open window?")          \
@@ -136,6 +139,7 @@ namespace agnocast {
   X(C_linked, "a linked publisher enters the table")                        \
   X(C_attach, "attach a subscription")                                      \
   X(C_detach, "detach a subscription")                                      \
+  X(C_withdraw, "serve a subscription no more, or again")                   \
   X(C_orphaned, "a publisher publishes no more")                            \
   X(C_unlink, "unlink what is over")                                        \
   X(C_errand_ring, "ring a sleeper that publish has left")                  \

@@ -26,6 +26,7 @@
 #include <client/heap.hpp>
 #include <client/library_thread.hpp>
 #include <client/peer.hpp>
+#include <client/reader_shares.hpp>
 #include <client/publisher_endpoint.hpp>
 #include <client/reconnection.hpp>
 #include <client/sleeper.hpp>
@@ -256,6 +257,7 @@ class Context {
   bool is_freed(const EndpointKey& key, std::uint64_t generation);
   std::vector<std::shared_ptr<PublisherEndpoint>> publishers() const;
   void run_errands();
+  void look_at_readers();
   void collect_subscriptions();
   void collect_peers();
   void ask_for_window();
@@ -306,7 +308,8 @@ class Context {
   std::map<StrangerKey, std::shared_ptr<Stranger>> strangers_;
   int passes_pause_ = 0, link_look_ = 0;
   bool was_reclaimable_ = false, is_output_blocked_ = false;
-  std::chrono::steady_clock::time_point former_looked_{}, descriptors_looked_{};
+  std::chrono::steady_clock::time_point former_looked_{}, descriptors_looked_{}, readers_looked_{};
+  ReaderShares shares_;
   bool descriptors_lost_ = false;
   std::atomic<ConnectionState> state_{ConnectionState::unconnected};
   std::atomic<Errc> island_reason_{Errc::ok};

@@ -316,8 +316,11 @@ void Context::on_announce(Incoming& packet) {
     }
     if (publisher != nullptr && publisher->identity().generation == announcement.own_generation) {
       publisher->attach(
-          {announcement.index, announcement.generation, announcement.extent, announcement.executor},
+          {announcement.index, announcement.generation, announcement.extent, announcement.executor,
+           announcement.uid},
           std::move(peer), bell_among(fds.subspan(used), announcement.doorbell_count));
+      if (shares_.is_out(announcement.uid, ReaderShares::Clock::now()))
+        publisher->withdraw_newcomer(announcement.index, announcement.generation);
       linked = true;
     }
   }
@@ -465,6 +468,7 @@ void Context::run_errands() {
     tell_state(ConnectionState::connected);
   }
   say_departures();
+  look_at_readers();
   for (const auto& publisher : publishers()) {
     publisher->run_errands();
     if (!publisher->is_over()) continue;
@@ -489,6 +493,40 @@ void Context::run_errands() {
   collect_peers();
   see_strangers_off();
   ask_for_window();
+}
+
+/// Once a second: who holds too much while the heap is full, and who cannot be attached.
+void Context::look_at_readers() {
+  const auto now = ReaderShares::Clock::now();
+  if (now - readers_looked_ < std::chrono::milliseconds{timer_last_ms}) return;
+  readers_looked_ = now;
+  const auto all = publishers();
+  std::vector<ReaderShares::Held> users;
+  for (const auto& publisher : all) publisher->add_held(::geteuid(), users);
+  if (users.empty()) {
+    shares_.nobody_holds();
+  } else {
+    const Heap::Room room = heap_->room();
+    if (const auto uid = shares_.look(now, room.refused, room.bytes, users)) {
+      for (const auto& publisher : all) publisher->withdraw_from(*uid);
+    }
+  }
+  std::vector<PublisherEndpoint::Withdrawn> news;
+  for (const auto& publisher : all) {
+    news.clear();
+    publisher->look_at_readers(now, news);
+    for (const PublisherEndpoint::Withdrawn& withdrawn : news) {
+      wire::Withdrawn body{};
+      body.topic = publisher->topic_index();
+      body.why = static_cast<std::uint32_t>(withdrawn.why);
+      body.publisher = publisher->identity().index;
+      body.publisher_generation = publisher->identity().generation;
+      body.subscription = withdrawn.index;
+      body.subscription_generation = withdrawn.generation;
+      body.bytes = withdrawn.bytes;
+      connection_->post(Opcode::withdrawn, body);
+    }
+  }
 }
 
 void Context::collect_subscriptions() {

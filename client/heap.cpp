@@ -331,6 +331,12 @@ std::uint64_t Heap::used_bytes() const noexcept {
   return usage.used_bytes;
 }
 
+Heap::Room Heap::room() const noexcept {
+  agnocast_heaphook_usage usage{};
+  hook_->usage(&usage);
+  return {usage.length_bytes, usage.refused_count};
+}
+
 void Heap::pause() const noexcept {
   ++pause_count;
   hook_->pause();

@@ -56,6 +56,11 @@ class Heap {
   /// True when the newest window is used to three quarters, or a request did not fit.
   bool wants_window() const noexcept;
   std::uint64_t used_bytes() const noexcept;
+  struct Room {
+    std::uint64_t bytes;    // of all windows
+    std::uint64_t refused;  // allocations that found none, since ever
+  };
+  Room room() const noexcept;
 
   /// The calling thread's scopes, and its pauses, which win over scopes; both nest.
   void enter() const noexcept { hook_->enter(); }

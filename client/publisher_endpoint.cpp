@@ -240,7 +240,7 @@ void PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr
     core_->attach(subscription.index, subscription.generation, peer->region(), subscription.extent,
                   armed_offset(subscription.executor), executor, work);
     attached_.push_back({subscription.index, subscription.generation, subscription.extent, executor,
-                         std::move(peer)});
+                         std::move(peer), subscription.uid});
     core_->pass(work);
   });
   note_links();
@@ -309,6 +309,101 @@ void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) no
     attached_.erase(found);
   });
   if (was_matched) events_->ceased();
+}
+
+void PublisherEndpoint::add_held(std::uint32_t own, std::vector<ReaderShares::Held>& users) const {
+  const std::lock_guard lock(mutex_);
+  if (core_ == nullptr) return;
+  for (const Attached& attached : attached_) {
+    if (attached.uid == own || core_->is_disregarded(attached.index)) continue;
+    const std::uint64_t bytes = core_->held_bytes(attached.index, attached.generation);
+    if (bytes == 0) continue;
+    const auto known = std::find_if(users.begin(), users.end(),
+                                    [&](const auto& user) { return user.uid == attached.uid; });
+    if (known == users.end()) {
+      users.push_back({attached.uid, bytes});
+    } else {
+      known->bytes += bytes;
+    }
+  }
+}
+
+void PublisherEndpoint::withdraw_from(std::uint32_t uid) noexcept {
+  in_control_thread([&](Work& work) {
+    if (core_ == nullptr) return;
+    for (const Attached& attached : attached_) {
+      if (attached.uid != uid || core_->held_bytes(attached.index, attached.generation) == 0) continue;
+      AGNOCAST_CRASH_POINT(C_withdraw);
+      core_->withdraw(attached.index, attached.generation, abi::Withdrawal::over_share);
+    }
+    core_->pass(work);
+  });
+}
+
+void PublisherEndpoint::withdraw_newcomer(std::uint64_t index, std::uint64_t generation) noexcept {
+  in_control_thread([&](Work& work) {
+    if (core_ == nullptr) return;
+    AGNOCAST_CRASH_POINT(C_withdraw);
+    if (core_->withdraw(index, generation, abi::Withdrawal::over_share)) core_->pass(work);
+  });
+}
+
+void PublisherEndpoint::look_at_readers(ReaderShares::Clock::time_point now,
+                                        std::vector<Withdrawn>& news) {
+  std::map<std::uint64_t, Watched> watched;
+  // What was seen at an earlier look goes on from there.
+  const auto watch = [&](std::uint64_t index, std::uint64_t generation) -> Watched& {
+    const auto before = watched_.find(index);
+    const bool is_known = before != watched_.end() && before->second.generation == generation;
+    return watched.emplace(index, is_known ? before->second : Watched{generation, now})
+        .first->second;
+  };
+  // Not below the queue's mutex: allocates.
+  std::vector<Member> unmapped, attached;
+  {
+    const std::lock_guard lock(mutex_);
+    if (core_ == nullptr || moved_) return;
+    unmapped.reserve(SharedMemory::subscription_capacity);
+    core_->for_each_unmapped([&](std::uint64_t index, std::uint64_t generation) {
+      unmapped.push_back({index, generation});
+    });
+    attached.reserve(attached_.size());
+    for (const Attached& one : attached_) {
+      if (core_->withdrawal(one.index, one.generation) != abi::Withdrawal::none)
+        attached.push_back({one.index, one.generation});
+    }
+  }
+  const std::size_t unmapped_count = unmapped.size();
+  unmapped.insert(unmapped.end(), attached.begin(), attached.end());
+  for (std::size_t i = 0; i < unmapped.size(); ++i) {
+    const auto [index, generation] = unmapped[i];
+    Watched& member = watch(index, generation);
+    bool is_news = false;
+    std::uint64_t bytes = 0;
+    in_control_thread([&](Work& work) {
+      abi::Withdrawal why = core_->withdrawal(index, generation);
+      if (why == abi::Withdrawal::none) {
+        if (i >= unmapped_count || now - member.since < ReaderShares::patience_to_attach) return;
+        AGNOCAST_CRASH_POINT(C_withdraw);
+        core_->withdraw(index, generation, abi::Withdrawal::not_attached);
+        why = abi::Withdrawal::not_attached;
+      } else if (i >= unmapped_count && why == abi::Withdrawal::not_attached) {
+        AGNOCAST_CRASH_POINT(C_withdraw);
+        if (core_->serve_again(index, generation, work)) why = abi::Withdrawal::none;
+      } else if (!core_->is_disregarded(index) && now - member.since >= ReaderShares::patience) {
+        AGNOCAST_CRASH_POINT(C_withdraw);
+        core_->disregard(index, generation);
+      }
+      core_->pass(work);
+      if (why == member.why) return;
+      is_news = why != abi::Withdrawal::none;
+      bytes = core_->held_bytes(index, generation);
+      member.why = why;
+      member.since = now;
+    });
+    if (is_news) news.push_back({index, generation, member.why, bytes});
+  }
+  watched_.swap(watched);
 }
 
 // What is attached stays: its readers are waited for as before, as far as the board tells of them.

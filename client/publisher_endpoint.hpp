@@ -17,11 +17,13 @@
 #include <client/endpoint_events.hpp>
 #include <client/library_thread.hpp>
 #include <client/peer.hpp>
+#include <client/reader_shares.hpp>
 
 #include <array>
 #include <atomic>
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <memory>
 #include <mutex>
 #include <vector>
@@ -54,6 +56,14 @@ class PublisherEndpoint {
     std::uint64_t generation;
     std::uint64_t extent;
     std::uint64_t executor;  // in its process
+    std::uint32_t uid;       // of its process
+  };
+  /// A subscription that this publisher serves no more: what the daemon is told.
+  struct Withdrawn {
+    std::uint64_t index;
+    std::uint64_t generation;
+    abi::Withdrawal why;
+    std::uint64_t bytes;  // that it held then
   };
 
   explicit PublisherEndpoint(const Identity& identity);
@@ -110,6 +120,14 @@ class PublisherEndpoint {
   };
   /// Lets go of every region, at the very end; of whom.
   std::vector<Member> detach_all();
+  /// Adds what readers of other users than `own` hold. Allocates.
+  void add_held(std::uint32_t own, std::vector<ReaderShares::Held>& users) const;
+  /// Serves the readers of this user no more that hold something, or the newcomer with this index.
+  void withdraw_from(std::uint32_t uid) noexcept;
+  void withdraw_newcomer(std::uint64_t index, std::uint64_t generation) noexcept;
+  /// Who could not be mapped for long is not served; whoever was is served again; who was told long ago
+  /// that it is not served is disregarded. What there is to tell the daemon is added. Allocates.
+  void look_at_readers(ReaderShares::Clock::time_point now, std::vector<Withdrawn>& news);
   /// One pass, and everything that publishes have left to do.
   void run_errands() noexcept;
   /// Something outside the history is allocated: a pass may free it.
@@ -176,7 +194,14 @@ class PublisherEndpoint {
     std::uint64_t extent;
     std::size_t executor;
     std::shared_ptr<Peer> peer;
+    std::uint32_t uid;
     bool matched = false;  // it was seen linked, and counted
+  };
+  /// Of a subscription that is withdrawn, or not attached.
+  struct Watched {
+    std::uint64_t generation;
+    ReaderShares::Clock::time_point since;
+    abi::Withdrawal why = abi::Withdrawal::none;  // as far as the daemon was told
   };
   struct Work;
 
@@ -200,6 +225,7 @@ class PublisherEndpoint {
   std::unique_ptr<Core> core_;
   std::vector<Executor> executors_;
   std::vector<Attached> attached_;
+  std::map<std::uint64_t, Watched> watched_;  // by index; control thread only
   std::vector<void*> doomed_;  // to be destroyed later; capacity for every slot from the start
   // For a look without the mutex; whoever misses one comes again. `has_doomed_` where any of both is so.
   std::atomic<bool> has_doomed_{false}, lacked_room_{false};

@@ -54,7 +54,8 @@ bool SubscriptionEndpoint::add_publisher(const Publisher& publisher, std::shared
                                       publisher.qos,
                                       self_.qos,
                                       self_.message_bytes,
-                                      self_.message_alignment};
+                                      self_.message_alignment,
+                                      self_.index};
   auto link =
       std::make_shared<Link>(identity, std::move(peer), sleeper_, self_.quota, self_.wake_control);
   links_.reserve(links_.size() + 1);

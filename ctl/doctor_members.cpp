@@ -243,6 +243,11 @@ Ailments adopted(const Facts& facts) {
     return restart_of(facts, facts.system().process_of(*pair.publisher));
   });
 }
+Ailments withdrawn(const Facts& facts) {
+  return of_pairs(facts, PairState::withdrawn, [&](const Topic&, const Pair& pair) {
+    return restart_of(facts, facts.system().process_of(*pair.subscription));
+  });
+}
 Ailments unreachable(const Facts& facts) {
   return of_pairs(facts, PairState::unreachable, [&](const Topic&, const Pair& pair) {
     return restart_of(facts, facts.system().process_of(*pair.subscription));
@@ -394,6 +399,9 @@ constexpr Check table[] = {
     {"not-zero-copy", "no message was copied into the shared heap", warning, daemon,
      "the program fills messages outside of a loan; with the scope all, everything that it allocates is shared",
      "kill PID && agnocast-run --scope all COMMAND &", adopted},
+    {"reader-withdrawn", "every publisher serves all of its subscriptions", failed, daemon,
+     "it held too much of a publisher of another user, or could not be mapped there: it gets nothing of it any more",
+     "kill PID && COMMAND &", withdrawn},
     {"unreachable", "every subscription can map what is published", failed, daemon,
      "something in the subscriber's process lies where the publisher's heap is; started anew, it reserves these addresses first",
      "kill PID && COMMAND &", unreachable},

@@ -24,6 +24,18 @@ bool is_linked(const System& system, const Endpoint& publisher, const Endpoint& 
   return line.publisher_generation().load(std::memory_order_acquire) == publisher.facts.generation;
 }
 
+const char* sentence_of(abi::Withdrawal why) noexcept {
+  switch (why) {
+    case abi::Withdrawal::over_quota:
+      return "the publisher serves it no more: it held more messages than it may";
+    case abi::Withdrawal::over_share:
+      return "the publisher serves it no more: its user held too much of the publisher's heap while that "
+             "was full";
+    default:
+      return "the publisher's process could not map it";
+  }
+}
+
 const char* end_of(const Endpoint& publisher, const Endpoint& subscription) {
   if (publisher.state() == abi::MemberState::orphan)
     return "the publisher is gone; what is unread of it is still delivered";
@@ -46,6 +58,12 @@ Pair pair_of(const System& system, const Topic& topic, const Endpoint& publisher
   if (const char* const end = end_of(publisher, subscription); end != nullptr) {
     pair.state = PairState::ending;
     pair.why = end;
+    return pair;
+  }
+  if (const abi::Withdrawal why = withdrawal_of(system, publisher, subscription);
+      why != abi::Withdrawal::none) {
+    pair.state = PairState::withdrawn;
+    pair.why = sentence_of(why);
     return pair;
   }
   if (!is_linked(system, publisher, subscription)) {
@@ -80,12 +98,25 @@ Pair pair_of(const System& system, const Topic& topic, const Endpoint& publisher
 
 }  // namespace
 
+abi::Withdrawal withdrawal_of(const System& system, const Endpoint& publisher,
+                              const Endpoint& subscription) noexcept {
+  std::byte* const region = system.region_of(publisher);
+  if (region == nullptr || subscription.facts.index >= abi::subscription_count_max)
+    return abi::Withdrawal::none;
+  const dataplane::PublisherWords<SharedMemory> words{region, publisher.facts.extent};
+  return abi::withdrawal_of(
+      words.withdrawn(subscription.facts.index).load(std::memory_order_acquire),
+      subscription.facts.index);
+}
+
 const char* word_of(PairState state) noexcept {
   switch (state) {
     case PairState::zero_copy:
       return "zero_copy";
     case PairState::adopted:
       return "adopted";
+    case PairState::withdrawn:
+      return "withdrawn";
     case PairState::unreachable:
       return "unreachable";
     case PairState::joining:

@@ -15,6 +15,7 @@ namespace agnocast::ctl {
 enum class PairState : std::uint8_t {
   zero_copy,     // linked; no message had to be copied into the shared heap
   adopted,       // linked; messages were built outside the shared heap and copied in
+  withdrawn,     // the publisher serves the subscription no more
   unreachable,   // linked; messages lie where the subscriber has something else, and are lost to it
   joining,       // not linked yet
   incompatible,  // not matched: the quality of service asked for is not offered
@@ -29,6 +30,9 @@ struct Pair {
   std::string why;  // for people; empty: nothing to say
 };
 
+/// Why a publisher serves a subscription no more; none: it serves it, or cannot be read.
+abi::Withdrawal withdrawal_of(const System& system, const Endpoint& publisher,
+                              const Endpoint& subscription) noexcept;
 /// "zero_copy": for programs.
 const char* word_of(PairState state) noexcept;
 /// Is what it gets not copied? False for what gets nothing.

@@ -248,6 +248,7 @@ class Broker final : private Post {
 
   // collisions.cpp: heaps where somebody else has something else
   [[nodiscard]] Result<void> blocked(Peer& peer, const wire::Blocked& range);
+  void note_withdrawn(Peer& peer, const wire::Withdrawn& said);
   /// A window of the group that `owner` allocates from and `reader` cannot map.
   struct Collision {
     std::uint64_t window = 0;

@@ -167,6 +167,9 @@ void Broker::serve(Peer& peer, const Request& request, std::span<UniqueFd> fds) 
     } else if constexpr (std::is_same_v<Body, wire::Blocked>) {
       id = body.header.request;
       served = blocked(peer, body);
+    } else if constexpr (std::is_same_v<Body, wire::Withdrawn>) {
+      id = body.header.request;
+      note_withdrawn(peer, body);
     } else if constexpr (std::is_same_v<Body, wire::Observe>) {
       id = body.header.request;
       served = observe(peer, body);

@@ -180,6 +180,18 @@ Request decode_blocked(Packet packet) {
   return body;
 }
 
+Request decode_withdrawn(Packet packet) {
+  const auto body = body_of<wire::Withdrawn>(packet);
+  const char* wrong = check_reference(wire::Kind::publisher, body.topic, body.publisher,
+                                      body.publisher_generation, false);
+  if (wrong == nullptr)
+    wrong = check_reference(wire::Kind::subscription, body.topic, body.subscription,
+                            body.subscription_generation, false);
+  if (wrong == nullptr && (body.why == 0 || body.why > 3)) wrong = "an unknown reason";
+  if (wrong != nullptr) return refuse(body.header, Errc::protocol_violation, wrong);
+  return body;
+}
+
 Request decode_observe(Packet packet) { return body_of<wire::Observe>(packet); }
 Request decode_dump(Packet packet) { return body_of<wire::Dump>(packet); }
 // Any numbers: what is not there is not sent.
@@ -229,6 +241,7 @@ constexpr Row rows[] = {
      decode_reference<DrainedRequest>},
     {wire::Opcode::unlinked, sizeof(wire::Unlinked), Role::client, decode_unlinked},
     {wire::Opcode::blocked, sizeof(wire::Blocked), Role::client, decode_blocked},
+    {wire::Opcode::withdrawn, sizeof(wire::Withdrawn), Role::client, decode_withdrawn},
     {wire::Opcode::bring_window, sizeof(wire::BringWindow), Role::client, decode_bring, 1},
     {wire::Opcode::observe, sizeof(wire::Observe), Role::unknown, decode_observe},
     {wire::Opcode::dump, sizeof(wire::Dump), Role::observer, decode_dump},

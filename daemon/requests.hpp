@@ -62,7 +62,8 @@ struct Rejected {
 
 using Request =
     std::variant<wire::Hello, wire::Rejoin, wire::WindowRequest, ExecutorRequest, CreateRequest,
-                 LeaveRequest, DrainedRequest, wire::Unlinked, wire::Blocked, wire::BringWindow,
+                 LeaveRequest, DrainedRequest, wire::Unlinked, wire::Blocked, wire::Withdrawn,
+                 wire::BringWindow,
                  wire::Observe, wire::Dump, wire::ReadJournal, wire::Revoke, wire::SetLogLevel,
                  wire::AskAccess, Rejected>;
 

@@ -16,6 +16,8 @@
 //         min over active and leaving s of low_s
 //   unk   from it on an unmapped member may have started
 //         min over unmapped s of since_s
+// A member that is withdrawn takes nothing more: it counts in none of them, and what it holds counts
+// until it has let go of it once, or is disregarded.
 //
 //            past            need                          h
 //   ---------|---------------|-----------------------------|--->  sequence
@@ -107,6 +109,7 @@ class PublisherCore {
     head_sequence_ = sequence;
     sequence_[slot] = sequence;
     address_[slot] = entry.address;
+    bytes_[slot] = entry.bytes;
     set(allocated_, slot);
     kept_back_ += entry.bytes;
     pass(environment, true);
@@ -132,6 +135,7 @@ class PublisherCore {
               Environment& environment) noexcept {
     Member& member = members_[index];
     member.executor = executor;
+    if (abi::generation_of(member.word) != generation) end_withdrawal(index);  // of the one before
     // The number may have been another sleeper's.
     AGNOCAST_STEP(J7_rung) rung_[executor] = 0;
     AGNOCAST_STEP(J7_member) {
@@ -146,6 +150,72 @@ class PublisherCore {
   /// The control thread is about to unmap it.
   void detach(std::uint64_t index, std::uint64_t generation) noexcept {
     if (members_[index].attached_generation == generation) members_[index].attached_generation = 0;
+  }
+
+  /// E1. A member gets nothing more: it takes nothing, and nothing is kept for it but what it holds, or
+  /// may hold while it is not mapped. That is looked at until it has let go of everything, or disregard().
+  /// The caller makes a pass afterwards. False: it is no member of this generation.
+  bool withdraw(std::uint64_t index, std::uint64_t generation, abi::Withdrawal why) noexcept {
+    Member& member = members_[index];
+    if (abi::generation_of(member.word) != generation || !is_member(member.word)) return false;
+    if (member.withdrawn_at == 0) member.withdrawn_at = head_sequence_;
+    say_withdrawal(index, why);
+    return true;
+  }
+  /// What a withdrawn member holds counts no more: if it does hold something, it reads what it likes.
+  void disregard(std::uint64_t index, std::uint64_t generation) noexcept {
+    Member& member = members_[index];
+    if (abi::generation_of(member.word) == generation && member.withdrawn_at != 0)
+      member.disregarded = 1;
+  }
+  /// It is mapped now and served again, once it holds nothing: a slot that it has held since may be another
+  /// message's by now.
+  template <class Environment>
+  bool serve_again(std::uint64_t index, std::uint64_t generation,
+                   Environment& environment) noexcept {
+    Member& member = members_[index];
+    if (abi::generation_of(member.word) != generation || member.withdrawn_at == 0 ||
+        member.attached_generation != generation)
+      return false;
+    const LinkWords<M> link{member.region, member.extent, self_.index};
+    std::uint64_t held = 0;
+    for (std::size_t word = 0; word < mask_words; ++word)
+      held |= link.hold(word).load(std::memory_order_acquire);
+    if (held != 0) return false;
+    end_withdrawal(index);
+    M::fence();  // who is rung finds it so
+    AGNOCAST_STEP(J7_ring) environment.ring(member.executor, 0);
+    return true;
+  }
+  abi::Withdrawal withdrawal(std::uint64_t index, std::uint64_t generation) const noexcept {
+    const Member& member = members_[index];
+    if (abi::generation_of(member.word) != generation || member.withdrawn_at == 0)
+      return abi::Withdrawal::none;
+    return abi::withdrawal_of(self_.words.withdrawn(index).load(std::memory_order_relaxed), index);
+  }
+  bool is_disregarded(std::uint64_t index) const noexcept {
+    return members_[index].disregarded != 0;
+  }
+  /// function(index, generation) of each member that takes part and is not mapped.
+  template <class Function>
+  void for_each_unmapped(Function function) const noexcept {
+    for (std::uint64_t i = 0; i < member_high_; ++i) {
+      const std::uint64_t generation = abi::generation_of(members_[i].word);
+      if (is_member(members_[i].word) && members_[i].attached_generation != generation)
+        function(i, generation);
+    }
+  }
+  /// Bytes of the messages that a mapped member holds, with what belongs to them.
+  std::uint64_t held_bytes(std::uint64_t index, std::uint64_t generation) const noexcept {
+    const Member& member = members_[index];
+    if (member.attached_generation != generation) return 0;
+    const LinkWords<M> link{member.region, member.extent, self_.index};
+    std::uint64_t sum = 0;
+    for_each_allocated([&](std::uint64_t slot) {
+      const std::uint64_t bits = link.hold(slot / 64).load(std::memory_order_relaxed);
+      if ((bits >> slot % 64 & 1) != 0) sum += bytes_[slot];
+    });
+    return sum;
   }
 
   /// Nothing is kept for late joiners any more. The caller makes a pass afterwards.
@@ -193,7 +263,9 @@ class PublisherCore {
     std::uint64_t executor = 0;
     std::uint64_t low = 0;    // of the last pass, for room_for_one_more
     std::uint64_t quota = 0;  // messages that it may hold at once
-    std::uint64_t lies = 0;   // 1: it held more than that, and its holds count no more
+    std::uint64_t withdrawn_at =
+        0;  // head when it was told that it gets nothing more; 0 = it was not
+    std::uint64_t disregarded = 0;  // 1: withdrawn, and what it holds counts no more
     typename M::Region region{};
   };
 
@@ -238,7 +310,9 @@ class PublisherCore {
     bool room = true;
     for (std::uint64_t i = 0; i < member_high_; ++i) {
       const Member& member = members_[i];
-      if (abi::state_of(member.word) != abi::MemberState::active || member.bound == 0) continue;
+      if (abi::state_of(member.word) != abi::MemberState::active || member.bound == 0 ||
+          member.withdrawn_at != 0)
+        continue;
       const std::uint64_t bound = std::min<std::uint64_t>(self_.qos.depth, member.bound);
       if (M::holds(Step::K0_room, head_sequence_ + 2 > member.low + bound)) room = false;
     }
@@ -300,7 +374,7 @@ class PublisherCore {
       member.bound = qos.keep_all && qos.reliable ? qos.depth : 0;
       member.quota = self_.topic.subscription(index, offsetof(abi::SubscriptionEntry, quota))
                          .load(std::memory_order_relaxed);
-      member.lies = 0;
+      end_withdrawal(index);
       member.since = head_sequence_ + 1;
       AGNOCAST_STEP(P7_since)
       member.since = minus_at_least(seen_ + 1, history_, self_.first_sequence + 1);
@@ -317,12 +391,30 @@ class PublisherCore {
     return state == abi::MemberState::active || state == abi::MemberState::leaving;
   }
 
+  void say_withdrawal(std::uint64_t index, abi::Withdrawal why) noexcept {
+    auto&& word = self_.words.withdrawn(index);
+    const std::uint64_t others = word.load(std::memory_order_relaxed) &
+                                 ~abi::pack_withdrawal(index, static_cast<abi::Withdrawal>(3));
+    // [sync:hold] release, before the fence of a later pass; pairs with the seq_cst load at T5.
+    AGNOCAST_STEP(E1_withdraw)
+    word.store(others | abi::pack_withdrawal(index, why), std::memory_order_release);
+  }
+
+  void end_withdrawal(std::uint64_t index) noexcept {
+    Member& member = members_[index];
+    if (member.withdrawn_at == 0) return;
+    member.withdrawn_at = 0;
+    member.disregarded = 0;
+    say_withdrawal(index, abi::Withdrawal::none);
+  }
+
   /// P8: one ring per sleeper and sleep.
   template <class Environment>
   void ring_sleepers(Environment& environment) noexcept {
     for (std::uint64_t i = 0; i < member_high_; ++i) {
       Member& member = members_[i];
-      if (abi::state_of(member.word) != abi::MemberState::active) continue;
+      if (abi::state_of(member.word) != abi::MemberState::active || member.withdrawn_at != 0)
+        continue;
       if (member.attached_generation != abi::generation_of(member.word))
         continue;  // J7 rings it once it is mapped
       std::uint64_t armed = 0;
@@ -366,12 +458,15 @@ class PublisherCore {
     std::uint64_t need = minus_at_least(head_sequence_ + 1, history_, 0);
     std::uint64_t past = infinite;
     std::uint64_t unknown_from = infinite;
+    std::uint64_t unknown_to = 0;
     Mask held;  // as far as words_in_use()
     std::fill_n(held.begin(), words_in_use(), 0);
     for (std::uint64_t i = 0; i < (over_ != 0 ? 0 : member_high_); ++i) {
       Member& member = members_[i];
       if (!is_member(member.word)) continue;
-      const bool leaving = abi::state_of(member.word) == abi::MemberState::leaving;
+      if (member.disregarded != 0) continue;
+      const bool leaving =
+          abi::state_of(member.word) == abi::MemberState::leaving || member.withdrawn_at != 0;
       const bool mapped = member.attached_generation == abi::generation_of(member.word);
       std::uint64_t low = member.since;
       if (mapped) {
@@ -385,10 +480,12 @@ class PublisherCore {
           // [sync:direct-free] acquire, before the holds; pairs with T7: behind a passed cursor a
           // clear bit means released.
           AGNOCAST_STEP(P9_cursor) low = link.cursor().load(std::memory_order_acquire);
-          AGNOCAST_STEP(P9_hold) collect_holds(link, member, held);
+          AGNOCAST_STEP(P9_hold) collect_holds(link, i, held);
         }
       } else {
         AGNOCAST_STEP(P9_unknown) unknown_from = std::min(unknown_from, member.since);
+        unknown_to =
+            std::max(unknown_to, member.withdrawn_at != 0 ? member.withdrawn_at : infinite);
       }
       if (leaving) low = infinite;
       member.low = low;
@@ -396,24 +493,47 @@ class PublisherCore {
       if (!leaving)
         need = std::min(need, std::max(low, minus_at_least(head_sequence_ + 1, member.window, 0)));
     }
-    retire_and_free(environment, need, past, unknown_from, held);
+    retire_and_free(environment, need, past, {unknown_from, unknown_to}, held);
   }
 
   /// An honest subscription takes nothing while it holds its quota. One that holds more would take all
   /// slots of this publisher; from then on its holds are not looked at, and it reads what it likes.
-  void collect_holds(const LinkWords<M>& link, Member& member, Mask& held) const noexcept {
-    if (member.lies != 0) return;
+  void collect_holds(const LinkWords<M>& link, std::uint64_t index, Mask& held) noexcept {
+    Member& member = members_[index];
     const std::size_t words = words_in_use();
     std::uint64_t count = 0;
+    std::uint64_t any = 0;
     for (std::size_t word = 0; word < words; ++word) {
       if (allocated_[word] == 0) continue;
       // [sync:hold] acquire; pairs with the release of L1: what the holder read, it read before
       // this message is destroyed.
-      const std::uint64_t bits = link.hold(word).load(std::memory_order_acquire);
+      std::uint64_t bits = link.hold(word).load(std::memory_order_acquire);
+      if (member.withdrawn_at != 0) [[unlikely]]
+        bits = published_before(member.withdrawn_at, word, bits);
       held[word] |= bits;
+      any |= bits & allocated_[word];
       if (bits != 0) count += static_cast<std::uint64_t>(std::popcount(bits & allocated_[word]));
     }
-    if (count > member.quota + 1 && holds_too_many(link, member.quota)) member.lies = 1;
+    if (count > member.quota + 1 && holds_too_many(link, member.quota)) {
+      member.withdrawn_at = head_sequence_;
+      member.disregarded = 1;
+      say_withdrawal(index, abi::Withdrawal::over_quota);
+    } else if (member.withdrawn_at != 0 && M::holds(Step::E2_clear, any == 0)) {
+      // It was told before the fence of this pass, so it takes nothing that this look has not seen.
+      member.disregarded = 1;
+    }
+  }
+
+  /// Of these bits of a word, those of messages up to this sequence number: who is served no more has
+  /// taken nothing that came later, whatever its bits say.
+  std::uint64_t published_before(std::uint64_t sequence, std::size_t word,
+                                 std::uint64_t bits) const noexcept {
+    std::uint64_t kept = 0;
+    for (std::uint64_t left = bits & allocated_[word]; left != 0; left &= left - 1) {
+      const std::uint64_t slot = word * 64 + static_cast<std::uint64_t>(std::countr_zero(left));
+      if (sequence_[slot] <= sequence) kept |= left & -left;
+    }
+    return kept;
   }
 
   /// Not what one look finds: while it lasts, messages are released and others taken. Nothing is freed
@@ -431,9 +551,12 @@ class PublisherCore {
     return count > quota + 1;
   }
 
+  struct Unknown {
+    std::uint64_t from, to;
+  };
   template <class Environment>
   void retire_and_free(Environment& environment, std::uint64_t need, std::uint64_t past,
-                       std::uint64_t unknown_from, const Mask& held) noexcept {
+                       Unknown unknown, const Mask& held) noexcept {
     for_each_allocated([&](std::uint64_t slot) {
       const std::uint64_t sequence = sequence_[slot];
       // By an earlier pass: this one marks a slot below, when it has decided about it. So the mark is
@@ -442,7 +565,8 @@ class PublisherCore {
       if (!M::holds(Step::P10_needed, sequence < need) && !retired) return;
       const bool untouchable =
           M::holds(Step::P10_past, sequence < past) || M::holds(Step::P10_marked, retired);
-      if (untouchable && !M::holds(Step::P10_held, test(held, slot)) && sequence < unknown_from) {
+      if (untouchable && !M::holds(Step::P10_held, test(held, slot)) &&
+          (sequence < unknown.from || sequence > unknown.to)) {
         AGNOCAST_STEP(P10_free) self_.words.slot_id(slot).store(0, std::memory_order_release);
         clear(allocated_, slot);
         clear(retired_, slot);
@@ -471,6 +595,7 @@ class PublisherCore {
   Mask retired_{};
   std::array<std::uint64_t, M::slot_capacity> sequence_{};
   std::array<std::uint64_t, M::slot_capacity> address_{};
+  std::array<std::uint64_t, M::slot_capacity> bytes_{};
   std::array<Member, M::subscription_capacity> members_{};
   std::array<std::uint64_t, M::subscription_capacity>
       rung_{};  // per executor: the sleep that was rung last

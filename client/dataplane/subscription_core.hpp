@@ -43,6 +43,7 @@ class LinkCore {
     std::uint64_t
         message_bytes;  // sizeof the message object; 0 = any (tools that do not know the type)
     std::uint64_t message_alignment = 1;  // a power of two
+    std::uint64_t subscription = 0;       // own index in the topic
   };
 
   explicit LinkCore(const Identity& identity) noexcept
@@ -136,12 +137,22 @@ class LinkCore {
       // publisher.
       AGNOCAST_STEP(T4_hold)
       before = self_.line.hold(slot / 64).fetch_or(bit, std::memory_order_seq_cst);
+      const auto undo = [&] {
+        if ((before & bit) != 0) return;
+        AGNOCAST_STEP(T5_undo)
+        self_.line.hold(slot / 64).fetch_and(~bit, std::memory_order_release);
+      };
+      // [sync:hold] seq_cst, behind T4; pairs with E1 and the fence of a later pass: either this sees that
+      // it is served no more, or that pass sees the hold. Ahead of the look at the slot: what was freed
+      // before it was served again is gone there.
+      if (M::holds(Step::T5_withdrawn, is_withdrawn())) {
+        undo();
+        withdrawn_ = 1;
+        break;
+      }
       if (!M::holds(Step::T5_valid,
                     self_.publisher.slot_id(slot).load(std::memory_order_seq_cst) == wanted)) {
-        if ((before & bit) == 0) {
-          AGNOCAST_STEP(T5_undo)
-          self_.line.hold(slot / 64).fetch_and(~bit, std::memory_order_release);
-        }
+        undo();
         lose(1);
         continue;
       }
@@ -247,9 +258,9 @@ class LinkCore {
     orphaned_ = 1;
   }
   /// True once the publisher is gone and everything it committed has been taken or lost.
-  bool drained() const noexcept {
-    return orphaned_ != 0 && abi::sequence_of(final_head_) < cursor_;
-  }
+  bool drained() const noexcept { return orphaned_ != 0 && abi::sequence_of(newest()) < cursor_; }
+  /// A take has found that the publisher serves this subscription no more. It may serve it again.
+  bool withdrawn() const noexcept { return withdrawn_ != 0 && is_withdrawn(); }
 
   /// The last take() left a message because the announcement of its window is missing.
   bool is_awaiting_window() const noexcept { return awaiting_ != 0; }
@@ -260,6 +271,8 @@ class LinkCore {
 
  private:
   std::uint64_t newest() const noexcept {
+    if (withdrawn()) [[unlikely]]
+      return abi::pack_entry(cursor_ - 1, 0);
     if (orphaned_ != 0) return final_head_;
     std::uint64_t head = 0;
     // [sync:publish] acquire; pairs with P5.
@@ -278,6 +291,11 @@ class LinkCore {
     if (next <= cursor_) return;
     cursor_ = next;
     store_cursor();
+  }
+  bool is_withdrawn() const noexcept {
+    const std::uint64_t word =
+        self_.publisher.withdrawn(self_.subscription).load(std::memory_order_seq_cst);
+    return abi::withdrawal_of(word, self_.subscription) != abi::Withdrawal::none;
   }
   bool has_right_shape(const Taken& taken) const noexcept {
     return taken.size != 0 && (self_.message_bytes == 0 || taken.size == self_.message_bytes) &&
@@ -306,6 +324,7 @@ class LinkCore {
   std::uint64_t unreachable_ = 0;
   std::uint64_t orphaned_ = 0;
   std::uint64_t awaiting_ = 0;
+  std::uint64_t withdrawn_ = 0;  // 1: seen, and to be looked at again
   std::uint64_t final_head_ = 0;
 };
 

@@ -34,6 +34,11 @@ struct PublisherWords {
   decltype(auto) intent_slot() const noexcept {
     return at(offsetof(abi::PublisherEndpoint, intent_slot));
   }
+  /// The word that says of this subscription of the topic, among others, whether it is served no more.
+  decltype(auto) withdrawn(std::uint64_t subscription) const noexcept {
+    return at(offsetof(abi::PublisherEndpoint, withdrawn) +
+              subscription / abi::withdrawals_per_word * sizeof(abi::SharedWord));
+  }
   /// One of the counters behind the intent.
   decltype(auto) counter(std::size_t field) const noexcept { return at(field); }
   decltype(auto) order(std::uint64_t sequence) const noexcept {

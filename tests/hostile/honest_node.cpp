@@ -10,6 +10,7 @@
 //     join TOPIC        → ok      the same with a stream that has begun: the first number is any
 //     occupy ADDRESS BYTES → ok   maps something there
 //     watch TOPIC       → ok      takes what others publish there, looks at no byte of it, notes where it lay
+//     publish_bulk TOPIC → ok    a mebibyte every few milliseconds; only the newest one is kept for others
 //     publish_flat TOPIC → ok    a publisher of Flat, which says nothing
 //     create TOPIC      → ok      a publisher and a subscription more, and away with them
 //     collisions        → of how many collisions of addresses its publisher was told
@@ -60,6 +61,7 @@ class HonestNode {
     if (what == "watch") return watch(topic);
     if (what == "create") return create(topic);
     if (what == "publish_flat") return publish_flat(topic);
+    if (what == "publish_bulk") return publish_bulk(topic);
     if (what == "stop") return stop(), "ok";
     if (what == "collisions")
       return std::to_string(publisher_->get_heap_collision_status().total_count);
@@ -86,6 +88,25 @@ class HonestNode {
         if (result && result.adopted_bytes != 0) ++copied;
         const auto moves = publisher_->get_heap_collision_status().total_count;
         if (!result || copied > static_cast<std::uint64_t>(moves)) {
+          ++refused_;
+          refusal_.store(sentence_of(result.code));
+        }
+        std::this_thread::sleep_for(period);
+      }
+    });
+    return "ok";
+  }
+
+  std::string publish_bulk(const std::string& topic) {
+    bulk_ = create_publisher<Bulk>(PlainNode(), topic, QoS(1));
+    thread_ = std::thread([this] {
+      for (std::uint64_t number = 1; !stopped_.load(); ++number) {
+        auto message = bulk_->borrow_loaned_message();
+        message->number = number;
+        message->data.resize(Bulk::bytes);
+        if (const PublishResult result = bulk_->publish(std::move(message)); result) {
+          ++published_;
+        } else {
           ++refused_;
           refusal_.store(sentence_of(result.code));
         }
@@ -182,6 +203,7 @@ class HonestNode {
   std::atomic<std::uint64_t> largest_gap_ns_{0};
   Publisher<Numbered>::SharedPtr publisher_;
   Publisher<Flat>::SharedPtr flat_;
+  Publisher<Bulk>::SharedPtr bulk_;
   Subscription<Numbered>::SharedPtr subscription_;
   Subscription<Flat>::SharedPtr watched_;
   std::thread thread_;

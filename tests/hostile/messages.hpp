@@ -24,6 +24,13 @@ struct Flat : SharedMessage {
 };
 static_assert(sizeof(Flat) == 64, "flat_bytes of hostile_node.hpp");
 
+/// Large, and told apart by its number.
+struct Bulk : SharedMessage {
+  static constexpr std::size_t bytes = std::size_t{1} << 20;
+  std::uint64_t number = 0;
+  SharedVector<std::byte> data;
+};
+
 constexpr std::size_t length_of(std::uint64_t number) noexcept { return 1 + number * 37 % 500; }
 constexpr std::uint64_t element_of(std::uint64_t number, std::size_t i) noexcept {
   return (number + 1) * 0x9e3779b97f4a7c15 ^ i;
@@ -46,6 +53,14 @@ template <>
 struct agnocast::MessageTraits<agnocast::test::Numbered> {
   static constexpr const char* name = "tests/Numbered";
   static void for_each_pointer(const agnocast::test::Numbered& message,
+                               PointerVisitor& visit) noexcept {
+    visit("data", message.data);
+  }
+};
+template <>
+struct agnocast::MessageTraits<agnocast::test::Bulk> {
+  static constexpr const char* name = "tests/Bulk";
+  static void for_each_pointer(const agnocast::test::Bulk& message,
                                PointerVisitor& visit) noexcept {
     visit("data", message.data);
   }

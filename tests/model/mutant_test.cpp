@@ -40,6 +40,7 @@ const Equivalent equivalent[] = {
     {{Step::T2_order, Mutation::Kind::force_true}, "T3 and T5 compare the slot's own sequence"},
     {{Step::T3_live, Mutation::Kind::force_true}, "saves a pin only; T5 decides"},
     {{Step::J6_check, Mutation::Kind::force_true}, "rule RU guarantees it already"},
+    {{Step::E2_clear, Mutation::Kind::force_false}, "looked at for ever: costs a look"},
     {{Step::S5_disarm, Mutation::Kind::leave_out},
      "somebody awake is rung once per generation: costs a system call"},
 };

@@ -50,6 +50,17 @@ constexpr SubscriptionPlan keeping_all(SubscriptionPlan plan) {
   return plan;
 }
 
+constexpr SubscriptionPlan withdrawn(SubscriptionPlan plan) {
+  plan.withdrawn = true;
+  return plan;
+}
+constexpr SubscriptionPlan unmapped(SubscriptionPlan plan, bool served_again) {
+  plan.withdrawn = true;
+  plan.unmapped = true;
+  plan.served_again = served_again;
+  return plan;
+}
+
 constexpr SubscriptionPlan without_window(SubscriptionPlan plan, std::uint32_t window) {
   plan.cannot_map = window;
   return plan;
@@ -146,6 +157,18 @@ inline constexpr QueuePlan mutant_plans[] = {
      .second_window_from = 2,
      .second_has_members = true,
      .sub = {without_window(early(2), 2), none_planned}},
+    {.name = "s0 M=3 K=1 D=1 volatile is withdrawn, holds 2",
+     .messages = 3,
+     .transient_local = false,
+     .sub = {withdrawn(sleeping_while_holding(linked(1), 2)), none_planned}},
+    {.name = "s0 M=2 D=1 volatile is never mapped, withdrawn and disregarded",
+     .messages = 2,
+     .transient_local = false,
+     .sub = {unmapped(early(1), false), none_planned}},
+    {.name = "s0 M=2 D=1 volatile is mapped late and served again",
+     .messages = 2,
+     .transient_local = false,
+     .sub = {unmapped(early(1), true), none_planned}},
     {.name = "s1 late M=1 K=1 D=1, leaves and joins again, the publisher leaves",
      .messages = 1,
      .sub = {none_planned, leaving(late(1, true), true)},
@@ -292,6 +315,29 @@ inline constexpr QueuePlan proof_plans[] = {
      .second_window_from = 2,
      .second_is_fresh = true,
      .sub = {without_window(early(2), 1), none_planned},
+     .publisher_deaths = 1,
+     .store_buffers = false},
+    {.name = "s0 M=3 D=2 is withdrawn, P and S die",
+     .messages = 3,
+     .sub = {withdrawn(early(2)), none_planned},
+     .publisher_deaths = 1,
+     .subscriber_deaths = 1,
+     .store_buffers = false},
+    {.name = "s0 M=3 D=2 holds 2, is withdrawn",
+     .messages = 3,
+     .sub = {withdrawn(holding(early(2), 2)), none_planned}},
+    {.name = "s0 M=2 keep_all(1) is never mapped and withdrawn",
+     .messages = 2,
+     .keep_all = true,
+     .sub = {unmapped(keeping_all(early(1)), false), none_planned}},
+    {.name = "s1 late M=2 K=1 D=1 is withdrawn, leaves and joins again",
+     .messages = 2,
+     .sub = {none_planned, withdrawn(leaving(late(1, true), true))},
+     .store_buffers = false},
+    {.name = "s0 M=3 K=2 D=2 is mapped late and served again, P dies",
+     .messages = 3,
+     .depth = 2,
+     .sub = {unmapped(early(2), true), none_planned},
      .publisher_deaths = 1,
      .store_buffers = false},
     one_executor_for_linked,

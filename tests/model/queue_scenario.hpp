@@ -42,6 +42,12 @@ struct SubscriptionPlan {
   std::uint32_t rejoin_depth = 0;
   bool hangs = false;            // links and then never takes, as if stopped
   std::uint32_t cannot_map = 0;  // window of the publisher, from 1; 0 = it can map all
+  // The publisher withdraws it at any time, for good.
+  bool withdrawn = false;
+  // The publisher cannot map it before it is withdrawn and holds nothing: then it is disregarded, or, with
+  // served_again, mapped and served.
+  bool unmapped = false;
+  bool served_again = false;
 };
 
 /// What a plan breaks on purpose, where no named step stands for it.
@@ -200,6 +206,7 @@ class QueueScenario {
     std::uint64_t cursor_before[2] = {};
     std::uint64_t need_open[16] = {};  // per message: frontier it was built under
     std::uint64_t rung[2] = {};        // sleep that was rung last
+    std::uint64_t withdrawal[2] = {};  // 1 to come, 2 said, 3 over: disregarded or served again
   };
 
   using W = World<QueueScenario>;
@@ -240,6 +247,7 @@ class QueueScenario {
         // Subscribed before the publisher came: on the board, and announced to it; it links at any
         // time.
         world.state.generation[s] = 1;
+        world.state.withdrawal[s] = sub.withdrawn;
         poke(world, board, offsetof(abi::TopicHeader, subscription_high), s + 1);
         poke_sub(world, s, offsetof(abi::SubscriptionEntry, word),
                  abi::pack_member(1, abi::MemberState::active));
@@ -272,8 +280,9 @@ class QueueScenario {
                (pc == wait_for_room && state.room_snapshot != room_digest(world));
       case publisher_control:
         if (state.publisher_dead != 0 || busy(world, publisher_main)) return false;
-        return state.kick != 0 || state.announce[0] != 0 || state.announce[1] != 0 ||
-               state.forget[0] != 0 || state.forget[1] != 0;
+        return state.kick != 0 || has_announcement(state, 0) || has_announcement(state, 1) ||
+               state.forget[0] != 0 || state.forget[1] != 0 || withdrawal_is_due(world, 0) ||
+               withdrawal_is_due(world, 1);
       case sub0:
       case sub1: {
         const std::uint32_t s = t - sub0;
@@ -387,6 +396,12 @@ class QueueScenario {
             is_quiet = t == daemon_main;
             break;
           case publisher_region:
+            if (!plan_.sub[0].withdrawn && !plan_.sub[1].withdrawn &&
+                w == address_map.find(publisher_region,
+                                      pe + offsetof(abi::PublisherEndpoint, withdrawn))) {
+              is_quiet = 1;
+              break;
+            }
             is_quiet =
                 t == publisher_main || t == publisher_control ||
                 (state.publisher_dead != 0 && world.threads[publisher_main].buffer_count == 0 &&
@@ -452,7 +467,8 @@ class QueueScenario {
       const SubscriptionPrivate& own = sub_private(world, s);
       if (!alive || plan_.publisher_leaves)
         return "a subscription of a publisher that is gone did not finish";
-      if (own.link.cursor() <= head) return "a subscription sleeps beside a message";
+      if (own.link.cursor() <= head && !is_withdrawn(state, s))
+        return "a subscription sleeps beside a message";
     }
     if (alive) {
       const PublisherPrivate& own = publisher_private(world);
@@ -467,7 +483,7 @@ class QueueScenario {
         bool keep = plan_.transient_local && !plan_.publisher_leaves &&
                     q + plan_.depth > own.core.head_sequence();
         for (std::uint32_t s = 0; s < 2; ++s) {
-          if (plan_.sub[s].hangs && state.sub_dead[s] == 0)
+          if (plan_.sub[s].hangs && state.sub_dead[s] == 0 && !is_withdrawn(state, s))
             keep = keep || q + plan_.sub[s].depth > own.core.head_sequence();
           for (std::uint64_t i = 0; i < state.held_count[s]; ++i)
             keep = keep || state.held[s][i].sequence == q;
@@ -553,6 +569,8 @@ class QueueScenario {
     address_map.add(board, offsetof(abi::TopicHeader, epoch), "epoch");
     address_map.add(board, offsetof(abi::TopicHeader, publisher_high), "publisher_high");
     address_map.add(board, offsetof(abi::TopicHeader, subscription_high), "subscription_high");
+    address_map.add(publisher_region, pe + offsetof(abi::PublisherEndpoint, withdrawn),
+                    "withdrawn");
     const std::uint64_t p = abi::publisher_entry_offset(0);
     address_map.add(board, p + offsetof(abi::PublisherEntry, word), "pub.word");
     address_map.add(board, p + offsetof(abi::PublisherEntry, slot_count), "pub.slot_count");
@@ -643,7 +661,8 @@ class QueueScenario {
   dataplane::LinkCore<MM>::Identity link_identity(std::uint32_t s,
                                                   std::uint64_t subscription_generation) const {
     return {topic(), words(),   {client_region(s), extent(s), 0},      0,  generation,
-            first,   offered(), requested(s, subscription_generation), 16, 16};
+            first,   offered(), requested(s, subscription_generation), 16, 16,
+            s};
   }
   bool matches(std::uint32_t s) const { return abi::qos_match(offered(), requested(s, 1)); }
 
@@ -667,6 +686,27 @@ class QueueScenario {
   /// with its stores.
   static bool busy(const W& world, std::uint8_t t) {
     return world.threads[t].log_count != 0 || world.threads[t].buffer_count != 0;
+  }
+
+  static bool is_withdrawn(const State& state, std::uint32_t s) {
+    return state.withdrawal[s] == 2 || state.withdrawal[s] == 3;
+  }
+  /// The publisher's control thread has something to do about it. What it may do without knowing what is
+  /// held, it does when nothing is.
+  bool withdrawal_is_due(const W& world, std::uint32_t s) const {
+    const State& state = world.state;
+    if (state.sub_dead[s] != 0) return false;
+    if (state.withdrawal[s] == 1)
+      return abi::state_of(peek(
+                 world, board,
+                 abi::subscription_entry_offset(1, s) + offsetof(abi::SubscriptionEntry, word))) ==
+             abi::MemberState::active;
+    const std::uint8_t t = static_cast<std::uint8_t>(sub0 + s);
+    return state.withdrawal[s] == 2 && plan_.sub[s].unmapped && state.announce[s] != 0 &&
+           state.held_count[s] == 0 && world.threads[t].pc == blocked && !busy(world, t);
+  }
+  bool has_announcement(const State& state, std::uint32_t s) const {
+    return state.announce[s] != 0 && !plan_.sub[s].unmapped;
   }
 
   template <class Emit>
@@ -762,10 +802,14 @@ class QueueScenario {
     Thread& thread = world.threads[t];
     State& state = world.state;
     if (t == publisher_control) {
+      std::uint64_t due[2] = {};
       for (std::uint32_t s = 0; s < 2; ++s) {
-        const std::uint64_t mapped = machine.remember(state.announce[s]);
+        const bool is_due = machine.remember(withdrawal_is_due(world, s)) != 0;
+        due[s] = is_due ? machine.remember(state.withdrawal[s]) : 0;
+        const bool withheld = plan_.sub[s].unmapped && !(due[s] == 2 && plan_.sub[s].served_again);
+        const std::uint64_t mapped = withheld ? 0 : machine.remember(state.announce[s]);
         const std::uint64_t unmapped = machine.remember(state.forget[s]);
-        if (machine.live) state.announce[s] = 0;
+        if (machine.live && !withheld) state.announce[s] = 0;
         if (machine.live) state.forget[s] = 0;
         if (mapped != 0 && unmapped != mapped)
           own.core.attach(s, mapped, client_region(s), extent(s), armed_offset(), executor(s),
@@ -777,6 +821,7 @@ class QueueScenario {
       }
       if (machine.live) state.kick = 0;
       own.core.pass(environment);
+      for (std::uint32_t s = 0; s < 2; ++s) change_withdrawal(world, own, s, due[s], environment);
       std::memcpy(state.publisher, scratch, sizeof scratch);
       return;
     }
@@ -824,6 +869,24 @@ class QueueScenario {
       std::memcpy(state.publisher, scratch, sizeof scratch);
       state.room_snapshot = room;
     }
+  }
+
+  void change_withdrawal(W& world, PublisherPrivate& own, std::uint32_t s, std::uint64_t due,
+                         PublisherEnvironment& environment) {
+    if (due == 0) return;
+    State& state = world.state;
+    const std::uint64_t g = machine.remember(state.generation[s]);
+    std::uint64_t next = due;
+    if (due == 1) {
+      if (own.core.withdraw(s, g, abi::Withdrawal::over_share)) next = 2;
+    } else if (!plan_.sub[s].served_again) {
+      own.core.disregard(s, g);
+      next = 3;
+    } else if (own.core.serve_again(s, g, environment)) {
+      next = 4;
+    }
+    if (machine.live) state.withdrawal[s] = next;
+    own.core.pass(environment);
   }
 
   /// How far the keep-all subscription is that is farthest behind, of those that were there first:
@@ -1080,9 +1143,11 @@ class QueueScenario {
     const std::uint64_t to = taken ? taken->sequence : own.link.cursor();
     if (own.link.malformed() != 0) machine.fail("an honest publisher looks malformed");
     for (std::uint64_t q = from; q < to; ++q) {
-      if (head < q + qos.depth && !may_be_unreachable(world, s, q - first))
+      if (head < q + qos.depth && !may_be_unreachable(world, s, q - first) &&
+          state.withdrawal[s] < 2)
         machine.fail("a message was lost with fewer than D newer ones");
-      if (plan.keep_all && plan_.keep_all) machine.fail("keep-all lost a message");
+      if (plan.keep_all && plan_.keep_all && state.withdrawal[s] < 2)
+        machine.fail("keep-all lost a message");
     }
     if (!taken) {
       thread.pc = machine.remember(state.held_count[s]) != 0 && !plan.sleep_holding &&
@@ -1176,6 +1241,8 @@ class QueueScenario {
                 matches(static_cast<std::uint32_t>(state.journal.index)) &&
                 state.publisher_dead < 2 && state.publisher_state == 0;
             state.generation[state.journal.index] = state.journal.generation;
+            state.withdrawal[state.journal.index] =
+                plan_.sub[state.journal.index].withdrawn && state.journal.generation == 1;
             state.announced[state.journal.index] =
                 matches(static_cast<std::uint32_t>(state.journal.index)) &&
                         state.publisher_dead == 0

@@ -351,7 +351,8 @@ class WireNode {
                                        abi::unpack_qos(body.qos),
                                        requested_,
                                        0,
-                                       1})});
+                                       1,
+                                       subscription_.index})});
       EXPECT_TRUE(fresh) << "an index is used again while it is linked here";
       EXPECT_TRUE(link->second.core.link(body.from_start != 0));
     } else {

@@ -8,6 +8,7 @@
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
+#include <agnocast/abi/words.hpp>
 
 #include <atomic>
 #include <cstddef>
@@ -49,9 +50,11 @@ static_assert(sizeof(QueueSlot) == 32 && offsetof(QueueSlot, address) == 8 &&
 //   64  intent         op, sequence, slot; read by the daemon after the owner's death
 //   88  counters       adopted messages and bytes, refused publishes by reason; for people. They share
 //                      the intent's line, which no other process reads while the owner lives
-//  128  order[R]  u64  sequence<<16 | slot, at sequence mod R
+//  128  withdrawn[24] u64  two bits for each subscription of the topic: it is served no more, and why
+//                      [sync:hold] release at E1, seq_cst at T5
+//  320  order[R]  u64  sequence<<16 | slot, at sequence mod R
 //                      [sync:publish] release at P4, acquire at T2
-//    …  slot[N]        QueueSlot, from 128 + R×8
+//    …  slot[N]        QueueSlot, from 320 + R×8
 struct PublisherEndpoint {
   alignas(cache_line_bytes) SharedWord head;
   SharedWord lineage;
@@ -65,8 +68,10 @@ struct PublisherEndpoint {
   SharedWord refused_no_slot;
   SharedWord refused_would_block;
   SharedWord refused_heap_exhausted;
+  alignas(cache_line_bytes) SharedWord withdrawn[subscription_count_max / withdrawals_per_word];
 };
-static_assert(sizeof(PublisherEndpoint) == 128);
+static_assert(subscription_count_max % withdrawals_per_word == 0);
+static_assert(sizeof(PublisherEndpoint) == 320 && offsetof(PublisherEndpoint, withdrawn) == 128);
 static_assert(offsetof(PublisherEndpoint, head) == 0 && offsetof(PublisherEndpoint, lineage) == 8 &&
               offsetof(PublisherEndpoint, inherited) == 16 &&
               offsetof(PublisherEndpoint, published_bytes) == 24 &&

@@ -56,7 +56,9 @@ constexpr std::uint64_t fingerprint() noexcept {
           pack_member(0x123456789abc, MemberState::leaving), generation_of(0xfedcba9876543210),
           pack_qos({0x1234, true, false, false, false}), pack_qos({0, false, true, false, false}),
           pack_qos({0, false, false, true, false}), window_of({7, false, true, true, false}),
-          intent_idle, intent_publish, intent_moved, cursor_aside);
+          intent_idle, intent_publish, intent_moved, cursor_aside,
+          pack_withdrawal(35, Withdrawal::not_attached), Withdrawal::none, Withdrawal::over_quota,
+          Withdrawal::over_share);
   sum.add(QosPolicy::none, QosPolicy::durability, QosPolicy::reliability);
   sum.add(MemberState::free, MemberState::active, MemberState::leaving, MemberState::orphan,
           MemberState::revoked, MemberState::dead);
@@ -71,7 +73,8 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(PublisherEndpoint, adopted_messages), offsetof(PublisherEndpoint, adopted_bytes),
           offsetof(PublisherEndpoint, refused_no_slot),
           offsetof(PublisherEndpoint, refused_would_block),
-          offsetof(PublisherEndpoint, refused_heap_exhausted));
+          offsetof(PublisherEndpoint, refused_heap_exhausted),
+          offsetof(PublisherEndpoint, withdrawn));
   sum.add(subscription_counters_offset(5), sizeof(SubscriptionCounters),
           offsetof(SubscriptionCounters, lost), offsetof(SubscriptionCounters, malformed),
           offsetof(SubscriptionCounters, unreachable), offsetof(SubscriptionCounters, lineage));
@@ -124,6 +127,11 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::WindowAnnounced, client_generation),
           offsetof(wire::WindowAnnounced, window), offsetof(wire::WindowAnnounced, base),
           offsetof(wire::WindowAnnounced, bytes), offsetof(wire::WindowAnnounced, first));
+  sum.add(sizeof(wire::Withdrawn), offsetof(wire::Withdrawn, header),
+          offsetof(wire::Withdrawn, topic), offsetof(wire::Withdrawn, why),
+          offsetof(wire::Withdrawn, publisher), offsetof(wire::Withdrawn, publisher_generation),
+          offsetof(wire::Withdrawn, subscription),
+          offsetof(wire::Withdrawn, subscription_generation), offsetof(wire::Withdrawn, bytes));
   sum.add(sizeof(wire::Blocked), offsetof(wire::Blocked, header), offsetof(wire::Blocked, base),
           offsetof(wire::Blocked, bytes), offsetof(wire::Blocked, what), sizeof(wire::MoveHeap),
           offsetof(wire::MoveHeap, header), offsetof(wire::MoveHeap, window),
@@ -280,7 +288,7 @@ constexpr std::uint64_t fingerprint() noexcept {
           Opcode::done, Opcode::refused, Opcode::announce, Opcode::window_announced, Opcode::forget,
           Opcode::orphaned, Opcode::kick, Opcode::notice);
   sum.add(Opcode::rejoin, Opcode::rejoined, Opcode::own, Opcode::region, Opcode::revoked,
-          Opcode::revoke, Opcode::blocked, Opcode::bring_window, Opcode::move_heap,
+          Opcode::revoke, Opcode::blocked, Opcode::bring_window, Opcode::withdrawn, Opcode::move_heap,
           Opcode::read_journal, Opcode::journal_record, Opcode::journal_end);
   sum.add(Opcode::observe, Opcode::dump, Opcode::observed, Opcode::dump_daemon,
           Opcode::dump_process, Opcode::dump_topic, Opcode::dump_endpoint, Opcode::dump_user,

@@ -84,6 +84,7 @@ enum class Opcode : std::uint32_t {
   rejoin = 11,
   blocked = 15,
   bring_window = 16,
+  withdrawn = 19,
   // daemon → client: answers
   welcome = 101,
   window_opened = 102,
@@ -189,6 +190,17 @@ struct Blocked {
   std::uint64_t base;
   std::uint64_t bytes;
   Name what;  // for people
+};
+/// A publisher of the process serves a subscription no more. For the daemon's log: nothing follows from it.
+struct Withdrawn {
+  Header header;
+  std::uint32_t topic;
+  std::uint32_t why;        // abi::Withdrawal
+  std::uint64_t publisher;  // its index, and generation
+  std::uint64_t publisher_generation;
+  std::uint64_t subscription;
+  std::uint64_t subscription_generation;
+  std::uint64_t bytes;  // that the subscription holds of it
 };
 /// The process's next heap window; `window` is its number, so that a repeated request is
 /// recognised.

@@ -93,6 +93,23 @@ constexpr std::uint32_t window_of(const Qos& requested) noexcept {
   return requested.depth + (requested.keep_all ? 1 : 0);
 }
 
+// --- withdrawal: why a publisher serves a subscription no more, two bits for each subscription
+//
+//   bits 2i and 2i+1 of word w: the subscription with board index 32×w + i
+enum class Withdrawal : std::uint8_t {
+  none = 0,
+  over_quota = 1,    // it holds more messages than it may
+  over_share = 2,    // its user holds more bytes than others leave to it, while the heap is full
+  not_attached = 3,  // the publisher's process could not map it
+};
+inline constexpr std::uint64_t withdrawals_per_word = 32;
+constexpr std::uint64_t pack_withdrawal(std::uint64_t subscription, Withdrawal why) noexcept {
+  return static_cast<std::uint64_t>(why) << subscription % withdrawals_per_word * 2;
+}
+constexpr Withdrawal withdrawal_of(std::uint64_t word, std::uint64_t subscription) noexcept {
+  return static_cast<Withdrawal>(word >> subscription % withdrawals_per_word * 2 & 3);
+}
+
 // --- intent.op: what a publisher was doing when it died
 inline constexpr std::uint64_t intent_idle = 0;
 inline constexpr std::uint64_t intent_publish = 1;

@@ -1,0 +1,92 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: a reader of another user that keeps what it was given may fill a publisher's heap, but not for
+// long, and not again and again.
+// Method: a publisher of large messages whose process may have one window, and a subscriber that is
+// allowed as many of them as the window has room for and lets go of none.
+
+#include <tests/hostile/hostile_node.hpp>
+#include <tests/support/ctl.hpp>
+
+#include <sstream>
+
+namespace agnocast::test {
+namespace {
+
+constexpr const char* bulk_topic = "/bulk";
+// Mebibytes: all that the window has, but for one.
+constexpr std::uint64_t kept = 63;
+
+/// Holds everything that it may, of whatever comes.
+struct Hoarder {
+  explicit Hoarder(Stage& stage) : node(stage.socket_path()) { join(); }
+  void join() {
+    made = node.join(wire::Kind::subscription, bulk_topic, {1, false, true, false, false}, kept);
+    publisher = node.announced().body;
+    line().cursor().store(publisher.first_sequence + 1);
+    line().publisher_generation().store(publisher.generation);
+    line().hold(0).store((std::uint64_t{1} << kept) - 1);
+  }
+  dataplane::LinkWords<SharedMemory> line() const { return node.line(made, publisher.index); }
+
+  HostileNode node;
+  wire::EndpointCreated made{};
+  wire::Announcement publisher{};
+};
+
+struct Progress {
+  std::uint64_t published = 0, refused = 0;
+};
+Progress progress_of(SteeredProcess& publisher) {
+  Progress progress;
+  std::istringstream words(publisher.ask("state"));
+  words >> progress.published >> progress.refused;
+  return progress;
+}
+
+TEST(HostileShare, WhoKeepsAHeapFullIsServedNoMore) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  // A window for each of the honest processes.
+  Stage stage({.quota = "held_messages = 400\nheap_bytes = 201326592\n"});
+  const auto victim = stage.another_honest_process();
+  ASSERT_EQ(victim->ask(std::string("publish_bulk ") + bulk_topic), "ok");
+  const auto goes_on = [&] {
+    const std::uint64_t before = progress_of(*victim).published;
+    return eventually([&] { return progress_of(*victim).published >= before + 50; });
+  };
+  ASSERT_TRUE(goes_on());
+  Attacker attacker([&](Attack& attack) {
+    Hoarder hoarder(stage);
+    attack.ready();
+    while (attack.goes_on()) {
+      if (attack.word(0).exchange(0) != 0) {
+        hoarder.join();
+        attack.word(1).store(1);
+      }
+      std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    }
+  });
+  ASSERT_TRUE(attacker.wait_until_ready());
+  ASSERT_TRUE(eventually([&] { return progress_of(*victim).refused > 0; }))
+      << "the heap was never full";
+  ASSERT_TRUE(stage.daemon().wait_for_log("reader withdrawn")) << stage.daemon().log();
+  EXPECT_NE(stage.daemon().log().find("its user held too much of the publisher's heap"),
+            std::string::npos);
+  ASSERT_TRUE(goes_on()) << "what is held by who is served no more still counts";
+  const CtlResult doctor = run_ctl(stage.socket_path(), {"doctor"});
+  EXPECT_NE(doctor.out.find("reader-withdrawn"), std::string::npos) << doctor.out;
+  const CtlResult info = run_ctl(stage.socket_path(), {"topic", "info", "-v", bulk_topic});
+  EXPECT_NE(info.out.find("withdrawn"), std::string::npos) << info.out;
+
+  // Once more, with a subscription that the publisher has not seen yet.
+  const std::uint64_t refused = progress_of(*victim).refused;
+  attacker.set_word(0, 1);
+  ASSERT_TRUE(eventually([&] { return attacker.word(1) == 1; }));
+  for (int i = 0; i < 4; ++i) ASSERT_TRUE(goes_on());
+  EXPECT_EQ(progress_of(*victim).refused, refused) << "newcomers of that user begin anew";
+  attacker.end();
+  stage.honest_goes_on();
+}
+
+}  // namespace
+}  // namespace agnocast::test
