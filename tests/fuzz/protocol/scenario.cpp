@@ -126,6 +126,7 @@ void Scenario::say_right_in_length(Process& process) {
       {Opcode::hello, sizeof(wire::Hello)},
       {Opcode::rejoin, sizeof(wire::Rejoin)},
       {Opcode::blocked, sizeof(wire::Blocked)},
+      {Opcode::withdrawn, sizeof(wire::Withdrawn)},
       {Opcode::observe, sizeof(wire::Observe)},
       {Opcode::dump, sizeof(wire::Dump)},
       {Opcode::revoke, sizeof(wire::Revoke)},

@@ -85,6 +85,23 @@ TEST(Requests, PassesEveryHonestPacket) {
   EXPECT_TRUE(std::holds_alternative<wire::Unlinked>(decoded(unlinked)));
 }
 
+TEST(Requests, TakesAWithdrawalWithAReasonThatItKnows) {
+  auto packet = body<wire::Withdrawn>(wire::Opcode::withdrawn);
+  packet.publisher_generation = packet.subscription_generation = 4;
+  packet.why = static_cast<std::uint32_t>(abi::Withdrawal::over_share);
+  EXPECT_TRUE(std::holds_alternative<wire::Withdrawn>(decoded(packet)));
+  packet.why = 0;
+  EXPECT_EQ(rejected(decoded(packet)).code, Errc::protocol_violation);
+  packet.why = 4;
+  EXPECT_EQ(rejected(decoded(packet)).code, Errc::protocol_violation);
+  packet.why = 1;
+  packet.subscription = abi::subscription_count_max;
+  EXPECT_EQ(rejected(decoded(packet)).code, Errc::protocol_violation);
+  packet.subscription = 0;
+  packet.topic = abi::topic_count_max;
+  EXPECT_EQ(rejected(decoded(packet)).code, Errc::protocol_violation);
+}
+
 TEST(Requests, KeepsTheMarkOfARepetitionOutOfItsId) {
   auto packet = honest_create(wire::Opcode::create_publisher);
   packet.header.request = 77 | wire::asked_again;
