@@ -98,7 +98,7 @@ void Broker::note_withdrawn(Peer& peer, const wire::Withdrawn& said) {
                               static_cast<std::uint32_t>(said.publisher)};
   const EndpointRef reader{Kind::subscription, static_cast<TopicIndex>(said.topic),
                            static_cast<std::uint32_t>(said.subscription)};
-  if (!registry_.was_used(publisher) || !registry_.was_used(reader) ||
+  if (!registry_.is_used(publisher) || !registry_.is_used(reader) ||
       registry_.generation_of(publisher) != said.publisher_generation ||
       registry_.generation_of(reader) != said.subscription_generation ||
       registry_.owner_of(publisher) != *peer.session.client())

@@ -158,6 +158,7 @@ class PublisherCore {
   bool withdraw(std::uint64_t index, std::uint64_t generation, abi::Withdrawal why) noexcept {
     Member& member = members_[index];
     if (abi::generation_of(member.word) != generation || !is_member(member.word)) return false;
+    member.word = abi::pack_member(generation, abi::MemberState::leaving);
     if (member.withdrawn_at == 0) member.withdrawn_at = head_sequence_;
     say_withdrawal(index, why);
     return true;
@@ -166,7 +167,7 @@ class PublisherCore {
   void disregard(std::uint64_t index, std::uint64_t generation) noexcept {
     Member& member = members_[index];
     if (abi::generation_of(member.word) == generation && member.withdrawn_at != 0)
-      member.disregarded = 1;
+      member.word = abi::pack_member(generation, abi::MemberState::free);
   }
   /// It is mapped now and served again, once it holds nothing: a slot that it has held since may be another
   /// message's by now.
@@ -177,12 +178,17 @@ class PublisherCore {
     if (abi::generation_of(member.word) != generation || member.withdrawn_at == 0 ||
         member.attached_generation != generation)
       return false;
+    const std::uint64_t word =
+        self_.topic.subscription(index, offsetof(abi::SubscriptionEntry, word))
+            .load(std::memory_order_acquire);
+    if (abi::generation_of(word) != generation || !is_member(word)) return false;
     const LinkWords<M> link{member.region, member.extent, self_.index};
     std::uint64_t held = 0;
-    for (std::size_t word = 0; word < mask_words; ++word)
-      held |= link.hold(word).load(std::memory_order_acquire);
+    for (std::size_t i = 0; i < mask_words; ++i)
+      held |= link.hold(i).load(std::memory_order_acquire);
     if (held != 0) return false;
     end_withdrawal(index);
+    member.word = word;
     M::fence();  // who is rung finds it so
     AGNOCAST_STEP(J7_ring) environment.ring(member.executor, 0);
     return true;
@@ -194,7 +200,7 @@ class PublisherCore {
     return abi::withdrawal_of(self_.words.withdrawn(index).load(std::memory_order_relaxed), index);
   }
   bool is_disregarded(std::uint64_t index) const noexcept {
-    return members_[index].disregarded != 0;
+    return members_[index].withdrawn_at != 0 && !is_member(members_[index].word);
   }
   /// function(index, generation) of each member that takes part and is not mapped.
   template <class Function>
@@ -252,7 +258,8 @@ class PublisherCore {
   using Mask = std::array<std::uint64_t, mask_words>;
 
   struct Member {
-    std::uint64_t word = 0;    // as last read from the board
+    // As last read from the board; of who is withdrawn leaving, and of who is disregarded free.
+    std::uint64_t word = 0;
     std::uint64_t since = 0;   // lower bound of where it starts, while it is not linked
     std::uint64_t window = 0;  // newest messages that it can still ask for
     std::uint64_t bound =
@@ -265,7 +272,6 @@ class PublisherCore {
     std::uint64_t quota = 0;  // messages that it may hold at once
     std::uint64_t withdrawn_at =
         0;  // head when it was told that it gets nothing more; 0 = it was not
-    std::uint64_t disregarded = 0;  // 1: withdrawn, and what it holds counts no more
     typename M::Region region{};
   };
 
@@ -310,9 +316,7 @@ class PublisherCore {
     bool room = true;
     for (std::uint64_t i = 0; i < member_high_; ++i) {
       const Member& member = members_[i];
-      if (abi::state_of(member.word) != abi::MemberState::active || member.bound == 0 ||
-          member.withdrawn_at != 0)
-        continue;
+      if (abi::state_of(member.word) != abi::MemberState::active || member.bound == 0) continue;
       const std::uint64_t bound = std::min<std::uint64_t>(self_.qos.depth, member.bound);
       if (M::holds(Step::K0_room, head_sequence_ + 2 > member.low + bound)) room = false;
     }
@@ -382,6 +386,8 @@ class PublisherCore {
     } else if (member.word != word && !is_member(member.word)) {
       word = abi::pack_member(abi::generation_of(word),
                               abi::MemberState::free);  // refused or over: it stays so
+    } else if (member.withdrawn_at != 0 && is_member(word)) {
+      word = member.word;
     }
     member.word = word;
   }
@@ -404,7 +410,6 @@ class PublisherCore {
     Member& member = members_[index];
     if (member.withdrawn_at == 0) return;
     member.withdrawn_at = 0;
-    member.disregarded = 0;
     say_withdrawal(index, abi::Withdrawal::none);
   }
 
@@ -413,8 +418,7 @@ class PublisherCore {
   void ring_sleepers(Environment& environment) noexcept {
     for (std::uint64_t i = 0; i < member_high_; ++i) {
       Member& member = members_[i];
-      if (abi::state_of(member.word) != abi::MemberState::active || member.withdrawn_at != 0)
-        continue;
+      if (abi::state_of(member.word) != abi::MemberState::active) continue;
       if (member.attached_generation != abi::generation_of(member.word))
         continue;  // J7 rings it once it is mapped
       std::uint64_t armed = 0;
@@ -464,9 +468,7 @@ class PublisherCore {
     for (std::uint64_t i = 0; i < (over_ != 0 ? 0 : member_high_); ++i) {
       Member& member = members_[i];
       if (!is_member(member.word)) continue;
-      if (member.disregarded != 0) continue;
-      const bool leaving =
-          abi::state_of(member.word) == abi::MemberState::leaving || member.withdrawn_at != 0;
+      const bool leaving = abi::state_of(member.word) == abi::MemberState::leaving;
       const bool mapped = member.attached_generation == abi::generation_of(member.word);
       std::uint64_t low = member.since;
       if (mapped) {
@@ -500,28 +502,38 @@ class PublisherCore {
   /// slots of this publisher; from then on its holds are not looked at, and it reads what it likes.
   void collect_holds(const LinkWords<M>& link, std::uint64_t index, Mask& held) noexcept {
     Member& member = members_[index];
+    if (member.withdrawn_at != 0) [[unlikely]]
+      return collect_last_holds(link, member, held);
     const std::size_t words = words_in_use();
     std::uint64_t count = 0;
-    std::uint64_t any = 0;
     for (std::size_t word = 0; word < words; ++word) {
       if (allocated_[word] == 0) continue;
       // [sync:hold] acquire; pairs with the release of L1: what the holder read, it read before
       // this message is destroyed.
-      std::uint64_t bits = link.hold(word).load(std::memory_order_acquire);
-      if (member.withdrawn_at != 0) [[unlikely]]
-        bits = published_before(member.withdrawn_at, word, bits);
+      const std::uint64_t bits = link.hold(word).load(std::memory_order_acquire);
       held[word] |= bits;
-      any |= bits & allocated_[word];
       if (bits != 0) count += static_cast<std::uint64_t>(std::popcount(bits & allocated_[word]));
     }
     if (count > member.quota + 1 && holds_too_many(link, member.quota)) {
       member.withdrawn_at = head_sequence_;
-      member.disregarded = 1;
+      member.word = abi::pack_member(abi::generation_of(member.word), abi::MemberState::free);
       say_withdrawal(index, abi::Withdrawal::over_quota);
-    } else if (member.withdrawn_at != 0 && M::holds(Step::E2_clear, any == 0)) {
-      // It was told before the fence of this pass, so it takes nothing that this look has not seen.
-      member.disregarded = 1;
     }
+  }
+
+  /// Of a member that is withdrawn. It was told before the fence of this pass, so it takes nothing that this
+  /// look has not seen.
+  void collect_last_holds(const LinkWords<M>& link, Member& member, Mask& held) const noexcept {
+    std::uint64_t any = 0;
+    for (std::size_t word = 0; word < words_in_use(); ++word) {
+      if (allocated_[word] == 0) continue;
+      const std::uint64_t bits = published_before(member.withdrawn_at, word,
+                                                  link.hold(word).load(std::memory_order_acquire));
+      held[word] |= bits;
+      any |= bits;
+    }
+    if (M::holds(Step::E2_clear, any == 0))
+      member.word = abi::pack_member(abi::generation_of(member.word), abi::MemberState::free);
   }
 
   /// Of these bits of a word, those of messages up to this sequence number: who is served no more has

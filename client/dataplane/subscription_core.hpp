@@ -147,7 +147,7 @@ class LinkCore {
       // before it was served again is gone there.
       if (M::holds(Step::T5_withdrawn, is_withdrawn())) {
         undo();
-        withdrawn_ = 1;
+        unusual_ |= is_withdrawn_here;
         break;
       }
       if (!M::holds(Step::T5_valid,
@@ -248,19 +248,21 @@ class LinkCore {
   /// Learns whether the publisher is gone. From then on only what the daemon recorded as committed
   /// is taken.
   void observe_publisher() noexcept {
-    if (orphaned_ != 0) return;
+    if ((unusual_ & is_orphaned) != 0) return;
     const std::uint64_t word = publisher_word();
     if (abi::generation_of(word) == self_.generation &&
         abi::state_of(word) == abi::MemberState::active)
       return;
     final_head_ = self_.topic.publisher(self_.index, offsetof(abi::PublisherEntry, final_head))
                       .load(std::memory_order_relaxed);
-    orphaned_ = 1;
+    unusual_ |= is_orphaned;
   }
   /// True once the publisher is gone and everything it committed has been taken or lost.
-  bool drained() const noexcept { return orphaned_ != 0 && abi::sequence_of(newest()) < cursor_; }
+  bool drained() const noexcept {
+    return (unusual_ & is_orphaned) != 0 && abi::sequence_of(newest()) < cursor_;
+  }
   /// A take has found that the publisher serves this subscription no more. It may serve it again.
-  bool withdrawn() const noexcept { return withdrawn_ != 0 && is_withdrawn(); }
+  bool withdrawn() const noexcept { return (unusual_ & is_withdrawn_here) != 0 && is_withdrawn(); }
 
   /// The last take() left a message because the announcement of its window is missing.
   bool is_awaiting_window() const noexcept { return awaiting_ != 0; }
@@ -271,9 +273,10 @@ class LinkCore {
 
  private:
   std::uint64_t newest() const noexcept {
-    if (withdrawn()) [[unlikely]]
-      return abi::pack_entry(cursor_ - 1, 0);
-    if (orphaned_ != 0) return final_head_;
+    if (unusual_ != 0) [[unlikely]] {
+      if (withdrawn()) return abi::pack_entry(cursor_ - 1, 0);
+      if ((unusual_ & is_orphaned) != 0) return final_head_;
+    }
     std::uint64_t head = 0;
     // [sync:publish] acquire; pairs with P5.
     AGNOCAST_STEP(T1_head) head = self_.publisher.head().load(std::memory_order_acquire);
@@ -314,6 +317,8 @@ class LinkCore {
     AGNOCAST_STEP(T7_cursor) self_.line.cursor().store(cursor_, std::memory_order_release);
   }
 
+  static constexpr std::uint64_t is_orphaned = 1;
+  static constexpr std::uint64_t is_withdrawn_here = 2;  // seen so, and to be looked at again
   static constexpr std::uint64_t all_history = ~std::uint64_t{0};
 
   Identity self_;
@@ -322,9 +327,8 @@ class LinkCore {
   std::uint64_t lost_ = 0;
   std::uint64_t malformed_ = 0;
   std::uint64_t unreachable_ = 0;
-  std::uint64_t orphaned_ = 0;
+  std::uint64_t unusual_ = 0;  // is_orphaned, is_withdrawn_here
   std::uint64_t awaiting_ = 0;
-  std::uint64_t withdrawn_ = 0;  // 1: seen, and to be looked at again
   std::uint64_t final_head_ = 0;
 };
 
