@@ -12,6 +12,7 @@
 //     watch TOPIC       → ok      takes what others publish there, looks at no byte of it, notes where it lay
 //     publish_bulk TOPIC → ok    a mebibyte every few milliseconds; only the newest one is kept for others
 //     publish_flat TOPIC → ok    a publisher of Flat, which says nothing
+//     limit-addresses   → ok      this process can map no other one's region from now on
 //     create TOPIC      → ok      a publisher and a subscription more, and away with them
 //     collisions        → of how many collisions of addresses its publisher was told
 //     matched           → how many there are at the other end of what it has
@@ -26,6 +27,7 @@
 #include <grp.h>
 #include <sys/mman.h>
 #include <sys/prctl.h>
+#include <sys/resource.h>
 #include <unistd.h>
 
 #include <atomic>
@@ -34,6 +36,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <deque>
+#include <fstream>
 #include <iostream>
 #include <optional>
 #include <sstream>
@@ -59,6 +62,7 @@ class HonestNode {
     if (what == "subscribe" || what == "join") return subscribe(topic, what == "join");
     if (what == "occupy") return occupy(topic, line);
     if (what == "watch") return watch(topic);
+    if (what == "limit-addresses") return limit_addresses();
     if (what == "create") return create(topic);
     if (what == "publish_flat") return publish_flat(topic);
     if (what == "publish_bulk") return publish_bulk(topic);
@@ -114,6 +118,16 @@ class HonestNode {
       }
     });
     return "ok";
+  }
+
+  static std::string limit_addresses() {
+    std::uint64_t pages = 0;
+    std::ifstream("/proc/self/statm") >> pages;
+    // A region takes a gibibyte of addresses.
+    const rlim_t most =
+        pages * static_cast<std::uint64_t>(::sysconf(_SC_PAGESIZE)) + (rlim_t{512} << 20);
+    const rlimit limit{most, most};
+    return ::setrlimit(RLIMIT_AS, &limit) == 0 ? "ok" : "no";
   }
 
   static std::string occupy(const std::string& address, std::istringstream& line) {

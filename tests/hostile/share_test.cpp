@@ -3,7 +3,8 @@
 // Goal: a reader of another user that keeps what it was given may fill a publisher's heap, but not for
 // long, and not again and again.
 // Method: a publisher of large messages whose process may have one window, and a subscriber that is
-// allowed as many of them as the window has room for and lets go of none.
+// allowed as many of them as the window has room for and lets go of none; or one that the publisher's
+// process cannot map, so that nobody knows what it holds.
 
 #include <tests/hostile/hostile_node.hpp>
 #include <tests/support/ctl.hpp>
@@ -44,17 +45,18 @@ Progress progress_of(SteeredProcess& publisher) {
   return progress;
 }
 
+bool goes_on(SteeredProcess& publisher) {
+  const std::uint64_t before = progress_of(publisher).published;
+  return eventually([&] { return progress_of(publisher).published >= before + 50; });
+}
+
 TEST(HostileShare, WhoKeepsAHeapFullIsServedNoMore) {
   AGNOCAST_NEEDS_TWO_USERS();
   // A window for each of the honest processes.
   Stage stage({.quota = "held_messages = 400\nheap_bytes = 201326592\n"});
   const auto victim = stage.another_honest_process();
   ASSERT_EQ(victim->ask(std::string("publish_bulk ") + bulk_topic), "ok");
-  const auto goes_on = [&] {
-    const std::uint64_t before = progress_of(*victim).published;
-    return eventually([&] { return progress_of(*victim).published >= before + 50; });
-  };
-  ASSERT_TRUE(goes_on());
+  ASSERT_TRUE(goes_on(*victim));
   Attacker attacker([&](Attack& attack) {
     Hoarder hoarder(stage);
     attack.ready();
@@ -72,7 +74,7 @@ TEST(HostileShare, WhoKeepsAHeapFullIsServedNoMore) {
   ASSERT_TRUE(stage.daemon().wait_for_log("reader withdrawn")) << stage.daemon().log();
   EXPECT_NE(stage.daemon().log().find("its user held too much of the publisher's heap"),
             std::string::npos);
-  ASSERT_TRUE(goes_on()) << "what is held by who is served no more still counts";
+  ASSERT_TRUE(goes_on(*victim)) << "what is held by who is served no more still counts";
   const CtlResult doctor = run_ctl(stage.socket_path(), {"doctor"});
   EXPECT_NE(doctor.out.find("reader-withdrawn"), std::string::npos) << doctor.out;
   const CtlResult info = run_ctl(stage.socket_path(), {"topic", "info", "-v", bulk_topic});
@@ -82,8 +84,35 @@ TEST(HostileShare, WhoKeepsAHeapFullIsServedNoMore) {
   const std::uint64_t refused = progress_of(*victim).refused;
   attacker.set_word(0, 1);
   ASSERT_TRUE(eventually([&] { return attacker.word(1) == 1; }));
-  for (int i = 0; i < 4; ++i) ASSERT_TRUE(goes_on());
+  for (int i = 0; i < 4; ++i) ASSERT_TRUE(goes_on(*victim));
   EXPECT_EQ(progress_of(*victim).refused, refused) << "newcomers of that user begin anew";
+  attacker.end();
+  stage.honest_goes_on();
+}
+
+TEST(HostileShare, WhoCannotBeMappedIsNotKeptForForEver) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage({.quota = "held_messages = 400\nheap_bytes = 201326592\n"});
+  const auto victim = stage.another_honest_process();
+  ASSERT_EQ(victim->ask(std::string("publish_bulk ") + bulk_topic), "ok");
+  ASSERT_TRUE(goes_on(*victim));
+  ASSERT_EQ(victim->ask("limit-addresses"), "ok");
+  Attacker attacker([&](Attack& attack) {
+    HostileNode node(stage.socket_path());
+    node.join(wire::Kind::subscription, bulk_topic, {1, false, true, false, false}, 1);
+    attack.ready();
+    while (attack.goes_on()) std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  });
+  ASSERT_TRUE(attacker.wait_until_ready());
+  ASSERT_TRUE(eventually([&] { return progress_of(*victim).refused > 0; }))
+      << "everything is kept for who may hold anything, or it was mapped after all";
+  ASSERT_TRUE(eventually([&] {
+    return stage.daemon().log().find("its process could not be mapped") != std::string::npos;
+  })) << stage.daemon().log();
+  ASSERT_TRUE(goes_on(*victim));
+  const std::uint64_t refused = progress_of(*victim).refused;
+  for (int i = 0; i < 4; ++i) ASSERT_TRUE(goes_on(*victim));
+  EXPECT_EQ(progress_of(*victim).refused, refused);
   attacker.end();
   stage.honest_goes_on();
 }
