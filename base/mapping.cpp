@@ -59,6 +59,13 @@ std::uint64_t locked_bytes() noexcept {
 
 }  // namespace
 
+bool locks_new_mappings() noexcept {
+  const std::uint64_t before = locked_bytes();
+  // What cannot be mapped is refused for the same reason.
+  const auto page = Mapping::map_private(1);
+  return page ? locked_bytes() > before : page.error().code == Errc::lock_limit;
+}
+
 Failure lock_refusal(std::uint64_t bytes) noexcept {
   rlimit limit{};
   ::getrlimit(RLIMIT_MEMLOCK, &limit);

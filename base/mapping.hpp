@@ -54,6 +54,9 @@ class Mapping {
   std::uint64_t bytes_ = 0;
 };
 
+/// Whether this process has said mlockall(MCL_FUTURE): all of what is mapped counts as locked. Reads /proc twice.
+bool locks_new_mappings() noexcept;
+
 /// Why mmap answered EAGAIN to `bytes`: the limit of locked memory, how much of it is used, what is
 /// needed.
 Failure lock_refusal(std::uint64_t bytes) noexcept;

@@ -12,6 +12,7 @@
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/daemon_socket.hpp>
 #include <base/kept_fd.hpp>
+#include <base/mapping.hpp>
 #include <base/signals.hpp>
 #include <base/socket_path.hpp>
 #include <base/step.hpp>
@@ -23,6 +24,7 @@
 
 #include <pthread.h>
 #include <sys/epoll.h>
+#include <sys/resource.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -84,8 +86,19 @@ std::string process_name() {
   return name;
 }
 
-// Destructors of messages run on it. Under mlockall all of it is memory: not the default of 8 MiB.
-constexpr std::size_t control_stack_bytes = std::size_t{1} << 20;
+// Destructors of messages run on it, which may need as much stack as in main, whatever that has: of one without a limit,
+// what Linux gives by default. Where memory is locked as it is mapped (mlockall), all of it would be memory.
+constexpr std::size_t small_stack_bytes = std::size_t{1} << 20;
+constexpr rlim_t default_stack_bytes = rlim_t{8} << 20;
+
+std::size_t service_stack_bytes() noexcept {
+  rlimit main_stack{};
+  if (locks_new_mappings() || ::getrlimit(RLIMIT_STACK, &main_stack) != 0)
+    return small_stack_bytes;
+  const rlim_t bytes =
+      main_stack.rlim_cur == RLIM_INFINITY ? default_stack_bytes : main_stack.rlim_cur;
+  return std::max<std::size_t>(bytes, small_stack_bytes);
+}
 
 }  // namespace
 
@@ -241,15 +254,18 @@ Result<void> Context::watch(int fd) noexcept {
 }
 
 int Context::start_service_thread(const char* name, void* (*body)(void*), void* argument) noexcept {
-  pthread_attr_t attributes;
-  ::pthread_attr_init(&attributes);
-  ::pthread_attr_setstacksize(&attributes, control_stack_bytes);
   pthread_t thread{};
-  const int refused = [&] {
+  const auto start = [&](std::size_t stack_bytes) {
+    pthread_attr_t attributes;
+    ::pthread_attr_init(&attributes);
+    ::pthread_attr_setstacksize(&attributes, stack_bytes);
     const SignalsBlocked blocked;
-    return ::pthread_create(&thread, &attributes, body, argument);
-  }();
-  ::pthread_attr_destroy(&attributes);
+    const int refused = ::pthread_create(&thread, &attributes, body, argument);
+    ::pthread_attr_destroy(&attributes);
+    return refused;
+  };
+  int refused = start(service_stack_bytes());
+  if (refused != 0) refused = start(small_stack_bytes);
   if (refused != 0) return refused;
   ::pthread_setname_np(thread, name);
   ::pthread_detach(thread);
@@ -273,7 +289,7 @@ Result<void> Context::start_thread() {
   has_thread_ = refused == 0;
   if (refused == 0) return {};
   // Too many threads, or no room for its stack? Both are EAGAIN.
-  if (const Result<Mapping> stack = Mapping::map_private(control_stack_bytes); !stack)
+  if (const Result<Mapping> stack = Mapping::map_private(small_stack_bytes); !stack)
     return tl::unexpected<Failure>(stack.error());
   return fail(Errc::os_failure, "starting the control thread", refused);
 }

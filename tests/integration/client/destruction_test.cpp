@@ -10,6 +10,9 @@
 
 #include <gmock/gmock.h>
 
+#include <sys/resource.h>
+
+#include <algorithm>
 #include <atomic>
 #include <cstddef>
 #include <cstdlib>
@@ -28,6 +31,14 @@ std::atomic<std::size_t> destroyed_by[static_cast<std::size_t>(Doing::count)];
 // Run by destructors, once for each message that it is to be run for.
 std::atomic<int> returns_left{0};
 void come_back();
+// What a destructor needs of the stack, as a long chain of objects does that destroy each other.
+std::atomic<std::size_t> stack_pages{0};
+[[gnu::noinline]] std::size_t go_down(std::size_t pages) {
+  volatile char page[4000];
+  page[0] = 1;
+  const std::size_t below = pages > 1 ? go_down(pages - 1) : 0;
+  return below + static_cast<std::size_t>(page[0]);
+}
 
 struct Noted {
   std::vector<std::byte> bytes;
@@ -35,6 +46,9 @@ struct Noted {
   Noted(const Noted&) = default;
   Noted& operator=(const Noted&) = default;
   ~Noted() {
+    if (const std::size_t pages = stack_pages.load(); pages != 0) {
+      EXPECT_EQ(go_down(pages), pages);
+    }
     ++destroyed_by[static_cast<std::size_t>(doing)];
     if (returns_left.load() > 0 && returns_left.fetch_sub(1) > 0) come_back();
   }
@@ -128,6 +142,18 @@ TEST_F(Destruction, WhereNobodyBorrowsIsThatOfTheNextPublish) {
 TEST_F(Destruction, OfTheLastMessagesIsDoneByTheLibrary) {
   for (int i = 0; i < 8; ++i) borrow_and_publish(small);
   EXPECT_TRUE(test::eventually([] { return destroyed() == 8; })) << destroyed();
+  EXPECT_GT(destroyed(Doing::nothing), 0u);
+}
+
+TEST_F(Destruction, MayNeedAsMuchStackAsMainHas) {
+  rlimit main_stack{};
+  ASSERT_EQ(::getrlimit(RLIMIT_STACK, &main_stack), 0);
+  const std::size_t bytes = std::min<rlim_t>(main_stack.rlim_cur, rlim_t{8} << 20) / 8 * 5;
+  ASSERT_GT(bytes, std::size_t{4} << 20);
+  for (int i = 0; i < 8; ++i) borrow_and_publish(small);
+  stack_pages = bytes / 4096;
+  EXPECT_TRUE(test::eventually([] { return destroyed() == 8; })) << destroyed();
+  stack_pages = 0;
   EXPECT_GT(destroyed(Doing::nothing), 0u);
 }
 
