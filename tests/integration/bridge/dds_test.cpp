@@ -514,6 +514,68 @@ TEST(Refusals, AreFailuresWithAText) {
   EXPECT_FALSE(participant->create_reader("DCPSTopic", raw_type, {}, keep_bytes));
 }
 
+TEST(Limits, AReaderThatIsNotReadKeepsOneMessageAndNoMoreBytesThanItMay) {
+  const Domain domain;
+  const auto left = domain.participant(), right = domain.participant();
+  const auto from = writer(*left, "rt/a", "reliable all");
+  const auto to =
+      right->create_reader("rt/a", raw_type, qos_of("reliable all"), keep_bytes, 8 * 1024).value();
+  ASSERT_TRUE(until(*right, [&] { return to->matched() > 0 && from->matched() > 0; }));
+  const auto have_come = [&](std::uint64_t decoded, std::uint64_t overflow) {
+    return until(*right, [&] { return to->decoded() + to->overflow() == decoded + overflow; }) &&
+           to->decoded() == decoded && to->overflow() == overflow &&
+           right->limits().refused(bridge::Limit::unread_bytes_of_reader) == overflow;
+  };
+  const auto take_all = [&] {
+    int count = 0;
+    while (to->take()) ++count;
+    return count;
+  };
+  for (int i = 0; i < 12; ++i) ASSERT_TRUE(send(*from, pattern(1020)));
+  EXPECT_TRUE(have_come(8, 4)) << to->decoded() << ' ' << to->overflow();
+  EXPECT_EQ(take_all(), 8);
+  ASSERT_TRUE(send(*from, pattern(20'000)));
+  ASSERT_TRUE(send(*from, pattern(0)));
+  EXPECT_TRUE(have_come(9, 5)) << "one of any size, where nothing is unread";
+  EXPECT_EQ(take_all(), 1);
+  // However small, each costs what a KiB does.
+  for (int i = 0; i < 12; ++i) ASSERT_TRUE(send(*from, pattern(0)));
+  EXPECT_TRUE(have_come(17, 9)) << to->decoded() << ' ' << to->overflow();
+}
+
+TEST(Limits, ReadersThatAreFloodedLeaveOneMessageToEachOther) {
+  const Domain domain;
+  const auto left = domain.participant(), right = domain.participant();
+  const Bytes large(60 * bridge::mebibyte);
+  const auto nothing = [](bridge::RawPieces) { return std::make_shared<int>(); };
+  std::vector<std::unique_ptr<DdsReader>> readers;
+  // 240 MiB each of the first two; of the others what comes first.
+  for (const auto& [topic, decoded] :
+       {std::pair("rt/a", 4u), {"rt/b", 4u}, {"rt/c", 1u}, {"rt/d", 1u}}) {
+    SCOPED_TRACE(topic);
+    const auto from = writer(*left, topic, "reliable 1");
+    readers.push_back(reader(*right, topic, "reliable all", raw_type, nothing));
+    DdsReader& to = *readers.back();
+    ASSERT_TRUE(until(*right, [&] { return to.matched() > 0 && from->matched() > 0; }));
+    for (std::uint64_t i = 1; i <= 5; ++i) {
+      ASSERT_TRUE(send(*from, large));
+      ASSERT_TRUE(until(*right, [&] { return to.decoded() + to.overflow() == i; }));
+    }
+    EXPECT_EQ(to.decoded(), decoded);
+  }
+  EXPECT_EQ(right->limits().refused(bridge::Limit::unread_bytes_of_reader), 2u);
+  EXPECT_EQ(right->limits().refused(bridge::Limit::unread_bytes), 8u);
+  // What is taken makes room.
+  readers.clear();
+  const auto from = writer(*left, "rt/c", "reliable 1");
+  const auto to = reader(*right, "rt/c", "reliable all", raw_type, nothing);
+  ASSERT_TRUE(until(*right, [&] { return to->matched() > 0 && from->matched() > 0; }));
+  for (std::uint64_t i = 1; i <= 4; ++i) {
+    ASSERT_TRUE(send(*from, large));
+    ASSERT_TRUE(until(*right, [&] { return to->decoded() == i; }));
+  }
+}
+
 std::size_t entries_in(const char* directory) {
   DIR* const open = ::opendir(directory);
   std::size_t count = 0;

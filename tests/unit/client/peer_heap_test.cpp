@@ -4,6 +4,7 @@
 // announced, mapped up to what is in use. Method: windows of memfds in a reservation of this test,
 // which writes the owner's header as an owner would, honest or not.
 
+#include <base/kept_fd.hpp>
 #include <base/mapping.hpp>
 #include <base/memfd.hpp>
 #include <client/peer_heap.hpp>
@@ -13,6 +14,7 @@
 
 #include <fcntl.h>
 #include <gtest/gtest.h>
+#include <unistd.h>
 
 #include <string>
 #include <utility>
@@ -200,6 +202,19 @@ TEST_F(PeerHeapTest, WhatTheSystemRefusesToMapClosesTheGroup) {
   const UniqueFd file = make_memfd("window", window_bytes).value();
   const std::string path = "/proc/self/fd/" + std::to_string(file.get());
   ASSERT_TRUE(heap_.add(announced(1, 0), UniqueFd(::open(path.c_str(), O_WRONLY | O_CLOEXEC))));
+  EXPECT_EQ(place_of(0), Place::unreachable);
+}
+
+// A program may close what it did not open, and open something of its own under the number.
+TEST_F(PeerHeapTest, WhatHasTakenTheNumberOfAWindowIsNotMapped) {
+  UniqueFd file = keep(make_memfd("window", window_bytes).value());
+  const int number = file.get();
+  show(0, abi::page_bytes);
+  ASSERT_TRUE(heap_.add(announced(0, 0), std::move(file)));
+  ASSERT_EQ(place_of(0), Place::readable);
+  const UniqueFd strange = make_memfd("strange", window_bytes).value();
+  ASSERT_EQ(::dup2(strange.get(), number), number);
+  show(0, 2 * abi::page_bytes);
   EXPECT_EQ(place_of(0), Place::unreachable);
 }
 

@@ -5,6 +5,7 @@
 
 #include <client/sparse_region.hpp>
 
+#include <base/kept_fd.hpp>
 #include <base/memfd.hpp>
 #include <client/forked_child.hpp>
 #include <tests/support/child.hpp>
@@ -12,6 +13,7 @@
 #include <fcntl.h>
 #include <gtest/gtest.h>
 #include <sys/mman.h>
+#include <unistd.h>
 
 #include <atomic>
 #include <cerrno>
@@ -72,6 +74,20 @@ TEST_F(SparseRegionClaim, IsSeenByReadersUntilTheRegionIsLetGoOf) {
   EXPECT_TRUE(reader.is_claimed());
   moved = {};
   EXPECT_FALSE(reader.is_claimed()) << "the daemon has its descriptor still";
+}
+
+// A program may close what it did not open, and open something of its own under the number.
+TEST(SparseRegionParts, OfWhatHasTakenTheNumberOfTheRegionAreNotMapped) {
+  UniqueFd file = keep(make_memfd("region", region_bytes).value());
+  const int number = file.get();
+  SparseRegion region =
+      SparseRegion::make(std::move(file), region_bytes, Mapping::Access::read_write).value();
+  ASSERT_TRUE(region.open(0, abi::page_bytes));
+  const UniqueFd strange = make_memfd("strange", region_bytes).value();
+  ASSERT_EQ(::dup2(strange.get(), number), number);
+  const auto refused = region.open(abi::page_bytes, abi::page_bytes);
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().os_errno, EBADF);
 }
 
 TEST_F(SparseRegionClaim, EndsWithItsProcessAlthoughAChildOfItLives) {
