@@ -30,9 +30,6 @@ constexpr std::size_t takes_max = 64, former_takes_max = 10'000;
 // What keep-all may hold up of one writer, beside its publisher's own queue. More is dropped: messages of a DDS
 // reader that does not take would hold up all topics.
 constexpr std::size_t held_up_max = 1'000;
-// A plan for changes in DDS is followed by four times its duration without another one, at most this.
-constexpr int plan_pause_factor = 4;
-constexpr milliseconds plan_pause_max(1'000);
 // Writers that came and went since the newest plan, and get their source all the same.
 constexpr std::size_t gone_writers_max = 1'000;
 // Writing is copying and sending: more threads than this are rarely busy at once.
@@ -236,7 +233,7 @@ std::chrono::nanoseconds Bridge::tidy() {
   }
   if (settle_at_) wake_at(*settle_at_);
   if (plan_again_) wake_at(*plan_again_);
-  if (is_dds_changed_) wake_at(next_dds_plan_);
+  if (const auto due = pace_.due()) wake_at(*due);
   return next ? std::max(*next - now, std::chrono::nanoseconds(0)) : no_end;
 }
 
@@ -274,7 +271,7 @@ DdsResult<void> Bridge::run() {
     const bool has_changed = is_local_new || are_rules_new || is_time;
     // The plan may end some of them; inlet_of_ knows which are left.
     const std::vector<DdsReader*> readers(ready->readers.begin(), ready->readers.end());
-    if (has_changed || is_plan_due()) look_around();
+    if (has_changed || pace_.is_due(std::chrono::steady_clock::now())) look_around();
     for (DdsReader* const reader : readers) {
       if (inlet_of_.contains(reader)) take_from(*reader);
     }
@@ -448,7 +445,7 @@ std::optional<std::string> Bridge::problem_of(const std::string& type) {
 // A writer that came and went since the last look may have been matched with an inlet that was there already: it
 // gets its source, which then lingers.
 void Bridge::note(const std::vector<RemoteChange>& changes) {
-  is_dds_changed_ |= !changes.empty();
+  if (!changes.empty()) pace_.changed();
   for (const RemoteChange& change : changes) {
     const Remote& remote = change.remote;
     if (!change.is_there && remote.kind == Remote::Kind::writer &&
@@ -457,18 +454,13 @@ void Bridge::note(const std::vector<RemoteChange>& changes) {
   }
 }
 
-bool Bridge::is_plan_due() const {
-  return is_dds_changed_ && next_dds_plan_ <= std::chrono::steady_clock::now();
-}
-
 void Bridge::look_around() {
   plan_again_.reset();
   // While the daemon is away whatever is made here would wait for it, and everything that flows for this thread.
   if (connection_state() == ConnectionState::reconnecting) {
-    plan_again_ = next_dds_plan_ = std::chrono::steady_clock::now() + daemon_interval;
-    return;
+    plan_again_ = std::chrono::steady_clock::now() + daemon_interval;
+    return pace_.put_off(*plan_again_);
   }
-  is_dds_changed_ = false;
   const std::vector<Remote> gone = std::exchange(gone_writers_, {});
   const Outlets::Time begin = std::chrono::steady_clock::now();
   bool is_whole = true;
@@ -479,13 +471,12 @@ void Bridge::look_around() {
   }
   is_whole = is_whole && plan_and_apply(participant_->remotes());
   const Outlets::Time end = std::chrono::steady_clock::now();
-  next_dds_plan_ =
-      end + std::min<std::chrono::steady_clock::duration>(plan_pause_factor * (end - begin),
-                                                          plan_pause_max);
-  if (!is_whole) {
-    is_dds_changed_ = true;
+  if (is_whole) {
+    pace_.made(begin, end);
+  } else {
+    pace_.changed();
+    pace_.put_off(end + daemon_interval);
     gone_writers_ = gone;
-    next_dds_plan_ = end + daemon_interval;
   }
   publish_unplaced();
 }
@@ -714,7 +705,7 @@ void Bridge::take_from(DdsReader& reader) {
   if (std::any_of(taken.begin(), taken.end(),
                   [&](const DdsSample& sample) { return !sources_.contains(sample.writer); })) {
     note(participant_->discovered());
-    if (is_plan_due()) look_around();
+    if (pace_.is_due(std::chrono::steady_clock::now())) look_around();
   }
   const auto known = inlet_of_.find(&reader);
   if (known == inlet_of_.end()) return;
@@ -747,7 +738,7 @@ void Bridge::publish(const ReaderKey& inlet, DdsSample sample) {
   if (sample.state != DdsSample::State::valid) return;
   const auto source = sources_.find(sample.writer);
   if (source == sources_.end()) {
-    if (is_dds_changed_) {
+    if (pace_.is_owed()) {
       if (unplaced_.size() < most_of(Limit::unplaced_messages))
         return void(unplaced_.emplace_back(inlet, std::move(sample)));
       participant_->limits().refuse(Limit::unplaced_messages);

@@ -25,6 +25,7 @@
 #include <bridge/announced.hpp>
 #include <bridge/log.hpp>
 #include <bridge/outlets.hpp>
+#include <bridge/plan_pace.hpp>
 #include <bridge/ros_graph.hpp>
 #include <bridge/routes.hpp>
 #include <bridge/service_routes.hpp>
@@ -143,9 +144,6 @@ class Bridge {
   std::chrono::nanoseconds tidy();
   /// Remembers what changed in DDS, for the next plan.
   void note(const std::vector<RemoteChange>& changes);
-  /// Whether a plan for what changed in DDS is due: others decide how often something changes there, so plans for it
-  /// take a part of the time only.
-  bool is_plan_due() const;
   void look_around();
   /// Whether all of it could be planned and made; if not, what comes of writers without a source waits for the next one.
   bool plan_and_apply(const DdsParticipant::Remotes& remotes);
@@ -199,10 +197,9 @@ class Bridge {
   std::map<ReaderKey, OpenInlet> inlets_;
   std::unordered_map<const DdsReader*, const ReaderKey*> inlet_of_;  // keys of inlets_
   std::map<Guid, OpenSource> sources_;
-  bool is_dds_changed_ = false;        // since the newest plan that was made as a whole
+  PlanPace pace_;
   bool is_cut_short_ = false;          // the newest plan: agnocastd did not answer
-  std::vector<Remote> gone_writers_;   // since then, without a source
-  Outlets::Time next_dds_plan_;        // not before
+  std::vector<Remote> gone_writers_;   // since the newest whole plan, without a source
   std::deque<std::pair<ReaderKey, DdsSample>> unplaced_;  // of writers that no plan knows yet, by inlet
   std::size_t history_bytes_ = 0;      // of all sources
   std::uint64_t limits_told_ = 0;      // refusals when it was said last
