@@ -27,10 +27,11 @@ class HostileNode {
  public:
   using M = SharedMemory;
 
-  /// `window_file_bytes`: how much there is of its window; all of it by default.
-  explicit HostileNode(const std::string& socket_path, std::uint64_t window_file_bytes = 0)
+  /// `window_file_bytes`: how much there is of its window; all of it by default. `domain`: ROS_DOMAIN_ID.
+  explicit HostileNode(const std::string& socket_path, std::uint64_t window_file_bytes = 0,
+                       std::uint64_t domain = 0)
       : path_(socket_path), wire_(socket_path), window_file_bytes_(window_file_bytes) {
-    Incoming answer = wire_.hello();
+    Incoming answer = wire_.hello(abi::fingerprint(), domain);
     EXPECT_EQ(answer.opcode(), wire::Opcode::welcome) << answer.refused_text();
     if (answer.opcode() != wire::Opcode::welcome) return;
     welcome_ = answer.as<wire::Welcome>();

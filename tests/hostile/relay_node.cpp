@@ -7,6 +7,8 @@
 //   then line by line on its standard input, each answered with one line:
 //     read TOPIC      → ok     a subscription to a stream of Numbered
 //     relay TOPIC     → ok     a subscription to std_msgs/msg/String, of which it makes checked copies
+//     tell TOPIC TEXT → ok     a publisher of std_msgs/msg/String, of TEXT again and again; without one, of nothing
+//     matched         → how many subscriptions that has
 //     state           → read relayed refused strange      strange: texts in which there is anything but 'h'
 
 #include <agnocast/relay.hpp>
@@ -17,11 +19,14 @@
 #include <unistd.h>
 
 #include <atomic>
+#include <chrono>
 #include <cstdint>
 #include <cstdlib>
 #include <iostream>
 #include <sstream>
 #include <string>
+#include <thread>
+#include <utility>
 
 namespace agnocast::test {
 namespace {
@@ -42,6 +47,13 @@ class RelayNode {
           [this](const GenericMessage& message) { pass_on(message); });
       return "ok";
     }
+    if (what == "tell") {
+      publisher_ = create_generic_publisher(node_, topic, "std_msgs/msg/String", QoS(10));
+      std::string text;
+      if (line >> text) std::thread([this, text] { tell(text); }).detach();
+      return "ok";
+    }
+    if (what == "matched") return std::to_string(publisher_->get_subscription_count());
     if (what == "state")
       return std::to_string(read_) + ' ' + std::to_string(relayed_) + ' ' +
              std::to_string(refused_) + ' ' + std::to_string(strange_);
@@ -49,6 +61,14 @@ class RelayNode {
   }
 
  private:
+  [[noreturn]] void tell(const std::string& text) {
+    for (;;) {
+      auto loan = publisher_->borrow_loaned_message();
+      *static_cast<std::string*>(loan.get()) = text;
+      static_cast<void>(publisher_->publish(std::move(loan)));
+      std::this_thread::sleep_for(std::chrono::milliseconds(2));
+    }
+  }
   void pass_on(const GenericMessage& message) {
     const auto copy = try_copy_checked(message);
     if (!copy) {
@@ -64,6 +84,7 @@ class RelayNode {
   std::atomic<std::uint64_t> read_{0}, relayed_{0}, refused_{0}, strange_{0};
   Subscription<Numbered>::SharedPtr secret_;
   GenericSubscription::SharedPtr rumor_;
+  GenericPublisher::SharedPtr publisher_;
 };
 
 bool become(uid_t uid) {

@@ -10,6 +10,8 @@
 #include <point_cloud2.h>
 #include <ros_string.h>
 
+#include <algorithm>
+#include <cstring>
 #include <iostream>
 #include <map>
 #include <sstream>
@@ -175,6 +177,7 @@ class Peer {
       const auto sample = next(raw(), *readers_.at(topic));
       return sample ? std::to_string(received(*sample).bytes.size() - 4) : "(nothing)";
     }
+    if (what == "letters") return letters(topic, rest.at(0));
     if (what == "echo") return echo(std::stoul(topic));
     if (what == "speak") return speak(topic);
     if (what == "nodes") return say(topic);
@@ -206,6 +209,22 @@ class Peer {
     DdsWriter& writer = *writers_.at(topic);
     if (!until(raw(), [&] { return writer.matched() > 0; })) return "not matched";
     return send(writer, bytes).value() == bridge::WriteOutcome::sent ? "sent" : "not sent";
+  }
+  /// Takes what is there: of this topic, how many strings so far, and how many of them have another letter.
+  std::string letters(const std::string& topic, char letter) {
+    auto& [strings, strange] = letters_[topic];
+    (void)raw().discovered();
+    while (const auto sample = readers_.at(topic)->take()) {
+      if (sample->state != DdsSample::State::valid) continue;
+      const Bytes& bytes = received(*sample).bytes;
+      std::uint32_t length = 0;  // with the zero
+      if (bytes.size() >= 8) std::memcpy(&length, bytes.data() + 4, 4);
+      const bool is_whole = length >= 1 && length <= bytes.size() - 8;
+      ++strings;
+      strange += !is_whole || !std::all_of(bytes.begin() + 8, bytes.begin() + 8 + length - 1,
+                                           [&](std::byte byte) { return byte == std::byte(letter); });
+    }
+    return std::to_string(strings) + ' ' + std::to_string(strange);
   }
   /// Sends back what came; says whether it was what it should be, and in how many pieces it came.
   std::string echo(std::size_t size) {
@@ -252,6 +271,7 @@ class Peer {
   std::unique_ptr<bridge::RosGraph> graph_;
   std::map<std::string, std::unique_ptr<DdsWriter>> writers_;
   std::map<std::string, std::unique_ptr<DdsReader>> readers_;
+  std::map<std::string, std::pair<std::uint64_t, std::uint64_t>> letters_;
 };
 
 }  // namespace
