@@ -3,6 +3,7 @@
 // Texts of the error table and the exception that carries them.
 
 #include <agnocast/error.hpp>
+#include <agnocast/exceptions.hpp>
 
 #include <atomic>
 #include <cstring>
@@ -102,5 +103,8 @@ Error::Error(const Failure& failure)
     : std::system_error(make_error_code(failure.code)),
       failure_(failure),
       text_(std::make_shared<const std::string>(text_of(failure))) {}
+
+void detail::throw_error(const Failure& failure) { throw Error(failure); }
+void detail::throw_bad_array_new_length() { throw std::bad_array_new_length(); }
 
 }  // namespace agnocast

@@ -192,14 +192,14 @@ class BasicClient : public ClientBase,
   /// The same; these throw Error.
   FutureAndRequestId async_send_request(Request&& request) {
     auto sent = try_async_send_request(std::move(request));
-    if (!sent) throw Error(sent.error());
+    if (!sent) detail::throw_error(sent.error());
     return std::move(*sent);
   }
   template <class Callback,
             class = std::enable_if_t<std::is_invocable_v<std::decay_t<Callback>&, SharedFuture>>>
   SharedFutureAndRequestId async_send_request(Request&& request, Callback&& callback) {
     auto sent = try_async_send_request(std::move(request), std::forward<Callback>(callback));
-    if (!sent) throw Error(sent.error());
+    if (!sent) detail::throw_error(sent.error());
     return std::move(*sent);
   }
 
@@ -276,7 +276,7 @@ template <class ServiceT, class Node>
 typename Client<ServiceT>::SharedPtr create_client(Node&& node, const std::string& service,
                                                    const QoS& qos = ServicesQoS()) {
   auto client = try_create_client<ServiceT>(node, service, qos);
-  if (!client) throw Error(client.error());
+  if (!client) detail::throw_error(client.error());
   return std::move(*client);
 }
 

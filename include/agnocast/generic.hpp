@@ -199,7 +199,7 @@ class IntrospectedType {
 inline IntrospectedType find_message_type(const std::string& name,
                                           const std::vector<std::string>& paths = {}) {
   const auto found = try_find_message_type(name, paths);
-  if (!found) throw Error(found.error());
+  if (!found) detail::throw_error(found.error());
   return *found;
 }
 
@@ -371,7 +371,7 @@ GenericPublisher::SharedPtr create_generic_publisher(Node&& node, const std::str
                                                      const Type& type, const QoS& qos,
                                                      const PublisherOptions& options = {}) {
   auto publisher = try_create_generic_publisher(node, topic, type, qos, options);
-  if (!publisher) throw Error(publisher.error());
+  if (!publisher) detail::throw_error(publisher.error());
   return std::move(*publisher);
 }
 template <class Node, class Type>
@@ -380,7 +380,7 @@ GenericSubscription::SharedPtr create_generic_subscription(
     GenericCallback callback = nullptr, const SubscriptionOptions& options = {}) {
   auto subscription =
       try_create_generic_subscription(node, topic, type, qos, std::move(callback), options);
-  if (!subscription) throw Error(subscription.error());
+  if (!subscription) detail::throw_error(subscription.error());
   return std::move(*subscription);
 }
 

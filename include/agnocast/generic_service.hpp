@@ -40,7 +40,7 @@ struct IntrospectedServiceType {
 inline IntrospectedServiceType find_service_type(const std::string& name,
                                                  const std::vector<std::string>& paths = {}) {
   const auto found = try_find_service_type(name, paths);
-  if (!found) throw Error(found.error());
+  if (!found) detail::throw_error(found.error());
   return *found;
 }
 
@@ -194,14 +194,14 @@ GenericService::SharedPtr create_generic_service(Node&& node, const std::string&
                                                  const QoS& qos = ServicesQoS()) {
   auto made =
       try_create_generic_service(node, service, type, std::forward<Callback>(callback), qos);
-  if (!made) throw Error(made.error());
+  if (!made) detail::throw_error(made.error());
   return std::move(*made);
 }
 template <class Node, class Type>
 GenericClient::SharedPtr create_generic_client(Node&& node, const std::string& service,
                                                const Type& type, const QoS& qos = ServicesQoS()) {
   auto made = try_create_generic_client(node, service, type, qos);
-  if (!made) throw Error(made.error());
+  if (!made) detail::throw_error(made.error());
   return std::move(*made);
 }
 

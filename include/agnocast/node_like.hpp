@@ -5,6 +5,7 @@
 // pointer; nothing here depends on rclcpp.
 #pragma once
 
+#include <agnocast/exceptions.hpp>
 #include <agnocast/export.hpp>
 #include <agnocast/result.hpp>
 
@@ -118,14 +119,18 @@ template <class Names, class Node>
   EndpointName resolved;
   resolved.node = node.get_fully_qualified_name();
   const auto ask = [&](auto& names) -> Result<void> {
+#if defined(__cpp_exceptions)
     try {
       resolved.topic = Names::resolve(names, name);
-      return {};
     } catch (const std::bad_alloc&) {
       throw;
     } catch (const std::exception& refused) {  // rclcpp's, of a wrong name
       return fail_with(Errc::invalid_name, refused.what());
     }
+#else
+    resolved.topic = Names::resolve(names, name);
+#endif
+    return {};
   };
   if constexpr (has_try_resolve<Names, Node>) {
     Result<std::string> full = Names::try_resolve(node, name);

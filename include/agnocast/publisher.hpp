@@ -458,7 +458,7 @@ typename Publisher<T>::SharedPtr create_publisher(Node&& node, const std::string
                                                   const QoS& qos,
                                                   const PublisherOptions& options = {}) {
   auto publisher = try_create_publisher<T>(node, topic, qos, options);
-  if (!publisher) throw Error(publisher.error());
+  if (!publisher) detail::throw_error(publisher.error());
   return std::move(*publisher);
 }
 

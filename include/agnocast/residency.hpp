@@ -10,6 +10,7 @@
 // as PublishResult::adopted_bytes.
 #pragma once
 
+#include <agnocast/exceptions.hpp>
 #include <agnocast/export.hpp>
 #include <agnocast/message_type.hpp>
 #include <agnocast/result.hpp>
@@ -221,42 +222,43 @@ struct ResidentCopy {
   std::uint64_t message_bytes = 0;
 };
 
-/// `code.copy(original)` with memory that is allocated while it runs; it may throw.
+/// `code.copy(original)` with memory that is allocated while it runs; it may throw. Not inlined: publish, which seldom
+/// needs it, would get longer for each message.
 template <class Code, class Object>
-Result<ResidentCopy<typename Code::Owner>> try_copy_into_heap(const Code& code,
+[[gnu::noinline]] Result<ResidentCopy<typename Code::Owner>> try_copy_into_heap(const Code& code,
                                                               const Object& original,
                                                               const MessageType& type,
                                                               const SharedHeap& heap) noexcept {
   SharedScope scope(heap);
-  try {
-    typename Code::Owner copy = [&] {
-      const SharedOnly shared_only(heap, Code::copy_may_throw);
-      return code.copy(original);
-    }();
-    // What is unseen cannot be looked at again, but then it is known that no allocation went
-    // elsewhere.
-    const bool has_strays = scope.close() != 0;
-    const Residency now = check_residency(type, copy.get(), heap.windows(heap.context));
-    if (now.foreign_count != 0 || (now.unseen_count != 0 && has_strays))
-      return tl::unexpected(heap.full());
-    return ResidentCopy<typename Code::Owner>{std::move(copy), now.message_bytes};
-  } catch (const std::bad_alloc&) {
-    return tl::unexpected(heap.full());
-  } catch (...) {
-    return fail(Errc::user_code_threw, "copy constructor of the message");
-  }
+  using Made = Result<ResidentCopy<typename Code::Owner>>;
+  return guarded(
+      [&]() -> Made {
+        typename Code::Owner copy = [&] {
+          const SharedOnly shared_only(heap, has_exceptions && Code::copy_may_throw);
+          return code.copy(original);
+        }();
+        // What is unseen cannot be looked at again, but then it is known that no allocation went
+        // elsewhere.
+        const bool has_strays = scope.close() != 0;
+        const Residency now = check_residency(type, copy.get(), heap.windows(heap.context));
+        if (now.foreign_count != 0 || (now.unseen_count != 0 && has_strays))
+          return tl::unexpected(heap.full());
+        return ResidentCopy<typename Code::Owner>{std::move(copy), now.message_bytes};
+      },
+      [&]() -> Made { return tl::unexpected(heap.full()); },
+      []() -> Made { return fail(Errc::user_code_threw, "copy constructor of the message"); });
 }
 
 /// The same; where there was no room `has_more_room()` is asked to make some, and it is tried once more.
 template <class Code, class Object, class HasMoreRoom>
-Result<ResidentCopy<typename Code::Owner>> copy_into_heap(const Code& code, const Object& original,
+[[gnu::noinline]] Result<ResidentCopy<typename Code::Owner>> copy_into_heap(const Code& code, const Object& original,
                                                           const HasMoreRoom& has_more_room,
                                                           const MessageType& type,
                                                           const SharedHeap& heap) noexcept {
+  // Nothing is assigned: without exceptions tl::expected assigns only what can be copied.
   auto copy = try_copy_into_heap(code, original, type, heap);
-  if (!copy && copy.error().code != Errc::user_code_threw && has_more_room())
-    copy = try_copy_into_heap(code, original, type, heap);
-  return copy;
+  if (copy || copy.error().code == Errc::user_code_threw || !has_more_room()) return copy;
+  return try_copy_into_heap(code, original, type, heap);
 }
 
 /// make_resident() for any owning pointer; `make_room()` is called before a copy is made.

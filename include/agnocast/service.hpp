@@ -270,7 +270,7 @@ typename Service<ServiceT>::SharedPtr create_service(Node&& node, const std::str
                                                      Callback&& callback,
                                                      const QoS& qos = ServicesQoS()) {
   auto made = try_create_service<ServiceT>(node, service, std::forward<Callback>(callback), qos);
-  if (!made) throw Error(made.error());
+  if (!made) detail::throw_error(made.error());
   return std::move(*made);
 }
 

@@ -8,6 +8,7 @@
 // process all the same, linked or preloaded: it owns the memory.
 #pragma once
 
+#include <agnocast/exceptions.hpp>
 #include <agnocast/export.hpp>
 
 #include <cstddef>
@@ -39,7 +40,7 @@ class SharedAllocator {
 
   [[nodiscard]] T* allocate(std::size_t count) {
     if (count > std::numeric_limits<std::size_t>::max() / sizeof(T))
-      throw std::bad_array_new_length();
+      detail::throw_bad_array_new_length();
     return static_cast<T*>(detail::allocate_shared(count * sizeof(T), alignof(T)));
   }
   void deallocate(T* first, std::size_t) noexcept { detail::deallocate_shared(first, alignof(T)); }

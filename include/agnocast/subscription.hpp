@@ -297,7 +297,7 @@ typename Subscription<T>::SharedPtr create_subscription(Node&& node, const std::
                                                         const SubscriptionOptions& options = {}) {
   auto subscription =
       try_create_subscription<T>(node, topic, qos, std::forward<Callback>(callback), options);
-  if (!subscription) throw Error(subscription.error());
+  if (!subscription) detail::throw_error(subscription.error());
   return std::move(*subscription);
 }
 template <class T, class Node>
@@ -305,7 +305,7 @@ typename PollingSubscriber<T>::SharedPtr create_subscription(
     Node&& node, const std::string& topic, const QoS& qos,
     const SubscriptionOptions& options = {}) {
   auto subscription = try_create_subscription<T>(node, topic, qos, options);
-  if (!subscription) throw Error(subscription.error());
+  if (!subscription) detail::throw_error(subscription.error());
   return std::move(*subscription);
 }
 
