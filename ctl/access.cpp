@@ -348,6 +348,16 @@ void print(const Report& report, Console& console) {
   quotas.print(console);
 }
 
+std::uint64_t endpoints_of_user(const Look& look, const std::vector<Endpoint>& endpoints,
+                                const User& user) {
+  return static_cast<std::uint64_t>(
+      std::count_if(endpoints.begin(), endpoints.end(), [&](const Endpoint& endpoint) {
+        const auto owner = look.system.processes.find(endpoint.facts.client);
+        return owner != look.system.processes.end() &&
+               owner->second.facts.uid == user.who.id.value_or(0);
+      }));
+}
+
 /// What else the publishers' processes publish for other readers.
 Outcome<std::vector<Beside>> topics_beside(Look& look, const Report& report) {
   std::vector<Beside> all;
@@ -401,6 +411,12 @@ Outcome<void> show_access(const Arguments& arguments, Console& console) {
   report.quota = look->system.daemon.quota;
   for (const wire::DumpUser& one : look->system.users) {
     if (one.uid == report.user.who.id.value_or(0)) report.used = one.use;
+  }
+  report.used.publishers_per_topic = report.used.subscriptions_per_topic = 0;
+  for (const auto& [index, one] : look->system.topics) {
+    if (one.name != topic || one.facts.domain != arguments.domain) continue;
+    report.used.publishers_per_topic = endpoints_of_user(*look, one.publishers, report.user);
+    report.used.subscriptions_per_topic = endpoints_of_user(*look, one.subscriptions, report.user);
   }
   if (arguments.json == Json::no) {
     print(report, console);

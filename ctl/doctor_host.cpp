@@ -110,6 +110,9 @@ Ailments quota(const Facts& facts) {
                   {"topics", use.topics, quota.topics},
                   {"publishers", use.publishers, quota.publishers},
                   {"subscriptions", use.subscriptions, quota.subscriptions},
+                  {"publishers_per_topic", use.publishers_per_topic, quota.publishers_per_topic},
+                  {"subscriptions_per_topic", use.subscriptions_per_topic,
+                   quota.subscriptions_per_topic},
                   {"executors", use.executors, quota.executors},
                   {"heap_bytes", use.heap_bytes, quota.heap_bytes},
                   {"held_messages", use.held_messages, quota.held_messages}};

@@ -51,7 +51,9 @@ Object share_object(const wire::UserShare& share) {
           {"topics", limit_or_null(share.topics)},
           {"queued_bytes", limit_or_null(share.queued_bytes)},
           {"queued_seconds", limit_or_null(share.queued_seconds)},
-          {"dumps_per_second", limit_or_null(share.dumps_per_second)}};
+          {"dumps_per_second", limit_or_null(share.dumps_per_second)},
+          {"publishers_per_topic", limit_or_null(share.publishers_per_topic)},
+          {"subscriptions_per_topic", limit_or_null(share.subscriptions_per_topic)}};
 }
 
 Object status_object(const System& system, const std::string& socket) {

@@ -222,6 +222,7 @@ class Broker final : private Post {
   [[nodiscard]] Result<void> open_executor(Peer& peer, const ExecutorRequest& request);
   [[nodiscard]] Result<void> admit_executor(ClientIndex client, const ExecutorRequest& request);
   [[nodiscard]] Result<void> check_topics(const ClientRecord& record, std::string_view topic);
+  [[nodiscard]] Result<void> check_places(const ClientRecord& record, const CreateRequest& request);
   [[nodiscard]] Result<void> create(Peer& peer, const CreateRequest& request);
   // broker_access.cpp: the rules, and what they mean for the memory behind the topics
   static Subject subject_of(const Peer& peer);
@@ -293,6 +294,7 @@ class Broker final : private Post {
   std::string clients_text() const;
   /// [quota] heap_bytes as it is in force.
   std::uint64_t heap_quota() const noexcept;
+  std::uint64_t places_quota(Kind kind) const noexcept;
   /// Has this user's share of what is kept over the daemon's death room for so many descriptors more?
   [[nodiscard]] Result<void> check_kept(std::uint32_t uid, std::uint64_t more);
   [[nodiscard]] Result<void> check_limit(std::uint64_t used, std::uint64_t more,

@@ -251,7 +251,8 @@ DumpFacts Broker::facts() const {
   const Config::Quota& quota = options_.config.quota;
   daemon.quota = {quota.clients, quota.publishers,    quota.subscriptions, quota.executors,
                   heap_quota(),  quota.held_messages, quota.topics,
-                  quota.queued_bytes, quota.queued_seconds, quota.dumps_per_second};
+                  quota.queued_bytes, quota.queued_seconds, quota.dumps_per_second,
+                  places_quota(Kind::publisher), places_quota(Kind::subscription)};
   const std::uint64_t now_ms = monotonic_ms();
   for (const auto& [id, peer] : peers_) {
     std::uint64_t& waits_ms = facts.users[peer->session.identity().uid].waits_ms;

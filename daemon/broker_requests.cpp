@@ -657,6 +657,31 @@ Result<void> Broker::check_topics(const ClientRecord& record, std::string_view t
                      "[quota] topics");
 }
 
+std::uint64_t Broker::places_quota(Kind kind) const noexcept {
+  const auto& quota = options_.config.quota;
+  const auto& limits = options_.config.limits;
+  const std::uint64_t configured =
+      kind == Kind::publisher ? quota.publishers_per_topic : quota.subscriptions_per_topic;
+  if (configured != 0) return configured;
+  const std::uint64_t all =
+      kind == Kind::publisher ? limits.publishers_per_topic : limits.subscriptions_per_topic;
+  const std::uint64_t share = share_of_one_user(all);
+  return share < all ? share : unlimited;
+}
+
+Result<void> Broker::check_places(const ClientRecord& record, const CreateRequest& request) {
+  const auto known = registry_.find_topic(record.domain, request.topic);
+  if (!known) return {};
+  const Places used = registry_.user_places(record.uid, *known);
+  if (request.kind == Kind::subscription)
+    return check_limit(used.subscriptions, 1, places_quota(Kind::subscription),
+                       "[quota] subscriptions_per_topic");
+  const auto allowed = check_limit(used.publishers, 1, places_quota(Kind::publisher),
+                                   "[quota] publishers_per_topic");
+  if (!allowed) return membership_.explain_full(*known, allowed.error(), record.uid);
+  return {};
+}
+
 Result<void> Broker::create(Peer& peer, const CreateRequest& request) {
   const ClientIndex client = *peer.session.client();
   const ClientRecord& record = registry_.client(client);
@@ -678,6 +703,7 @@ Result<void> Broker::create(Peer& peer, const CreateRequest& request) {
           : check_limit(usage.subscriptions, 1, options_.config.quota.subscriptions,
                         "[quota] subscriptions");
   if (!allowed) return allowed;
+  if (allowed = check_places(record, request); !allowed) return allowed;
   if (!publisher) {
     allowed = check_limit(usage.held_messages, request.quota, options_.config.quota.held_messages,
                           "[quota] held_messages");

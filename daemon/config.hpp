@@ -69,6 +69,9 @@ struct Config {
     std::uint64_t topics = share_of_one_user(abi::topic_count_max);
     std::uint64_t publishers = 16'384;
     std::uint64_t subscriptions = 32'768;
+    // Of one topic. 0: share_of_one_user() of [limits] of the same name.
+    std::uint64_t publishers_per_topic = 0;
+    std::uint64_t subscriptions_per_topic = 0;
     // Of addresses; memory is what cgroups limit. 0: share_of_one_user() of the arena.
     std::uint64_t heap_bytes = 0;
     std::uint64_t held_messages = 1'048'576;

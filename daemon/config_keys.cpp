@@ -80,6 +80,12 @@ constexpr Key keys[] = {
      AGNOCAST_NUMBER(quota.publishers), ""},
     {"quota", "subscriptions", Kind::count, 0, many, 0, "unlimited", unlimited,
      AGNOCAST_NUMBER(quota.subscriptions), ""},
+    {"quota", "publishers_per_topic", Kind::count, 1, many, 0, "auto", 0,
+     AGNOCAST_NUMBER(quota.publishers_per_topic),
+     "publishers of one user in one topic; auto: three quarters of what [limits] allows, or unlimited",
+     "unlimited", unlimited},
+    {"quota", "subscriptions_per_topic", Kind::count, 1, many, 0, "auto", 0,
+     AGNOCAST_NUMBER(quota.subscriptions_per_topic), "likewise", "unlimited", unlimited},
     {"quota", "heap_bytes", Kind::bytes, 64 * mib, std::uint64_t{1} << 55, 0, "auto", 0,
      AGNOCAST_NUMBER(quota.heap_bytes),
      "sum of the lengths of all heap windows of one user; auto: three quarters of the arena, or "

@@ -122,13 +122,15 @@ class Writer {
     for (const auto& [uid, user] : facts_.users) owners_[uid] = user;
     for (const auto& [uid, user] : owners_) {
       const Usage usage = registry_.usage_of(uid);
+      const Places places = registry_.most_places_of(uid);
       wire::DumpUser body{};
       body.uid = uid;
       body.connections = user.connections;
       body.observers = user.observers;
       body.use = {usage.clients,    usage.publishers,    usage.subscriptions, usage.executors,
                   usage.heap_bytes, usage.held_messages, usage.topics,
-                  user.queued_bytes, user.waits_ms / 1000, user.answers_ahead};
+                  user.queued_bytes, user.waits_ms / 1000, user.answers_ahead,
+                  places.publishers, places.subscriptions};
       put(Opcode::dump_user, body);
       ++end_.user_count;
     }

@@ -70,6 +70,9 @@ class Membership {
   [[nodiscard]] Result<void> create(ClientIndex client, const CreateRequest& request);
   /// A creation that is asked for again: answers and announces as before, if it was carried out.
   bool answer_again(ClientIndex client, const CreateRequest& request);
+  /// A refusal for lack of places, and who keeps publishers there that are gone (of that user).
+  [[nodiscard]] tl::unexpected<Failure> explain_full(TopicIndex topic, const Failure& why,
+                                                     std::optional<std::uint32_t> uid = {}) const;
   /// Errors: protocol_violation.
   [[nodiscard]] Result<void> leave(ClientIndex client, const LeaveRequest& request);
   [[nodiscard]] Result<void> drained(ClientIndex client, const DrainedRequest& request);
@@ -170,7 +173,6 @@ class Membership {
   bool is_given_up(const EndpointRef& ref) const;
   void forget_given_up(const EndpointRef& ref);
   void give_up_all_of(ClientIndex client);
-  [[nodiscard]] tl::unexpected<Failure> explain_full(TopicIndex topic, const Failure& why) const;
   void let_go(const EndpointRef& ref, ClientIndex by);
   void free_publisher(const EndpointRef& ref);
   void discard(ClientIndex owner, std::uint64_t extent, std::uint64_t bytes);

@@ -155,20 +155,23 @@ void Membership::give_up_all_of(ClientIndex client) {
 
 // Whoever keeps publishers that are gone is named. It holds messages of them, or LetGoWatch is not done
 // with it; anybody may revoke it.
-tl::unexpected<Failure> Membership::explain_full(TopicIndex topic, const Failure& why) const {
+tl::unexpected<Failure> Membership::explain_full(TopicIndex topic, const Failure& why,
+                                                 std::optional<std::uint32_t> uid) const {
   std::uint64_t orphans = 0;
   std::vector<std::uint64_t> kept(registry_.client_high(), 0);
   registry_.for_each_publisher(topic, [&](std::uint32_t, const PublisherRecord& record) {
-    if (record.state != EndpointState::orphan) return;
+    if (record.state != EndpointState::orphan ||
+        (uid && registry_.client(record.client).uid != *uid))
+      return;
     ++orphans;
     for_each_told(record.told, [&](ClientIndex by) { ++kept[number(by)]; });
   });
   const auto most = std::max_element(kept.begin(), kept.end());
-  if (why.code != Errc::limit_reached || most == kept.end() || *most == 0)
-    return tl::unexpected(why);
+  const bool is_full = why.code == Errc::limit_reached || why.code == Errc::quota_exceeded;
+  if (!is_full || most == kept.end() || *most == 0) return tl::unexpected(why);
   const ClientRecord& process =
       registry_.client(static_cast<ClientIndex>(std::distance(kept.begin(), most)));
-  return fail_with(Errc::limit_reached,
+  return fail_with(why.code,
                    std::string(detail_of(why)) + "; " + std::to_string(orphans) +
                        " of them are gone, and process " + std::to_string(process.pid) + " (" +
                        printable(process.name) + ") has not let go of " + std::to_string(*most));

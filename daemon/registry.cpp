@@ -122,13 +122,15 @@ void Registry::count_endpoint(const EndpointRef& ref, bool is_there) {
   if (ref.kind == Kind::subscription) one.held_messages = subscription(ref.topic, ref.index).quota;
   const std::uint32_t uid = views_[number(owner_of(ref))].uid;
   Account& account = accounts_[uid];
-  std::uint64_t& endpoints = account.topics[number(ref.topic)];
+  Places& places = account.topics[number(ref.topic)];
+  std::uint64_t& count = ref.kind == Kind::publisher ? places.publishers : places.subscriptions;
   if (is_there) {
     account.usage += one;
-    ++endpoints;
+    ++count;
   } else {
     account.usage -= one;
-    if (--endpoints == 0) account.topics.erase(number(ref.topic));
+    --count;
+    if (places.publishers + places.subscriptions == 0) account.topics.erase(number(ref.topic));
   }
   account.usage.topics = account.topics.size();
 }
@@ -250,6 +252,24 @@ std::optional<TopicIndex> Registry::next_topic_of(std::uint32_t uid,
   const auto next = after ? topics.upper_bound(number(*after)) : topics.begin();
   if (next == topics.end()) return std::nullopt;
   return TopicIndex{next->first};
+}
+
+Places Registry::user_places(std::uint32_t uid, TopicIndex topic) const {
+  const auto found = accounts_.find(uid);
+  if (found == accounts_.end()) return {};
+  const auto places = found->second.topics.find(number(topic));
+  return places == found->second.topics.end() ? Places() : places->second;
+}
+
+Places Registry::most_places_of(std::uint32_t uid) const {
+  Places most;
+  const auto found = accounts_.find(uid);
+  if (found == accounts_.end()) return most;
+  for (const auto& [topic, places] : found->second.topics) {
+    most.publishers = std::max(most.publishers, places.publishers);
+    most.subscriptions = std::max(most.subscriptions, places.subscriptions);
+  }
+  return most;
 }
 
 void Registry::open_window(ClientIndex index, const WindowRecord& window) {

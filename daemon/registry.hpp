@@ -119,6 +119,12 @@ struct Usage {
   friend bool operator==(const Usage&, const Usage&) = default;
 };
 
+/// Places of one topic that one user has; gone publishers that are not read to their end count too.
+struct Places {
+  std::uint64_t publishers = 0;
+  std::uint64_t subscriptions = 0;
+};
+
 /// What a start after a death found and did.
 struct Recovered {
   std::uint32_t pid = 0;               // of the new daemon
@@ -181,6 +187,9 @@ class Registry {
   std::optional<TopicIndex> next_topic_of(std::uint32_t uid, std::optional<TopicIndex> after) const;
   std::size_t user_count() const noexcept { return accounts_.size(); }
   bool has_user(std::uint32_t uid) const { return accounts_.count(uid) != 0; }
+  Places user_places(std::uint32_t uid, TopicIndex topic) const;
+  /// Of the topic where the user has most of them, of each kind.
+  Places most_places_of(std::uint32_t uid) const;
   void open_window(ClientIndex index, const WindowRecord& window);
   void open_executor(ClientIndex index, std::uint32_t executor);
   /// Who may read what the process publishes (access.hpp, readers_of): for its whole life.
@@ -311,7 +320,7 @@ class Registry {
   /// Derived: of a user that has something.
   struct Account {
     Usage usage;
-    std::map<std::uint32_t, std::uint64_t> topics;  // number → endpoints there
+    std::map<std::uint32_t, Places> topics;  // by number
   };
 
   void change(Type type, std::initializer_list<std::uint64_t> arguments);

@@ -82,10 +82,7 @@ class HostileNode {
   /// An endpoint on a topic that is there, of its type.
   wire::EndpointCreated join(wire::Kind kind, const char* topic, abi::Qos qos = {},
                              std::uint64_t quota = 64) {
-    auto body = WireClient::endpoint(topic, qos);
-    const auto type = type_of(topic);
-    body.type = type.first;
-    body.layout_hash = type.second;
+    auto body = body_like(topic, topic, qos);
     body.quota = quota;
     if (kind == wire::Kind::publisher) {
       open_window();
@@ -99,6 +96,14 @@ class HostileNode {
     EXPECT_EQ(made.opcode(), wire::Opcode::endpoint_created) << made.refused_text();
     return made.opcode() == wire::Opcode::endpoint_created ? made.as<wire::EndpointCreated>()
                                                            : wire::EndpointCreated{};
+  }
+  /// For an endpoint on `topic`, of the type that `other` has.
+  wire::CreateEndpoint body_like(const char* other, const std::string& topic, const abi::Qos& qos) {
+    auto body = WireClient::endpoint(topic, qos);
+    const auto type = type_of(other);
+    body.type = type.first;
+    body.layout_hash = type.second;
+    return body;
   }
   /// The announcement of one endpoint of somebody else, with what came along.
   struct Announced {

@@ -48,7 +48,8 @@ std::uint64_t mappings_of(pid_t pid) {
 }
 
 /// Three lives of the same attack; each gets as much as the first.
-void comes_back(Stage& stage, const std::function<std::uint64_t(const std::string&)>& take) {
+void comes_back(Stage& stage, const std::function<std::uint64_t(const std::string&)>& take,
+                const std::function<void()>& beside = {}) {
   const std::size_t before = stage.daemon().descriptor_count();
   std::uint64_t first = 0;
   for (int life = 0; life < 3; ++life) {
@@ -61,6 +62,7 @@ void comes_back(Stage& stage, const std::function<std::uint64_t(const std::strin
     if (!attacker.wait_until_ready()) return attacker.end();
     stage.honest_is_served();
     stage.honest_goes_on();
+    if (beside) beside();
     if (life == 0) first = attacker.word(0);
     EXPECT_GT(attacker.word(0), 0u);
     EXPECT_EQ(attacker.word(0), first);
@@ -156,9 +158,9 @@ TEST(HostileQuotas, TablesOfTheDaemonHaveRoomForOthers) {
     for (std::uint64_t i = 0; i < topics; ++i)
       EXPECT_EQ(node.wire().create_publisher("/room" + std::to_string(i)).opcode(),
                 Opcode::endpoint_created);
-    // All publishers of a topic that everybody may publish on.
+    // All publishers that it may have on a topic that everybody may publish on.
     return topics + takes_all([&](std::uint64_t) { return node.wire().create_publisher("/full"); },
-                              "publishers_per_topic", Errc::limit_reached);
+                              "[quota] publishers_per_topic");
   });
 }
 
@@ -178,6 +180,47 @@ TEST(HostileQuotas, NobodyTakesTheLastTopicsAlone) {
     static_cast<void>(new auto(std::move(nodes)));  // they stay until the attacker is killed
     return all;
   });
+}
+
+// All that one user may have of a topic that everybody may use; its owner comes afterwards.
+TEST(HostileQuotas, NobodyTakesTheLastPlacesOfATopicAlone) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage({.quota = ""});
+  int life = 0;
+  comes_back(
+      stage,
+      [&](const std::string& path) {
+        std::vector<std::unique_ptr<HostileNode>> nodes;
+        const auto takes = [&](Opcode what, const char* topic, const char* limit) {
+          wire::CreateEndpoint body{};
+          return takes_all(
+              [&](std::uint64_t i) {
+                // The region of a process has room for some hundred.
+                if (i % 96 == 0) {
+                  nodes.push_back(std::make_unique<HostileNode>(path));
+                  EXPECT_EQ(nodes.back()->wire().open_executor().opcode(), Opcode::executor_opened);
+                  body = nodes.back()->body_like(open_topic, topic, {});
+                }
+                return nodes.back()->wire().ask(what, body);
+              },
+              limit);
+        };
+        const std::uint64_t publishers =
+            takes(Opcode::create_publisher, "/published", "[quota] publishers_per_topic is 191");
+        const std::uint64_t subscriptions = takes(Opcode::create_subscription, "/subscribed",
+                                                  "[quota] subscriptions_per_topic is 576");
+        EXPECT_EQ(publishers, 191u);
+        EXPECT_EQ(subscriptions, 576u);
+        static_cast<void>(new auto(std::move(nodes)));  // they stay until the attacker is killed
+        return publishers + subscriptions;
+      },
+      [&] {
+        const auto owner = stage.another_honest_process();
+        EXPECT_EQ(owner->ask("publish_flat /published"), "ok");
+        EXPECT_EQ(owner->ask("watch /subscribed"), "ok");
+        ++life;
+      });
+  EXPECT_EQ(life, 3);
 }
 
 TEST(HostileQuotas, NobodyTakesTheLastWindowsAlone) {
@@ -257,7 +300,8 @@ TEST(HostileQuotas, MemoryOfTheDaemonThatIsUsedUpIsARefusal) {
       return true;
     };
     std::uint64_t made = 0;
-    while (made < 10'000 && !refused(node.wire().create_publisher("/m" + std::to_string(made % 2500))))
+    while (made < 10'000 &&
+           !refused(node.wire().create_publisher("/m" + std::to_string(made % 2500))))
       ++made;
     EXPECT_LT(made, 10'000u) << "never refused";
     attack.ready();
@@ -271,7 +315,8 @@ TEST(HostileQuotas, MemoryOfTheDaemonThatIsUsedUpIsARefusal) {
   EXPECT_EQ(stage.daemon().pid(), pid) << stage.daemon().log();
   attacker.kill();
   ASSERT_EQ(::prlimit(pid, RLIMIT_DATA, &before, nullptr), 0);
-  EXPECT_TRUE(eventually([&] { return stage.publisher().ask("create /after").rfind("ok", 0) == 0; }));
+  EXPECT_TRUE(
+      eventually([&] { return stage.publisher().ask("create /after").rfind("ok", 0) == 0; }));
   stage.honest_is_served();
   EXPECT_EQ(stage.daemon().pid(), pid) << stage.daemon().log();
 }

@@ -73,6 +73,30 @@ TEST(DaemonLimits, CountsEndpointsExecutorsAndHeldMessagesOfAUser) {
       << "another user has limits of its own";
 }
 
+TEST(DaemonLimits, CountsThePlacesOfAUserInEachTopic) {
+  DaemonProcess daemon(
+      {.config = std::string(small_heap) +
+                 "[quota]\npublishers_per_topic = 2\nsubscriptions_per_topic = 1\n"});
+  const auto a = greeted(daemon), b = greeted(daemon);
+  EXPECT_EQ(a->create_publisher("/a").opcode(), Opcode::endpoint_created);
+  EXPECT_EQ(b->create_publisher("/a").opcode(), Opcode::endpoint_created);
+  EXPECT_EQ(a->create_publisher("/a").refused_text(),
+            "[quota] publishers_per_topic is 2, this user has 2 and asks for 1 more");
+  EXPECT_EQ(a->create_publisher("/b").opcode(), Opcode::endpoint_created);
+  EXPECT_EQ(a->open_executor().opcode(), Opcode::executor_opened);
+  EXPECT_EQ(b->open_executor().opcode(), Opcode::executor_opened);
+  EXPECT_EQ(a->create_subscription("/a").opcode(), Opcode::endpoint_created);
+  expect_quota(b->create_subscription("/a"), "[quota] subscriptions_per_topic is 1");
+  EXPECT_EQ(b->create_subscription("/b").opcode(), Opcode::endpoint_created);
+  if (::geteuid() != 0) return;
+  EXPECT_EQ(in_other_user([&] {
+              const auto c = greeted(daemon);
+              return c->create_publisher("/a").opcode() == Opcode::endpoint_created ? 0 : 1;
+            }),
+            0)
+      << "another user has places of its own";
+}
+
 /// Takes windows for this user, in processes of its own, until it is refused.
 struct Taker {
   explicit Taker(const DaemonProcess& daemon) {
@@ -407,7 +431,7 @@ TEST(DaemonLimits, AnnouncesAgainWhatItHadNoDescriptorFor) {
 }
 
 TEST(DaemonLimits, AnnouncementsThatNobodyReadsCostNoDescriptorEach) {
-  DaemonProcess daemon;
+  DaemonProcess daemon({.more_config = "[quota]\nsubscriptions_per_topic = \"unlimited\"\n"});
   const auto deaf = greeted(daemon), subscriber = greeted(daemon);
   ASSERT_EQ(deaf->create_publisher("/topic").opcode(), Opcode::endpoint_created);
   const Incoming bells = subscriber->open_executor();

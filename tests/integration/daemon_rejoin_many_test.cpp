@@ -21,6 +21,8 @@ constexpr std::size_t publisher_count = 28;
 constexpr std::size_t peer_count = publisher_count * abi::subscription_count_max;
 static_assert(peer_count > daemon::Session::queue_count_max + 4096, "and what the socket takes");
 
+const char* const all_places = "[quota]\nsubscriptions_per_topic = \"unlimited\"\n";
+
 void read_all(RawNode& node) {
   while (node.wire.poll()) {
   }
@@ -56,7 +58,7 @@ wire::Unlinked unlinked(Kind kind, std::uint32_t topic, std::uint64_t index,
 }
 
 TEST(DaemonRejoinMany, LivingPeersAreToldAsTheProcessReads) {
-  DaemonProcess daemon;
+  DaemonProcess daemon({.more_config = all_places});
   RawNode sender(daemon), many(daemon), corner(daemon);
   sender.publisher("/first");
   const auto first = corner.subscription("/first");
@@ -93,7 +95,7 @@ TEST(DaemonRejoinMany, DeadPeersAreToldAsTheProcessReads) {
   constexpr std::size_t topics = 22, topics_of_one = 4;
   constexpr std::size_t dead_count = topics * abi::subscription_count_max;
   static_assert(dead_count > daemon::Session::queue_count_max + 500, "small packets");
-  DaemonProcess daemon({.arguments = {"--log-level", "debug"}});
+  DaemonProcess daemon({.more_config = all_places, .arguments = {"--log-level", "debug"}});
   RawNode sender(daemon);
   std::vector<std::unique_ptr<RawNode>> dead;
   for (std::size_t t = 0; t < topics; ++t) {
@@ -141,7 +143,9 @@ bool publishes_and_ends(const DaemonProcess& daemon) {
 
 // It is stopped: packets wait for it, and still it does not keep the places of others.
 TEST(DaemonRejoinMany, WhoReadsNothingOfItIsPutOutLikeAnybodyElse) {
-  DaemonProcess daemon({.config = "[limits]\npublishers_per_topic = 28\n"});
+  DaemonProcess daemon({.config = "[limits]\npublishers_per_topic = 28\n"
+                                  "[quota]\npublishers_per_topic = \"unlimited\"\n"
+                                  "subscriptions_per_topic = \"unlimited\"\n"});
   RawNode sender(daemon), many(daemon);
   fill_one_topic(sender, many);
   sender.subscription("/small");

@@ -548,7 +548,9 @@ TEST(DaemonRevoke, PutsOutWhoIsStoppedBeforeSubscriptionsOrProcessesRunShort) {
     char what;
   };
   for (const Scarce& scarce :
-       {Scarce{"[limits]\nsubscriptions_per_topic = 6\n", publisher_child, subscriber_child, 't'},
+       {Scarce{"[limits]\nsubscriptions_per_topic = 6\n"
+               "[quota]\nsubscriptions_per_topic = \"unlimited\"\n",
+               publisher_child, subscriber_child, 't'},
         Scarce{"[limits]\nclients = 8\n", subscriber_child, publisher_child, 'p'}}) {
     SCOPED_TRACE(scarce.config);
     DaemonProcess daemon({.more_config = scarce.config, .arguments = {"--log-level", "debug"}});
@@ -567,7 +569,8 @@ TEST(DaemonRevoke, PutsOutWhoIsStoppedBeforeSubscriptionsOrProcessesRunShort) {
 }
 
 TEST(DaemonRevoke, GivesMoreTimeToWhoLostItsConnectionButNotForEver) {
-  DaemonProcess daemon({.more_config = "[limits]\npublishers_per_topic = 6\n",
+  DaemonProcess daemon({.more_config = "[limits]\npublishers_per_topic = 6\n"
+                                       "[quota]\npublishers_per_topic = \"unlimited\"\n",
                         .arguments = {"--log-level", "debug"}});
   WireNode slow(daemon.socket_path());
   ASSERT_TRUE(slow.create_subscription(topic_name, deep));
@@ -593,7 +596,8 @@ TEST(DaemonRevoke, GivesMoreTimeToWhoLostItsConnectionButNotForEver) {
 }
 
 TEST(DaemonRevoke, SparesWhoHoldsMessagesOfPublishersThatAreGone) {
-  DaemonProcess daemon({.more_config = "[limits]\npublishers_per_topic = 6\n",
+  DaemonProcess daemon({.more_config = "[limits]\npublishers_per_topic = 6\n"
+                                       "[quota]\npublishers_per_topic = \"unlimited\"\n",
                         .arguments = {"--log-level", "debug"}});
   WireNode holder(daemon.socket_path());
   ASSERT_TRUE(holder.create_subscription(topic_name, deep));

@@ -347,7 +347,8 @@ TEST_F(Death, ARevokedPublisherSaysSoAndWhatItHadCommittedIsDelivered) {
 }
 
 TEST_F(Death, OfManyPublishersBehindASubscriptionThatIsNotReadGivesUpTheOldest) {
-  const DaemonOptions few{.config = "[limits]\npublishers_per_topic = 6\n",
+  const DaemonOptions few{.config = "[limits]\npublishers_per_topic = 6\n"
+                                    "[quota]\npublishers_per_topic = \"unlimited\"\n",
                           .arguments = {"--log-level", "debug"}};
   daemon_.stop();
   DaemonProcess daemon(few);

@@ -222,7 +222,9 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::UserShare, executors), offsetof(wire::UserShare, heap_bytes),
           offsetof(wire::UserShare, held_messages), offsetof(wire::UserShare, topics),
           offsetof(wire::UserShare, queued_bytes), offsetof(wire::UserShare, queued_seconds),
-          offsetof(wire::UserShare, dumps_per_second));
+          offsetof(wire::UserShare, dumps_per_second),
+          offsetof(wire::UserShare, publishers_per_topic),
+          offsetof(wire::UserShare, subscriptions_per_topic));
   sum.add(sizeof(wire::DumpDaemon), offsetof(wire::DumpDaemon, header),
           offsetof(wire::DumpDaemon, version_major), offsetof(wire::DumpDaemon, version_minor),
           offsetof(wire::DumpDaemon, version_patch), offsetof(wire::DumpDaemon, pid),

@@ -155,6 +155,8 @@ struct UserShare {
   std::uint64_t queued_bytes;      // what the daemon keeps for those who do not read
   std::uint64_t queued_seconds;    // how long already
   std::uint64_t dumps_per_second;  // answers at length, to observers
+  std::uint64_t publishers_per_topic;     // in use: of the topic where it has most
+  std::uint64_t subscriptions_per_topic;  // likewise
 };
 struct DumpDaemon {
   Header header;

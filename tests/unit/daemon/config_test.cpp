@@ -94,6 +94,8 @@ executors = "unlimited"
 queued_bytes = "2MiB"
 queued_seconds = 3
 dumps_per_second = 4
+publishers_per_topic = 20
+subscriptions_per_topic = "unlimited"
 [[access]]
 topic = "/lidar/**"
 domain = 7
@@ -129,11 +131,13 @@ publish = []
   EXPECT_EQ(config->quota.queued_bytes, std::uint64_t{2} << 20);
   EXPECT_EQ(config->quota.queued_seconds, 3U);
   EXPECT_EQ(config->quota.dumps_per_second, 4U);
+  EXPECT_EQ(config->quota.publishers_per_topic, 20U);
+  EXPECT_EQ(config->quota.subscriptions_per_topic, unlimited);
   ASSERT_EQ(config->access.size(), 2U);
   const AccessRule& first = config->access[0];
   EXPECT_EQ(first.topic, "/lidar/**");
   EXPECT_EQ(first.domain, 7U);
-  EXPECT_EQ(first.line, 31U);
+  EXPECT_EQ(first.line, 33U);
   EXPECT_THAT(first.publish->uids, ElementsAre(1000U, 0U));
   EXPECT_FALSE(first.publish->everybody);
   EXPECT_THAT(first.subscribe->gids, ElementsAre(50U, 4294967294U));
@@ -373,6 +377,8 @@ TEST(Config, PrintedConfigurationsReadBackTheSame) {
     config.limits.depth_max = static_cast<std::uint32_t>(1 + below(500));
     config.limits.slots_per_publisher = static_cast<std::uint32_t>(501 + below(1000));
     config.quota.publishers = below(1 << 20);
+    if (below(2)) config.quota.publishers_per_topic = 1 + below(300);
+    if (below(3) == 0) config.quota.subscriptions_per_topic = unlimited;
     if (below(2)) config.quota.clients = unlimited;
     if (below(2)) config.quota.heap_bytes = (std::uint64_t{1} << 40) + below(1 << 20);
     if (below(3) == 0) config.quota.heap_bytes = unlimited;

@@ -559,6 +559,16 @@ TEST_F(RegistryTest, KeepsTheUsageThatACountWouldFind) {
             takes_part = takes_part || (ref.topic == topic && life->client(c).uid == uid);
         }
         ASSERT_EQ(life->takes_part(uid, topic), takes_part) << "step " << step;
+        std::uint64_t publishers = 0, subscriptions = 0;
+        for (const ClientIndex c : clients) {
+          if (life->client(c).uid != uid) continue;
+          for (const EndpointRef& ref : life->endpoints_of(c)) {
+            if (ref.topic == topic)
+              ++(ref.kind == Kind::publisher ? publishers : subscriptions);
+          }
+        }
+        ASSERT_EQ(life->user_places(uid, topic).publishers, publishers) << "step " << step;
+        ASSERT_EQ(life->user_places(uid, topic).subscriptions, subscriptions) << "step " << step;
       }
     }
   }
