@@ -3,6 +3,7 @@
 #include <base/closing.hpp>
 #include <base/signals.hpp>
 
+#include <fcntl.h>
 #include <linux/close_range.h>
 #include <sys/socket.h>
 #include <sys/syscall.h>
@@ -11,11 +12,16 @@
 #include <algorithm>
 #include <array>
 #include <atomic>
+#include <cerrno>
 #include <chrono>
 #include <cstddef>
 #include <exception>
+#include <functional>
 #include <memory>
+#include <new>
 #include <thread>
+#include <utility>
+#include <vector>
 
 namespace agnocast {
 namespace {
@@ -23,23 +29,34 @@ namespace {
 // How often the end of a thread is looked for: at once nearly always, and for ever if it is stuck.
 constexpr std::chrono::microseconds first_pause{50}, last_pause{100'000};
 
+/// Steps that two threads wait for.
+class Stages {
+ public:
+  enum Stage : int { begun, taken, given, done };
+  void go_to(Stage next) noexcept {
+    stage_.store(next, std::memory_order_release);
+    stage_.notify_all();
+  }
+  void wait_for(Stage wanted) const noexcept {
+    for (int now = stage_.load(std::memory_order_acquire); now < wanted;
+         now = stage_.load(std::memory_order_acquire))
+      stage_.wait(now, std::memory_order_acquire);
+  }
+  bool has_come_to(Stage wanted) const noexcept {
+    return stage_.load(std::memory_order_acquire) >= wanted;
+  }
+
+ private:
+  std::atomic<int> stage_{begun};
+};
+
 /// What the ending thread and the one that begins it say to each other.
 struct Handover {
-  enum Stage : int { begun, taken, given };
   std::span<const UniqueFd> fds;
-  std::atomic<int> stage{begun};
+  const std::function<void(int)>* work = nullptr;  // with the number of the first one
+  Stages stages;
   std::size_t taken_count = 0;
-  pid_t thread = 0;
-
-  void go_to(Stage next) {
-    stage.store(next, std::memory_order_release);
-    stage.notify_all();
-  }
-  void wait_for(Stage wanted) const {
-    for (int now = stage.load(std::memory_order_acquire); now < wanted;
-         now = stage.load(std::memory_order_acquire))
-      stage.wait(now, std::memory_order_acquire);
-  }
+  EndingThread thread;
 };
 
 // A table without anything in it; then this very process, whose other threads have the former one.
@@ -49,19 +66,38 @@ int leave_table() noexcept {
 }
 
 void take_over_and_end(Handover& handover) noexcept {
-  handover.thread = static_cast<pid_t>(::syscall(SYS_gettid));
+  handover.thread.id = static_cast<pid_t>(::syscall(SYS_gettid));
   const int process = leave_table();
+  // The numbers of an empty table follow each other.
+  const int first = process + 1;
   std::size_t taken = 0;
   while (process >= 0 && taken < handover.fds.size() &&
          ::syscall(SYS_pidfd_getfd, process, handover.fds[taken].get(), 0U) >= 0)
     ++taken;
+  if (taken < handover.fds.size()) handover.thread.error = errno;
   handover.taken_count = taken;
-  handover.go_to(Handover::taken);
-  handover.wait_for(Handover::given);
+  handover.stages.go_to(Stages::taken);
+  handover.stages.wait_for(Stages::given);
+  if (handover.work != nullptr && handover.thread.error == 0) (*handover.work)(first);
 }
 
-bool has_ended(pid_t thread) noexcept {
-  return ::syscall(SYS_tgkill, ::getpid(), thread, 0) != 0;
+EndingThread hand_over(std::span<UniqueFd> fds,
+                       const std::function<void(int)>* work = nullptr) noexcept {
+  Handover handover;
+  handover.fds = fds;
+  handover.work = work;
+  try {
+    const SignalsBlocked blocked;
+    std::thread thread([&] { take_over_and_end(handover); });
+    handover.stages.wait_for(Stages::taken);
+    // Not the last ones: these closes do nothing but give the numbers back.
+    for (UniqueFd& fd : fds.first(handover.taken_count)) fd.reset();
+    handover.stages.go_to(Stages::given);
+    thread.join();  // which says nothing of what the kernel still does for it
+  } catch (const std::exception&) {  // no thread left, or no memory for one
+    handover.thread.error = EAGAIN;
+  }
+  return handover.thread;
 }
 
 // Threads that have thrown a datagram away and may be stuck at their end. As many bells of a process can be
@@ -77,39 +113,90 @@ std::atomic<pid_t>* free_place() noexcept {
   return nullptr;
 }
 
-// With room for all, so that the kernel closes nothing on the way.
-void receive_one_and_end(int socket, std::atomic<pid_t>& place,
-                         const std::shared_ptr<std::atomic<bool>>& done) noexcept {
+/// What a thread that throws a datagram away shares with the one that does not wait for it.
+struct Emptied {
+  Stages stages;
+  bool has_socket = false;
+};
+
+// With room for all, so that the kernel closes nothing on the way. `socket` is a number of the caller's, and may be
+// another's as soon as the caller goes on.
+void receive_one_and_end(int socket, std::atomic<pid_t>& place, Emptied& emptied) noexcept {
   constexpr std::size_t descriptors_per_packet = 253;  // SCM_MAX_FD
   const int process = leave_table();
   const auto bell =
       process < 0 ? -1 : static_cast<int>(::syscall(SYS_pidfd_getfd, process, socket, 0U));
+  emptied.has_socket = bell >= 0;
+  emptied.stages.go_to(Stages::taken);
   alignas(cmsghdr) std::byte control[CMSG_SPACE(sizeof(int) * descriptors_per_packet)];
   msghdr message{};
   message.msg_control = control;
   message.msg_controllen = sizeof control;
-  const bool taken = bell >= 0 && ::recvmsg(bell, &message, MSG_DONTWAIT) >= 0;
-  if (taken) done->store(true, std::memory_order_release);
+  if (bell >= 0 && ::recvmsg(bell, &message, MSG_DONTWAIT) >= 0)
+    emptied.stages.go_to(Stages::done);
   place.store(static_cast<pid_t>(::syscall(SYS_gettid)), std::memory_order_relaxed);
+}
+
+// Only shared memory has seals.
+bool is_shared_memory(int fd) noexcept { return ::fcntl(fd, F_GET_SEALS) >= 0; }
+
+// The memory that came, if nothing else did. Descriptors that have no place in the packet go to `more`.
+UniqueFd* receive_into(ReceivedMemory& received, const PacketSocket& connection,
+                       std::span<std::byte> buffer, std::vector<UniqueFd>& more) noexcept {
+  try {
+    received.packet = connection.receive_all(buffer, more);
+  } catch (const std::bad_alloc&) {
+    received.packet = fail(Errc::os_failure, "receiving a packet", ENOMEM);
+  }
+  if (!received.packet) return nullptr;
+  const std::span<UniqueFd> fds = received.packet->fds();
+  received.descriptor_count = fds.size() + more.size();
+  return received.descriptor_count == 1 && is_shared_memory(fds[0].get()) ? fds.data() : nullptr;
+}
+
+// In the ending thread, which closes nothing before its end. `first`: the number of the connection; the next one is
+// a way back.
+void receive_and_end(ReceivedMemory& received, std::span<std::byte> buffer, int first) noexcept {
+  PacketSocket connection{UniqueFd(first)}, way_back{UniqueFd(first + 1)};
+  std::vector<UniqueFd> more;
+  Result<Sent> sent = Sent::sent;
+  if (const UniqueFd* const memory = receive_into(received, connection, buffer, more)) {
+    const std::byte word{};
+    const std::array<int, 1> fds{memory->get()};
+    sent = way_back.send({&word, 1}, fds);
+  }
+  if (received.packet) {
+    for (UniqueFd& fd : received.packet->fds()) static_cast<void>(fd.release());
+  }
+  for (UniqueFd& fd : more) static_cast<void>(fd.release());
+  static_cast<void>(connection.release().release());
+  static_cast<void>(way_back.release().release());
+  if (!sent) received.packet = tl::unexpected(sent.error());
+}
+
+void receive_here(ReceivedMemory& received, const PacketSocket& connection,
+                  std::span<std::byte> buffer) noexcept {
+  std::vector<UniqueFd> more;
+  if (UniqueFd* const memory = receive_into(received, connection, buffer, more))
+    received.memory = std::move(*memory);
+  if (received.packet) close_received(received.packet->fds());
+  close_received(more);
 }
 
 }  // namespace
 
+bool EndingThread::is_forbidden() const noexcept { return error == EPERM || error == ENOSYS; }
+
+bool has_ended(pid_t thread) noexcept {
+  return ::syscall(SYS_tgkill, ::getpid(), thread, 0) != 0;
+}
+
+EndingThread close_at_end_of_thread(std::span<UniqueFd> fds) noexcept { return hand_over(fds); }
+
 void close_by_ending_thread(std::span<UniqueFd> fds) noexcept {
-  Handover handover{fds};
-  try {
-    const SignalsBlocked blocked;
-    std::thread thread([&] { take_over_and_end(handover); });
-    handover.wait_for(Handover::taken);
-    // Not the last ones: these closes do nothing but give the numbers back.
-    for (UniqueFd& fd : fds.first(handover.taken_count)) fd.reset();
-    handover.go_to(Handover::given);
-    thread.join();  // which says nothing of what the kernel still does for it
-  } catch (const std::exception&) {  // no thread left, or no memory for one
-  }
-  if (handover.thread != 0) {
-    for (auto pause = first_pause; !has_ended(handover.thread);
-         pause = std::min(pause * 2, last_pause))
+  const EndingThread thread = hand_over(fds);
+  if (thread.id != 0) {
+    for (auto pause = first_pause; !has_ended(thread.id); pause = std::min(pause * 2, last_pause))
       std::this_thread::sleep_for(pause);
   }
   for (UniqueFd& fd : fds) fd.reset();  // what could not be taken over
@@ -123,18 +210,44 @@ void close_received(std::span<UniqueFd> fds) noexcept {
   }
 }
 
+ReceivedMemory receive_memory(PacketSocket connection, std::span<std::byte> buffer) noexcept {
+  ReceivedMemory received;
+  auto ends = PacketSocket::pair();
+  EndingThread thread;
+  std::array<UniqueFd, 2> fds{connection.release()};
+  if (ends) {
+    fds[1] = ends->second.release();
+    const std::function<void(int)> work = [&](int first) {
+      receive_and_end(received, buffer, first);
+    };
+    thread = hand_over(fds, &work);
+    if (thread.error != 0)
+      received.packet = fail(Errc::os_failure, "receiving in another thread", thread.error);
+  } else {
+    received.packet = tl::unexpected(ends.error());
+  }
+  received.thread = thread.id;
+  if (fds[0] && thread.is_forbidden()) {
+    connection = PacketSocket(std::move(fds[0]));
+    receive_here(received, connection, buffer);
+    fds[0] = connection.release();
+    close_received(fds);
+  } else if (fds[0]) {
+    close_without_waiting(std::move(fds[0]));
+  } else if (received.packet) {
+    std::array<std::byte, 1> word;
+    auto came = ends->first.receive(word);
+    if (came && came->descriptor_count == 1) received.memory = std::move(came->fds()[0]);
+  }
+  return received;
+}
+
 void close_without_waiting(UniqueFd fd) noexcept {
+  if (!fd) return;
+  hand_over({&fd, 1});
   if (!fd) return;
   try {
     const SignalsBlocked blocked;
-    const auto handover = std::make_shared<Handover>();
-    handover->fds = {&fd, 1};
-    std::thread([handover] { take_over_and_end(*handover); }).detach();
-    handover->wait_for(Handover::taken);
-    const bool taken = handover->taken_count == 1;
-    if (taken) fd.reset();
-    handover->go_to(Handover::given);
-    if (taken) return;
     std::thread([number = fd.get()] { ::close(number); }).detach();
   } catch (const std::exception&) {  // no thread left, or no memory for one: it stays open
   }
@@ -147,9 +260,12 @@ bool throw_datagram_away(int socket) noexcept {
   if (place == nullptr) return false;
   try {
     const SignalsBlocked blocked;
-    const auto done = std::make_shared<std::atomic<bool>>(false);
-    std::thread([socket, place, done] { receive_one_and_end(socket, *place, done); }).detach();
-    for (auto waited = step; !done->load(std::memory_order_acquire); waited += step) {
+    const auto emptied = std::make_shared<Emptied>();
+    std::thread([socket, place, emptied] { receive_one_and_end(socket, *place, *emptied); })
+        .detach();
+    emptied->stages.wait_for(Stages::taken);  // for nobody else: no more than two system calls
+    if (!emptied->has_socket) return false;
+    for (auto waited = step; !emptied->stages.has_come_to(Stages::done); waited += step) {
       if (waited > patience) return false;
       std::this_thread::sleep_for(step);
     }

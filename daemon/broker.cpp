@@ -46,8 +46,6 @@ constexpr std::uint64_t look_budget_ns = 20'000'000, look_rest = 20;
 constexpr std::size_t looks_waiting_max = 256;
 // How often holds are looked at, what is let go of, and observers.
 constexpr int watch_interval_ms = 1'000;
-// Windows of one user that are being received at a time. One process brings one after the other.
-constexpr std::size_t receiving_count_max = 64;
 
 constexpr std::string_view no_memory_text = "agnocastd has no memory left";
 
@@ -77,7 +75,8 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
                                     options.config.limits.slots_per_publisher}),
       plan_(options.arena, options.former_count),
       obstacles_(options.arena),
-      doorbells_(listener.bells_directory(), store),
+      doorbells_(listener.bells_directory(), store,
+                 [&disposal](std::uint32_t uid, UniqueFd fd) { disposal.close(uid, std::move(fd)); }),
       membership_(registry_, regions_, doorbells_, *this),
       hold_watch_(registry_, regions_),
       let_go_watch_(registry_, regions_, membership_, *this),
@@ -102,8 +101,10 @@ Broker::~Broker() {
   for (auto& [id, peer] : peers_) {
     dispatcher_.remove(peer->connection);
     dispatcher_.remove(peer->process);
-    // The end of the process closes it, and does not linger.
-    static_cast<void>(peer->session.close().release());
+    // The end of the process closes it, and does not linger. Its other end hears of it now.
+    UniqueFd socket = peer->session.close();
+    ::shutdown(socket.get(), SHUT_RDWR);
+    static_cast<void>(socket.release());
   }
 }
 
@@ -131,7 +132,6 @@ void Broker::accept_some() {
     }
     if (!*socket) return;
     accept(std::move(**socket));
-    if (!listens_) return;
   }
 }
 
@@ -157,6 +157,8 @@ void Broker::turn_away() {
   spare_.reset();
   {
     auto socket = listener_.socket().accept();
+    // The last one it had is still being closed. Whoever waits is told again and again.
+    if (!socket) pause_listening();
     if (socket && *socket) {
       send_refused(**socket, Errc::limit_reached, "the daemon has no descriptor left");
       const std::uint32_t uid = uid_of((*socket)->fd());
@@ -173,6 +175,8 @@ void Broker::accept(PacketSocket socket) {
   if (!MemoryReserve::refill()) {
     ++registry_.counters().connections_refused;
     send_refused(socket, Errc::limit_reached, no_memory_text);
+    const std::uint32_t uid = uid_of(socket.fd());
+    close_connection(std::move(socket), uid);
     return;
   }
   auto identity = identify_peer(socket.fd());
@@ -188,15 +192,13 @@ void Broker::accept(PacketSocket socket) {
   }
   AGNOCAST_CRASH_POINT(B_accepted);
   const std::uint32_t uid = identity->uid;
-  if (disposal_.is_full(uid)) {
+  if (const std::size_t stuck = disposal_.stuck(uid); stuck > 1)
     log_.write_limited("disposal uid=" + std::to_string(uid), LogLevel::error,
                        "connections cannot be closed",
                        {{"pid", identity->pid},
                         {"uid", uid},
-                        {"count", disposal_.waiting(uid)},
+                        {"threads", stuck},
                         {"why", "what this user has sent does not come to its end"}});
-    pause_listening();
-  }
   Connections& used = connections_[uid];
   // Who has all the clients he may have can still look at them: such a connection can only observe.
   // Processes that have lost their connection may come back.
@@ -368,8 +370,7 @@ bool Broker::may_receive(Peer& peer, std::span<std::byte> buffer) {
   if (next->bytes == sizeof window) std::memcpy(static_cast<void*>(&window), buffer.data(), sizeof window);
   if (window.header.opcode == wire::Opcode::bring_window &&
       peer.session.role() == Role::client && peer.brings_windows &&
-      errands_.waiting(Errands::Lane::receiving, peer.session.identity().uid) <
-          receiving_count_max) {
+      disposal_.may_receive(peer.session.identity().uid)) {
     receive_window(peer);
     return false;
   }
@@ -715,7 +716,10 @@ void Broker::tick() {
 
 void Broker::look_around(std::uint64_t now) {
   looked_ms_ = now;
-  if (!std::exchange(listens_, true)) dispatcher_.change(listening_, EPOLLIN);
+  if (!std::exchange(listens_, true)) {
+    if (!spare_) spare_.reset(::open("/dev/null", O_RDONLY | O_CLOEXEC));
+    dispatcher_.change(listening_, EPOLLIN);
+  }
   if (flush_later_) {
     flush_later_ = false;
     for (auto& [id, peer] : peers_) {

@@ -137,7 +137,7 @@ class Broker final : private Post {
   void send(ClientIndex client, Outgoing packet) override;
 
   void accept_some();
-  /// Nobody is accepted for a moment: somebody's connections cannot be closed.
+  /// Nobody is accepted until the next look around: there is no descriptor.
   void pause_listening();
   void accept(PacketSocket socket);
   /// Takes one waiting connection although no descriptor is left, and says why it is refused.
@@ -214,8 +214,7 @@ class Broker final : private Post {
                                           const UniqueFd& window);
   /// A window comes with a descriptor, which is received elsewhere.
   void receive_window(Peer& peer);
-  struct ReceivedWindow;
-  void serve_window(PeerId id, ReceivedWindow& received);
+  void serve_window(PeerId id, Disposal::Received& received);
   void expect_windows(Peer& peer);
   void expect_no_windows(Peer& peer);
   [[nodiscard]] Result<WindowRecord> choose_window(ClientIndex client);

@@ -10,7 +10,6 @@
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/check.hpp>
 #include <base/clock.hpp>
-#include <base/closing.hpp>
 #include <base/names.hpp>
 #include <base/step.hpp>
 #include <daemon/memory_reserve.hpp>
@@ -430,64 +429,38 @@ void Broker::expect_no_windows(Peer& peer) {
   peer.refuses_since_ms = monotonic_ms();
 }
 
-struct Broker::ReceivedWindow {
-  PacketSocket socket;  // another number of the connection: the loop may close its own meanwhile
-  std::array<std::byte, wire::packet_bytes_max> bytes;
-  Result<Packet> packet;
-  std::size_t count = 0;  // of descriptors that came
-  UniqueFd window;        // the only one, and memory: closing it waits for nobody
-};
-
 // All of it happens elsewhere: for want of a number the kernel closes what comes, and whatever is not a
 // window is closed there, too.
 void Broker::receive_window(Peer& peer) {
   const std::uint32_t uid = peer.session.identity().uid;
-  auto received = std::make_shared<ReceivedWindow>();
-  received->socket =
-      PacketSocket(UniqueFd(::fcntl(peer.session.socket().fd(), F_DUPFD_CLOEXEC, 0)));
-  if (!received->socket) {
+  // Another number of the connection: the loop may close its own meanwhile.
+  PacketSocket socket(UniqueFd(::fcntl(peer.session.socket().fd(), F_DUPFD_CLOEXEC, 0)));
+  if (!socket) {
     disconnect(peer, "no descriptor is left to receive a window with");
     return;
   }
-  const auto receive = [received] {
-    std::vector<UniqueFd> more;
-    received->packet = received->socket.receive_all(received->bytes, more);
-    if (received->packet) {
-      const std::span<UniqueFd> fds = received->packet->fds();
-      received->count = fds.size() + more.size();
-      // Only shared memory has seals.
-      if (received->count == 1 && ::fcntl(fds[0].get(), F_GET_SEALS) >= 0)
-        received->window = std::move(fds[0]);
-      close_received(fds);
-    }
-    close_received(more);
-    received->socket.close();
-  };
   park(peer);
-  errands_.run(Errands::Lane::receiving, uid, receive,
-               [this, id = peer.id, received, here = std::weak_ptr(here_)] {
-                 if (!here.expired()) serve_window(id, *received);
-               });
+  disposal_.receive(uid, std::move(socket), wire::packet_bytes_max,
+                    [this, id = peer.id, uid, here = std::weak_ptr(here_)](
+                        Disposal::Received& received) {
+                      if (!here.expired()) serve_window(id, received);
+                      disposal_.close_memory(uid, std::move(received.memory.memory));
+                    });
 }
 
-void Broker::serve_window(PeerId id, ReceivedWindow& received) {
-  const auto found = peers_.find(id);
-  const std::uint32_t uid =
-      found == peers_.end() ? static_cast<std::uint32_t>(-1) : found->second->session.identity().uid;
+void Broker::serve_window(PeerId id, Disposal::Received& received) {
   Peer* const peer = unpark(id);
-  if (peer != nullptr && !received.packet) {
-    disconnect(*peer, received.packet.error().what);
-  } else if (peer != nullptr && received.packet->kind == Packet::Kind::data) {
-    const Packet& packet = *received.packet;
+  if (peer == nullptr) return;
+  const Result<Packet>& packet = received.memory.packet;
+  if (!packet) {
+    disconnect(*peer, packet.error().what);
+  } else if (packet->kind == Packet::Kind::data) {
     AGNOCAST_CRASH_POINT(B_request);
-    serve_packet(*peer, {received.bytes.data(), packet.bytes},
-                 {received.count, packet.truncated, packet.descriptors_lost},
-                 std::span(&received.window, 1));
+    serve_packet(
+        *peer, {received.bytes.data(), packet->bytes},
+        {received.memory.descriptor_count, packet->truncated, packet->descriptors_lost},
+        std::span(&received.memory.memory, 1));
   }
-  if (!received.window) return;
-  std::vector<UniqueFd> last;
-  last.push_back(std::move(received.window));
-  disposal_.close_received(uid, std::move(last));  // much memory may go with it
 }
 
 // What lies in a window outlives the daemon that gave it: its owner, which knows nobody here yet, keeps
@@ -640,7 +613,7 @@ Result<void> Broker::open_executor(Peer& peer, const ExecutorRequest& request) {
   const ClientIndex client = *peer.session.client();
   if (auto admitted = admit_executor(client, request); !admitted) return admitted;
   MemoryReserve::no_return();
-  auto bells = doorbells_.open(client, request.executor);
+  auto bells = doorbells_.open(client, request.executor, registry_.client(client).uid);
   if (!bells) return tl::unexpected(bells.error());
   AGNOCAST_CRASH_POINT(B_bell_bound);
   registry_.open_executor(client, static_cast<std::uint32_t>(request.executor));

@@ -2,7 +2,6 @@
 
 #include <daemon/doorbells.hpp>
 
-#include <base/closing.hpp>
 #include <base/packet_socket.hpp>
 #include <base/step.hpp>
 
@@ -25,18 +24,6 @@ Result<SharedFd> duplicate(int fd) {
   return share(std::move(copy));
 }
 
-// Of a client that never takes it this is the last one, with whatever others have sent to it.
-Result<SharedFd> duplicate_receiver(int fd) {
-  if (refuses_descriptors(fd)) return duplicate(fd);
-  UniqueFd copy(::fcntl(fd, F_DUPFD_CLOEXEC, 0));
-  if (!copy) return fail(Errc::os_failure, "duplicating a descriptor", errno);
-  return SharedFd(new UniqueFd(std::move(copy)), [](const UniqueFd* last) {
-    auto* const own = const_cast<UniqueFd*>(last);
-    close_without_waiting(std::move(*own));
-    delete own;
-  });
-}
-
 // It may be there a moment later.
 bool is_shortage(int error) noexcept {
   return error == EMFILE || error == ENFILE || error == ENOMEM || error == ENOBUFS;
@@ -44,7 +31,20 @@ bool is_shortage(int error) noexcept {
 
 }  // namespace
 
-Result<std::vector<SharedFd>> Doorbells::open(ClientIndex client, std::uint64_t executor) {
+// Of a client that never takes it this is the last one, with whatever others have sent to it.
+Result<SharedFd> Doorbells::duplicate_receiver(int fd, std::uint32_t uid) const {
+  if (refuses_descriptors(fd) || !close_) return duplicate(fd);
+  UniqueFd copy(::fcntl(fd, F_DUPFD_CLOEXEC, 0));
+  if (!copy) return fail(Errc::os_failure, "duplicating a descriptor", errno);
+  return SharedFd(new UniqueFd(std::move(copy)), [close = close_, uid](const UniqueFd* last) {
+    auto* const own = const_cast<UniqueFd*>(last);
+    close(uid, std::move(*own));
+    delete own;
+  });
+}
+
+Result<std::vector<SharedFd>> Doorbells::open(ClientIndex client, std::uint64_t executor,
+                                              std::uint32_t uid) {
   const Key key{number(client), executor};
   if (const auto found = bells_.find(key); found != bells_.end()) {
     if (SharedFd datagram = found->second.given.lock())
@@ -61,7 +61,7 @@ Result<std::vector<SharedFd>> Doorbells::open(ClientIndex client, std::uint64_t 
   if (!sender) return tl::unexpected(sender.error());
   auto eventfd = duplicate(receiver->eventfd());
   if (!eventfd) return tl::unexpected(eventfd.error());
-  auto datagram = duplicate_receiver(receiver->datagram_fd());
+  auto datagram = duplicate_receiver(receiver->datagram_fd(), uid);
   if (!datagram) return tl::unexpected(datagram.error());
   if (auto kept = store_.put(DescriptorStore::eventfd(client, executor), (*eventfd)->get()); !kept)
     return tl::unexpected(kept.error());

@@ -19,6 +19,7 @@
 #include <daemon/tables.hpp>
 
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <memory>
 #include <string>
@@ -29,15 +30,18 @@ namespace agnocast::daemon {
 
 class Doorbells {
  public:
+  /// Closes a receiver that others of this user may have sent something to.
+  using Close = std::function<void(std::uint32_t uid, UniqueFd)>;
   /// `directory` exists and only this process's user may enter it.
-  Doorbells(std::string directory, DescriptorStore& store)
-      : directory_(std::move(directory)), store_(store) {}
+  Doorbells(std::string directory, DescriptorStore& store, Close close = {})
+      : directory_(std::move(directory)), store_(store), close_(std::move(close)) {}
   Doorbells(const Doorbells&) = delete;
   Doorbells& operator=(const Doorbells&) = delete;
 
-  /// New bells: eventfd and bound socket, for the executor's process. Those that it was given before
-  /// it never got, or they are still on their way: then it is given the same. Errors: os_failure.
-  [[nodiscard]] Result<std::vector<SharedFd>> open(ClientIndex client, std::uint64_t executor);
+  /// New bells: eventfd and bound socket, for the executor's process, which is of this user. Those that it was
+  /// given before it never got, or they are still on their way: then it is given the same. Errors: os_failure.
+  [[nodiscard]] Result<std::vector<SharedFd>> open(ClientIndex client, std::uint64_t executor,
+                                                   std::uint32_t uid);
   /// Bells of a former life, out of the store; their names are in the directory still. A bell
   /// whose receiver is gone is silent.
   void restore(ClientIndex client, std::uint64_t executor);
@@ -63,6 +67,7 @@ class Doorbells {
     // O_PATH of the bound name: a way to it when somebody has tidied up the directory.
     UniqueFd way;
   };
+  Result<SharedFd> duplicate_receiver(int fd, std::uint32_t uid) const;
   Result<UniqueFd> connect_to(const UniqueFd& way, const std::string& name) const;
   UniqueFd way_to(const std::string& name) const;
   void close(ClientIndex client, std::uint64_t executor) noexcept;
@@ -73,6 +78,7 @@ class Doorbells {
 
   std::string directory_;
   DescriptorStore& store_;
+  Close close_;
   std::map<Key, Bell> bells_;
 };
 

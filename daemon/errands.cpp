@@ -13,6 +13,7 @@
 #include <condition_variable>
 #include <deque>
 #include <iterator>
+#include <list>
 #include <map>
 #include <mutex>
 #include <new>
@@ -36,10 +37,15 @@ struct Errands::State {
     std::function<void()> work, then;
   };
 
+  struct Queue {
+    std::deque<Errand> errands;  // the first one is ready or under way
+    std::list<Key> place;        // in `ready`, while it is not there: a thread may have no memory for one
+  };
+
   std::mutex mutex;
   std::condition_variable changed;
-  std::map<Key, std::deque<Errand>> queues;  // the first one of each is ready or under way
-  std::deque<Key> ready;
+  std::map<Key, Queue> queues;
+  std::list<Key> ready;
   std::vector<std::function<void()>> answers;
   std::size_t errand_count = 0, thread_count = 0, idle_count = 0;
   bool stops = false;
@@ -57,9 +63,9 @@ void Errands::State::work(const std::shared_ptr<State>& state) {
         lock, idle_time, [&] { return state->stops || !state->ready.empty(); });
     --state->idle_count;
     if (state->stops || !found) break;
-    const Key key = state->ready.front();
-    state->ready.pop_front();
-    Errand& errand = state->queues.at(key).front();  // a deque moves nothing while it grows
+    Queue& queue = state->queues.at(state->ready.front());  // a map moves nothing
+    queue.place.splice(queue.place.begin(), state->ready, state->ready.begin());
+    Errand& errand = queue.errands.front();  // nor does a deque while it grows
     lock.unlock();
     try {
       errand.work();
@@ -68,17 +74,16 @@ void Errands::State::work(const std::shared_ptr<State>& state) {
     }
     errand.work = nullptr;  // with what it owns
     lock.lock();
-    std::deque<Errand>& queue = state->queues.at(key);
-    if (queue.front().then) {
-      state->answers.push_back(std::move(queue.front().then));
+    if (errand.then) {
+      state->answers.push_back(std::move(errand.then));
       static_cast<void>(::eventfd_write(state->event.get(), 1));
     }
-    queue.pop_front();
+    queue.errands.pop_front();
     --state->errand_count;
-    if (queue.empty()) {
-      state->queues.erase(key);
+    if (queue.errands.empty()) {
+      state->queues.erase(state->queues.find(queue.place.front()));
     } else {
-      state->ready.push_back(key);
+      state->ready.splice(state->ready.end(), queue.place);
     }
   }
   --state->thread_count;
@@ -119,10 +124,13 @@ void Errands::run(Lane lane, std::uint32_t uid, std::function<void()> errand,
                   std::function<void()> then) {
   const std::lock_guard lock(state_->mutex);
   const State::Key key{uid, lane};
-  std::deque<State::Errand>& queue = state_->queues[key];
-  state_->answers.reserve(state_->answers.size() + ++state_->errand_count);  // for its thread
-  queue.push_back({std::move(errand), std::move(then)});
-  if (queue.size() == 1) state_->ready.push_back(key);
+  // For its thread, which may have no memory.
+  state_->answers.reserve(state_->answers.size() + state_->errand_count + 1);
+  std::list<State::Key> place{key};
+  State::Queue& queue = state_->queues[key];
+  queue.errands.push_back({std::move(errand), std::move(then)});
+  ++state_->errand_count;
+  if (queue.errands.size() == 1) state_->ready.splice(state_->ready.end(), place);
   state_->start_thread(state_);
   state_->changed.notify_one();
 }
@@ -130,7 +138,7 @@ void Errands::run(Lane lane, std::uint32_t uid, std::function<void()> errand,
 std::size_t Errands::waiting(Lane lane, std::uint32_t uid) const {
   const std::lock_guard lock(state_->mutex);
   const auto found = state_->queues.find({uid, lane});
-  return found == state_->queues.end() ? 0 : found->second.size();
+  return found == state_->queues.end() ? 0 : found->second.errands.size();
 }
 
 void Errands::answer() {

@@ -2,11 +2,13 @@
 
 #include <daemon/refuser.hpp>
 
+#include <base/clock.hpp>
 #include <base/peer_identity.hpp>
 #include <daemon/membership.hpp>
 
 #include <sys/epoll.h>
 
+#include <algorithm>
 #include <array>
 #include <cstring>
 #include <utility>
@@ -18,6 +20,8 @@ namespace {
 constexpr std::size_t caller_count_max = 64;
 // Whoever connects again and again is never done; signals must not wait for that.
 constexpr unsigned connections_per_turn = 8;
+// How long nobody is accepted when no descriptor is left.
+constexpr std::uint64_t pause_ms = 100;
 
 }  // namespace
 
@@ -38,11 +42,29 @@ Result<void> Refuser::start() {
   return {};
 }
 
+int Refuser::due_ms() const noexcept {
+  if (!listens_again_ms_) return -1;
+  const std::uint64_t now = monotonic_ms();
+  return static_cast<int>(*listens_again_ms_ - std::min(*listens_again_ms_, now));
+}
+
+void Refuser::tick() {
+  if (!listens_again_ms_ || monotonic_ms() < *listens_again_ms_) return;
+  listens_again_ms_.reset();
+  dispatcher_.change(listening_, EPOLLIN);
+}
+
 void Refuser::accept_all() {
   for (unsigned turn = 0; turn < connections_per_turn; ++turn) {
     auto socket = listener_.accept();
-    if (!socket && !callers_.empty()) drop(callers_.begin());  // no descriptor was left
-    if (!socket || !*socket) return;
+    if (!socket) {
+      // No descriptor was left, and whoever waits is told again and again.
+      if (!callers_.empty()) drop(callers_.begin());
+      dispatcher_.change(listening_, 0);
+      listens_again_ms_ = monotonic_ms() + pause_ms;
+      return;
+    }
+    if (!*socket) return;
     const std::uint64_t id = ++last_caller_;
     const auto token =
         dispatcher_.add((*socket)->fd(), EPOLLIN, [this, id](std::uint32_t) { answer(id); });

@@ -15,6 +15,7 @@
 
 #include <cstdint>
 #include <map>
+#include <optional>
 #include <string>
 
 namespace agnocast::daemon {
@@ -36,6 +37,9 @@ class Refuser {
 
   /// Errors: os_failure.
   [[nodiscard]] Result<void> start();
+  /// Listens again when it is time; call it after at most due_ms() (-1: nothing is due).
+  void tick();
+  int due_ms() const noexcept;
 
  private:
   struct Caller {
@@ -55,6 +59,7 @@ class Refuser {
   Errc code_;
   std::string why_;
   Dispatcher::Token listening_ = 0;
+  std::optional<std::uint64_t> listens_again_ms_;  // no descriptor was left
   Callers callers_;
   std::uint64_t last_caller_ = 0;
 };

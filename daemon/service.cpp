@@ -108,7 +108,7 @@ class Service {
   Arena arena_;
   UniqueFd signals_;
   std::optional<Dispatcher> dispatcher_;
-  std::unique_ptr<Errands> errands_;
+  std::unique_ptr<Errands> errands_, closings_;
   std::optional<Disposal> disposal_;
   std::optional<Listener> listener_;
   std::optional<Broker> broker_;
@@ -157,7 +157,10 @@ std::optional<Trouble> Service::prepare(const std::string& socket) {
   auto errands = Errands::create(*dispatcher_);
   if (!errands) return trouble_of(errands.error());
   errands_ = std::move(*errands);
-  disposal_.emplace(*errands_);
+  auto closings = Errands::create(*dispatcher_);
+  if (!closings) return trouble_of(closings.error());
+  closings_ = std::move(*closings);
+  disposal_.emplace(*closings_);
   const auto token = dispatcher_->add(signals_.get(), EPOLLIN, [this](std::uint32_t) {
     signalfd_siginfo info{};
     if (::read(signals_.get(), &info, sizeof info) == sizeof info)
@@ -279,9 +282,11 @@ std::optional<Trouble> Service::wait() {
   MemoryReserve::install();
   while (ended_by_ == 0) {
     static_cast<void>(MemoryReserve::refill());
-    if (auto waited = dispatcher_->wait(watchdog.sooner(broker_ ? broker_->due_ms() : -1)); !waited)
+    const int due_ms = broker_ ? broker_->due_ms() : refuser_ ? refuser_->due_ms() : -1;
+    if (auto waited = dispatcher_->wait(watchdog.sooner(due_ms)); !waited)
       return trouble_of(waited.error());
     watchdog.tick();
+    if (refuser_) refuser_->tick();
     if (!broker_) continue;
     broker_->serve_waiting();
     broker_->tick();

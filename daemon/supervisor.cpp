@@ -49,8 +49,8 @@ constexpr std::uint64_t stop_patience_ms = 800, end_patience_ms = 5'000;
 constexpr std::uint64_t start_patience_ms = 90'000;
 // How often a worker that is to end is looked at, and how long the end of the supervisor waits for its end.
 constexpr std::uint64_t look_interval_ms = 20, kill_patience_ms = 150;
-// How long the other threads of a worker may take to follow its first one; usually at once.
-constexpr std::uint64_t remains_patience_ms = 100;
+// How long a worker that holds nothing any more may take until it has ended; usually at once.
+constexpr std::uint64_t remains_patience_ms = 500;
 
 /// A socket that can be reached through a descriptor of it and in no other way: it was bound in a
 /// directory of ours, and its name is gone.
@@ -175,7 +175,7 @@ class Supervisor {
 
  private:
   void start();
-  [[noreturn]] void become_worker(pid_t parent) noexcept;
+  [[noreturn]] void become_worker(pid_t parent, int life_line) noexcept;
   void on_signals();
   void on_notifications();
   bool receive();
@@ -186,6 +186,8 @@ class Supervisor {
   void end_worker(int signal);
   void kill_worker(std::string_view why);
   void look_at_worker(std::uint64_t now);
+  /// A killed worker that cannot end, because somebody keeps a thread of it in the kernel.
+  bool is_stuck(std::uint64_t now) const noexcept;
   /// When look_at_worker() is due; nothing: no time.
   std::optional<std::uint64_t> look_due_ms() const noexcept;
   std::uint64_t patience_ms() const noexcept {
@@ -205,18 +207,20 @@ class Supervisor {
   std::vector<UniqueFd> sockets_;  // of whoever started us, for every worker
   std::size_t kept_limit_ = kept_limit();
   pid_t worker_ = -1;
-  std::vector<pid_t> remains_;  // of workers whose first thread has ended
+  UniqueFd life_line_;          // a pipe: its other end is in the worker's descriptor table
+  std::vector<pid_t> remains_;  // workers that hold nothing any more and have not ended
   std::uint64_t watchdog_ms_;   // 0: nobody looks
   std::uint64_t heard_ms_ = 0;  // when the worker last said that it turns
   std::optional<std::uint64_t> kill_due_ms_;  // of a worker that was told to end
   std::optional<std::uint64_t> killed_ms_;
-  std::optional<std::uint64_t> remains_since_ms_;  // since when its first thread has ended
+  std::optional<std::uint64_t> remains_since_ms_;  // since when it holds nothing any more
   std::uint64_t started_ms_ = 0;
   std::optional<std::uint64_t> due_ms_;  // when the next worker begins
   unsigned failures_ = 0;                // deaths in a row
   unsigned failed_starts_ = 0;           // those of them since a worker was ready last
   bool was_ready_ = false;               // any worker
   bool is_ready_ = false;                // this one
+  bool is_stopping_ = false;             // this one said so
   bool restarts_ = false;  // the end of the worker was asked for, and another is wanted
   bool stops_ = false;
   std::optional<int> result_;
@@ -246,10 +250,16 @@ int Supervisor::run() {
       const auto left = static_cast<int>(*due - std::min(*due, now));
       timeout_ms = timeout_ms < 0 ? left : std::min(timeout_ms, left);
     }
-    pollfd entries[] = {{signals_.get(), POLLIN, 0}, {socket_.socket.get(), POLLIN, 0}};
-    if (::poll(entries, 2, timeout_ms) < 0 && errno != EINTR) {
+    pollfd entries[] = {{signals_.get(), POLLIN, 0},
+                        {socket_.socket.get(), POLLIN, 0},
+                        {life_line_.get(), POLLIN, 0}};  // -1 is passed over
+    if (::poll(entries, 3, timeout_ms) < 0 && errno != EINTR) {
       log_.write(LogLevel::error, "cannot supervise", {{"errno", errno}});
       return 1;
+    }
+    if ((entries[2].revents & POLLHUP) != 0) {
+      life_line_.reset();
+      remains_since_ms_ = monotonic_ms();
     }
     on_notifications();
     on_signals();
@@ -266,14 +276,19 @@ int Supervisor::run() {
 void Supervisor::start() {
   due_ms_.reset();
   restarts_ = false;
-  is_ready_ = false;
+  is_ready_ = is_stopping_ = false;
   started_ms_ = heard_ms_ = monotonic_ms();
   kill_due_ms_.reset();
   killed_ms_.reset();
   remains_since_ms_.reset();
+  life_line_.reset();
+  int line[2] = {-1, -1};
+  // Without it a worker that is stuck in the kernel is not seen to be gone; no reason not to start one.
+  if (::pipe2(line, O_CLOEXEC) == 0) life_line_.reset(line[0]);
+  const UniqueFd other_end(line[1]);
   const pid_t parent = ::getpid();
   const pid_t pid = ::fork();
-  if (pid == 0) become_worker(parent);
+  if (pid == 0) become_worker(parent, other_end.get());
   if (pid < 0) {
     log_.write(LogLevel::error, "worker not started", {{"errno", errno}});
     due_ms_ = monotonic_ms() + pause_most_ms;
@@ -284,7 +299,7 @@ void Supervisor::start() {
 }
 
 // In the child. Signals stay blocked over exec: what comes before the worker listens is not lost.
-void Supervisor::become_worker(pid_t parent) noexcept {
+void Supervisor::become_worker(pid_t parent, int life_line) noexcept {
   ::prctl(PR_SET_PDEATHSIG, SIGKILL);
   if (::getppid() != parent) ::_exit(1);  // it died before it would have been noticed
   std::string names;
@@ -299,13 +314,14 @@ void Supervisor::become_worker(pid_t parent) noexcept {
   }
   const auto count = static_cast<int>(passed.size());
   passed.push_back(socket_.way.get());
+  if (life_line >= 0) passed.push_back(life_line);
   // Out of the way first: whatever lies where another one has to go.
-  const int end = first_passed + count + 1;
+  const int end = first_passed + static_cast<int>(passed.size());
   for (int& fd : passed) {
     if (fd < end) fd = ::fcntl(fd, F_DUPFD_CLOEXEC, end);
   }
   bool placed = true;
-  for (int i = 0; i <= count; ++i)
+  for (int i = 0; first_passed + i < end; ++i)
     placed = ::dup2(passed[static_cast<std::size_t>(i)], first_passed + i) >= 0 && placed;
   const std::string notify = "/proc/self/fd/" + std::to_string(first_passed + count);
   ::setenv("NOTIFY_SOCKET", notify.c_str(), 1);
@@ -381,30 +397,32 @@ void Supervisor::kill_worker(std::string_view why) {
 
 std::optional<std::uint64_t> Supervisor::look_due_ms() const noexcept {
   if (worker_ <= 0) return std::nullopt;
-  if (killed_ms_ || kill_due_ms_) return monotonic_ms() + look_interval_ms;
+  if (killed_ms_ || kill_due_ms_ || remains_since_ms_) return monotonic_ms() + look_interval_ms;
   if (watchdog_ms_ == 0) return std::nullopt;
   return heard_ms_ + patience_ms();
 }
 
 void Supervisor::look_at_worker(std::uint64_t now) {
   if (worker_ <= 0) return;
+  if (remains_since_ms_ ? now >= *remains_since_ms_ + remains_patience_ms : is_stuck(now)) {
+    log_.write(LogLevel::warning, "worker does not end",
+               {{"pid", worker_}, {"why", "a thread of it is kept in the kernel"}});
+    tell_worker(SIGKILL);
+    remains_.push_back(worker_);
+    on_notifications();  // its last words
+    return on_worker_end(is_stopping_ && !killed_ms_ ? 0 : SIGKILL);
+  }
+  if (remains_since_ms_) return;
   if (!killed_ms_ && kill_due_ms_ && now >= *kill_due_ms_)
     return kill_worker("it was told to end and does not");
   if (!killed_ms_ && !kill_due_ms_ && watchdog_ms_ > 0 && now >= heard_ms_ + patience_ms())
     return kill_worker(is_ready_ ? "its loop does not turn" : "it does not begin to serve");
-  if (!killed_ms_ && !kill_due_ms_) return;
-  if (!first_thread_has_ended(worker_)) {
-    remains_since_ms_.reset();
-    if (killed_ms_ && stops_ && now >= *killed_ms_ + kill_patience_ms) result_ = 1;
-  } else if (!remains_since_ms_) {
-    remains_since_ms_ = now;
-  } else if (now >= *remains_since_ms_ + remains_patience_ms) {
-    // A thread of it is in the kernel, for as long as somebody else likes. Nothing of it comes back.
-    tell_worker(SIGKILL);
-    remains_.push_back(worker_);
-    on_notifications();
-    on_worker_end(killed_ms_ ? SIGKILL : 0);
-  }
+  if (killed_ms_ && stops_ && now >= *killed_ms_ + kill_patience_ms) result_ = 1;
+}
+
+// Where a thread had to be kept in the worker's own table the life line says nothing.
+bool Supervisor::is_stuck(std::uint64_t now) const noexcept {
+  return killed_ms_ && now >= *killed_ms_ + remains_patience_ms && first_thread_has_ended(worker_);
 }
 
 void Supervisor::on_worker_end(int status) {
@@ -507,6 +525,7 @@ void Supervisor::keep(const Notification& notification, std::vector<UniqueFd> fd
   }
   if (notification.ready) was_ready_ = is_ready_ = true;
   if (notification.ready || notification.watchdog) heard_ms_ = monotonic_ms();
+  is_stopping_ = is_stopping_ || notification.stopping;
   if (notification.stopping && kill_due_ms_) kill_due_ms_ = monotonic_ms() + end_patience_ms;
   std::string said = notification.ready ? "READY=1\n" : "";
   if (!notification.status.empty()) said += "STATUS=" + notification.status;

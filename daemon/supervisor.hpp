@@ -27,8 +27,10 @@
 // while its loop turns, as to systemd with WatchdogSec=; one that has not for [daemon] watchdog_seconds is
 // killed and started again.
 //
-// A killed worker may stay in the kernel for as long as a client likes (errands.hpp), but not its first thread,
-// which alone touches regions and connections. When that one has ended, the next worker begins.
+// A dead worker may stay in the kernel for as long as a client likes (base/closing.hpp), and then nobody is told of
+// its end. What is kept there is a thread that holds nothing of the worker: its memory is gone, and its descriptors
+// are closed, which a pipe says whose other end is one of them. Then the next worker begins. (A pidfd of the first
+// thread would say it on some kernels only, and /proc is of no use to somebody who must not wait.)
 //
 // The worker never outlives the supervisor (PR_SET_PDEATHSIG): two daemons could not share the
 // regions. No thread, no state but the descriptors; nothing in here can be wrong for long.

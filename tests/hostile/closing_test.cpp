@@ -12,7 +12,9 @@
 #include <tests/support/silent_fuse.hpp>
 
 #include <fcntl.h>
+#include <poll.h>
 #include <sched.h>
+#include <sys/file.h>
 #include <sys/mount.h>
 #include <sys/prctl.h>
 #include <sys/socket.h>
@@ -182,15 +184,28 @@ TEST_P(HostileClosing, SocketsThatLingerHoldUpNobody) {
   });
 }
 
-TEST_P(HostileClosing, AFileWhoseServerNeverAnswersHoldsUpNobody) {
-  AGNOCAST_NEEDS_TWO_USERS();
-  const std::string directory = make_directory(), place = directory + "/silent";
-  UniqueFd(::open(place.c_str(), O_CREAT | O_WRONLY | O_CLOEXEC, 0666));
-  Stage stage({.without_passrights = GetParam()});
-  SilentFuse file_system(place, S_IFREG);  // ends first: nobody else's end has to wait for it
-  if (!file_system.made()) GTEST_SKIP() << "no FUSE here";
-  const std::string path = stage.socket_path();
-  const auto send_silent_files = [&](Attack& attack) {
+// Two files whose servers never answer: whoever closes a number of the first waits, and whoever lets go of the
+// second last, which has been written to. Ends before everybody who may wait for it.
+class SilentFiles {
+ public:
+  SilentFiles()
+      : directory_(make_directory()), clean_(file("clean"), S_IFREG), dirty_(file("dirty"), S_IFREG, true) {}
+  ~SilentFiles() {
+    end();
+    remove_directory(directory_);
+  }
+  SilentFiles(const SilentFiles&) = delete;
+  SilentFiles& operator=(const SilentFiles&) = delete;
+
+  bool made() const { return clean_.made() && dirty_.made(); }
+  unsigned unanswered() const { return clean_.unanswered() + dirty_.unanswered(); }
+  void end() {
+    clean_.end();
+    dirty_.end();
+  }
+
+  /// Body of an attacker: sends one or the other to every place.
+  void send_all(Attack& attack, const std::string& path) const {
     for (unsigned round = 0; attack.goes_on(); ++round) {
       if (round >= 8 * place_count) {
         std::this_thread::sleep_for(std::chrono::milliseconds(10));
@@ -200,9 +215,13 @@ TEST_P(HostileClosing, AFileWhoseServerNeverAnswersHoldsUpNobody) {
       const pid_t sender = ::fork();
       if (sender == 0) {
         ::prctl(PR_SET_PDEATHSIG, SIGKILL);
-        const int file = ::open(place.c_str(), O_RDWR | O_CLOEXEC);
-        if (file < 0) ::_exit(2);
-        send_at(static_cast<Place>(round % place_count), path, file);
+        const bool is_dirty = round / place_count % 2 != 0;
+        const int silent = ::open((directory_ + (is_dirty ? "/dirty" : "/clean")).c_str(), O_RDWR | O_CLOEXEC);
+        if (silent < 0 || 
+            // A page of its own: one that is being written back cannot be written to.
+            (is_dirty && ::pwrite(silent, "x", 1, off_t{4096} * round) != 1))
+          ::_exit(2);
+        send_at(static_cast<Place>(round % place_count), path, silent);
         ::raise(SIGSTOP);
         ::_exit(0);
       }
@@ -210,19 +229,85 @@ TEST_P(HostileClosing, AFileWhoseServerNeverAnswersHoldsUpNobody) {
       ::waitpid(sender, &status, WUNTRACED);
       EXPECT_TRUE(WIFSTOPPED(status));
       ++attack.word(0);
-      if (round == place_count) attack.ready();
+      if (round == 2 * place_count) attack.ready();
     }
+  }
+
+ private:
+  std::string file(const char* name) const {
+    const std::string path = directory_ + "/" + name;
+    UniqueFd(::open(path.c_str(), O_CREAT | O_WRONLY | O_CLOEXEC, 0666));
+    return path;
+  }
+
+  std::string directory_;
+  SilentFuse clean_, dirty_;
+};
+
+TEST_P(HostileClosing, AFileWhoseServerNeverAnswersHoldsUpNobody) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage({.without_passrights = GetParam()});
+  SilentFiles files;
+  if (!files.made()) GTEST_SKIP() << "no FUSE here";
+  const auto send_silent_files = [&](Attack& attack) {
+    files.send_all(attack, stage.socket_path());
   };
   honest_goes_on_beside(stage, send_silent_files, [&] {
-    EXPECT_GT(file_system.unanswered(), 0u) << "somebody waits for a close";
+    EXPECT_GT(files.unanswered(), 0u) << "somebody waits for a close";
     // A thread that nothing ends does not keep the daemon from being restarted.
     const pid_t old = stage.daemon().pid();
     ::kill(stage.daemon().supervisor_pid(), SIGHUP);
     EXPECT_TRUE(stage.daemon().wait_for_next(old));
     stage.honest_goes_on();
-    file_system.end();
+    stage.honest_is_served();
+    files.end();
   });
-  remove_directory(directory);
+}
+
+// Nobody is told of the end of a process that has a thread in the kernel.
+TEST_P(HostileClosing, AWorkerThatDiesBesideSuchFilesIsReplaced) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage({.without_passrights = GetParam()});
+  SilentFiles files;
+  if (!files.made()) GTEST_SKIP() << "no FUSE here";
+  Attacker attacker([&](Attack& attack) { files.send_all(attack, stage.socket_path()); });
+  ASSERT_TRUE(attacker.wait_until_ready());
+  ASSERT_TRUE(eventually([&] { return files.unanswered() > 0; }));
+  const pid_t old = stage.daemon().kill_worker();
+  ASSERT_TRUE(stage.daemon().wait_for_next(old)) << stage.daemon().log();
+  EXPECT_TRUE(stage.daemon().wait_for_log("worker does not end"));
+  stage.honest_goes_on();
+  stage.honest_is_served();
+  const auto another = stage.another_honest_process();
+  EXPECT_EQ(another->ask(std::string("watch ") + open_topic), "ok") << "the next one is welcomed";
+  attacker.kill();
+  files.end();
+}
+
+TEST_P(HostileClosing, ADaemonThatDiesBesideSuchFilesKeepsNothingOpen) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  DaemonProcess daemon({.config = "[daemon]\nsocket_mode = \"0666\"\n"
+                                  "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"4GiB\"\n" AGNOCAST_TEST_ARENA_BASE,
+                        .arguments = {"--fd-store=none"},
+                        .without_passrights = GetParam()});
+  SilentFiles files;
+  if (!files.made()) GTEST_SKIP() << "no FUSE here";
+  WireClient client(daemon.socket_path());
+  EXPECT_EQ(client.hello().opcode(), Opcode::welcome);
+  Attacker attacker([&](Attack& attack) { files.send_all(attack, daemon.socket_path()); });
+  ASSERT_TRUE(attacker.wait_until_ready());
+  ASSERT_TRUE(eventually([&] { return files.unanswered() > 0; }));
+  const UniqueFd lock(::open((daemon.socket_path() + ".lock").c_str(), O_RDONLY | O_CLOEXEC));
+  ASSERT_TRUE(lock);
+  ASSERT_NE(::flock(lock.get(), LOCK_EX | LOCK_NB), 0);
+  ::kill(daemon.pid(), SIGKILL);
+  EXPECT_TRUE(eventually([&] { return ::flock(lock.get(), LOCK_EX | LOCK_NB) == 0; }))
+      << "the next daemon would find that another one is running";
+  EXPECT_TRUE(eventually([&] {
+    pollfd end{client.socket().fd(), 0, 0};
+    return ::poll(&end, 1, 0) == 1 && (end.revents & POLLHUP) != 0;
+  })) << "clients would not come back";
+  attacker.kill();
 }
 
 // What the daemon reads of a process there may wait for a lock that the process holds. Here it is a server

@@ -230,7 +230,7 @@ class Core final : private Post {
   }
   void ring_at(std::uint32_t client) {
     if (!doorbells_.is_open(ClientIndex{client}, 0))
-      require(static_cast<bool>(doorbells_.open(ClientIndex{client}, 0)), "bells");
+      require(static_cast<bool>(doorbells_.open(ClientIndex{client}, 0, 0)), "bells");
   }
 
   Session* session_of(ClientIndex client) override { return sessions_[number(client)].get(); }

@@ -34,7 +34,7 @@ struct DaemonCore {
     const daemon::ClientPlan plan = registry.plan_client().value();
     EXPECT_TRUE(regions.open_client(plan.index, plan.generation));
     registry.add_client({uid, uid, 1, 0, "a process"}, plan);
-    EXPECT_TRUE(doorbells.open(plan.index, 0));
+    EXPECT_TRUE(doorbells.open(plan.index, 0, 0));
     registry.open_executor(plan.index, 0);
     return plan.index;
   }

@@ -4,7 +4,9 @@
 //
 // The whole file system is its root: a file that can be opened, and whose close waits for ever for the answer
 // to FUSE_FLUSH; or a directory in which every look for a name waits for ever. Not even SIGKILL ends the
-// first. Needs root and /dev/fuse; see made().
+// first. A file system that keeps what is written goes further: whoever closes the last descriptor of a file
+// waits for the answer to FUSE_WRITE, also where nobody ever had a number for it. Needs root and /dev/fuse; see
+// made().
 #pragma once
 
 #include <base/unique_fd.hpp>
@@ -32,8 +34,11 @@ namespace agnocast::test {
 class SilentFuse {
  public:
   /// Over what is at `path`: S_IFREG over a file, S_IFDIR over a directory.
-  SilentFuse(std::string path, mode_t kind)
-      : path_(std::move(path)), kind_(kind), device_(::open("/dev/fuse", O_RDWR | O_CLOEXEC)) {
+  SilentFuse(std::string path, mode_t kind, bool keeps_writes = false)
+      : path_(std::move(path)),
+        kind_(kind),
+        keeps_writes_(keeps_writes),
+        device_(::open("/dev/fuse", O_RDWR | O_CLOEXEC)) {
     if (!device_) return;
     std::array<char, 128> options{};
     std::snprintf(options.data(), options.size(), "fd=%d,rootmode=%o,user_id=0,group_id=0,allow_other",
@@ -86,6 +91,7 @@ class SilentFuse {
         init.major = FUSE_KERNEL_VERSION;
         init.minor = std::min<std::uint32_t>(asked.minor, FUSE_KERNEL_MINOR_VERSION);
         init.max_write = 4096;
+        if (keeps_writes_) init.flags = FUSE_WRITEBACK_CACHE;
         answer(header.unique, init);
       } else if (header.opcode == FUSE_GETATTR) {
         fuse_attr_out out{};
@@ -95,7 +101,13 @@ class SilentFuse {
         out.attr.nlink = 1;
         answer(header.unique, out);
       } else if (header.opcode == FUSE_OPEN) {
-        answer(header.unique, fuse_open_out{});
+        fuse_open_out out{};
+        // Else whoever opens it waits for what is written.
+        if (keeps_writes_) out.open_flags = FOPEN_KEEP_CACHE;
+        answer(header.unique, out);
+      } else if (header.opcode == FUSE_GETXATTR) {  // before the first write
+        fuse_out_header none{sizeof none, -ENOSYS, header.unique};
+        static_cast<void>(!::write(device_.get(), &none, sizeof none));
       } else {
         ++unanswered_;
       }
@@ -104,6 +116,7 @@ class SilentFuse {
 
   std::string path_;
   mode_t kind_;
+  bool keeps_writes_;
   UniqueFd device_;
   bool made_ = false;
   std::atomic<bool> stops_ = false;

@@ -195,7 +195,7 @@ void FakeBroker::block(Process& from, const wire::Blocked& request) {
 
 void FakeBroker::open_executor(const Process& from, const ExecutorRequest& request) {
   if (!doorbells_.is_open(*from.client, request.executor) &&
-      doorbells_.open(*from.client, request.executor))
+      doorbells_.open(*from.client, request.executor, 0))
     registry_.open_executor(*from.client, static_cast<std::uint32_t>(request.executor));
 }
 

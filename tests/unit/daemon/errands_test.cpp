@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: the threads of errands need no memory of their own to go on.
+// Method: this program's own operator new, which fails in every thread that has run an errand.
+
+#include <daemon/errands.hpp>
+
+#include <gtest/gtest.h>
+
+#include <cstdlib>
+#include <new>
+
+namespace {
+thread_local bool memory_fails = false;
+}
+
+void* operator new(std::size_t bytes) {
+  void* const memory = memory_fails ? nullptr : std::malloc(bytes);
+  if (memory == nullptr) throw std::bad_alloc();
+  return memory;
+}
+// Where both are inlined a compiler sees new and free, and no partners.
+#pragma GCC diagnostic ignored "-Wmismatched-new-delete"
+void operator delete(void* memory) noexcept { std::free(memory); }
+void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
+
+namespace agnocast::daemon {
+namespace {
+
+TEST(Errands, GoOnWithoutMemory) {
+  auto dispatcher = Dispatcher::create();
+  ASSERT_TRUE(dispatcher);
+  auto errands = Errands::create(*dispatcher);
+  ASSERT_TRUE(errands);
+  constexpr unsigned count = 2'000;  // more places in a row than a container gets at a time
+  unsigned answered = 0;
+  for (unsigned i = 0; i < count; ++i)
+    (*errands)->run(
+        Errands::Lane::looking, 1, [] { memory_fails = true; }, [&] { ++answered; });
+  while (answered < count) {
+    const unsigned before = answered;
+    ASSERT_TRUE(dispatcher->wait(10'000));
+    ASSERT_GT(answered, before) << "nothing goes on";
+  }
+  EXPECT_EQ((*errands)->waiting(Errands::Lane::looking, 1), 0u);
+}
+
+}  // namespace
+}  // namespace agnocast::daemon
