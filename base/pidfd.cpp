@@ -4,6 +4,7 @@
 
 #include <fcntl.h>
 #include <poll.h>
+#include <sys/ioctl.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>
 #include <sys/vfs.h>
@@ -48,6 +49,14 @@ std::optional<std::uint64_t> Pidfd::inode() const noexcept {
   struct stat file {};
   if (::fstatfs(fd_.get(), &filesystem) != 0 || filesystem.f_type != pidfs_magic) return {};
   if (::fstat(fd_.get(), &file) != 0) return {};
+  return file.st_ino;
+}
+
+std::optional<std::uint64_t> Pidfd::user_namespace() const noexcept {
+  constexpr unsigned long get_user_namespace = _IO(0xFF, 9);  // PIDFD_GET_USER_NAMESPACE, Linux 6.11
+  const UniqueFd its(::ioctl(fd_.get(), get_user_namespace, 0));
+  struct stat file {};
+  if (!its || ::fstat(its.get(), &file) != 0) return {};
   return file.st_ino;
 }
 

@@ -32,6 +32,9 @@ class Pidfd {
   /// A number that no other process of this boot has or will have. Empty before Linux 6.9, where
   /// pidfds have no inode of their own.
   std::optional<std::uint64_t> inode() const noexcept;
+  /// The user namespace of the process, as an inode number; never sleeps. Empty before Linux 6.11, when the
+  /// process has ended and when it may not be looked at.
+  std::optional<std::uint64_t> user_namespace() const noexcept;
 
   int fd() const noexcept { return fd_.get(); }
   explicit operator bool() const noexcept { return static_cast<bool>(fd_); }
@@ -53,7 +56,8 @@ std::optional<std::uint64_t> start_time_of(pid_t pid) noexcept;
 
 /// The user namespace of the process with `pid`, as an inode number. Empty when there is no such
 /// process or it may not be looked at. To be believed only if a pidfd of it has not ended
-/// afterwards.
+/// afterwards. Looks into /proc/PID, a directory that any user can keep locked (who reads it into memory that
+/// does not come, and who changes its mode): for threads that may wait.
 std::optional<std::uint64_t> user_namespace_of(pid_t pid) noexcept;
 
 }  // namespace agnocast

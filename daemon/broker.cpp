@@ -226,10 +226,6 @@ void Broker::accept(PacketSocket socket) {
   auto peer = std::make_unique<Peer>(
       Peer{id, Session(std::move(socket), std::move(*identity), used.queued)});
   peer->session.set_may_carry(may_carry);
-  if (peer->session.identity().pid > 0) {
-    peer->session.user_namespace =
-        agnocast::user_namespace_of(peer->session.identity().pid).value_or(0);
-  }
   const auto connection = dispatcher_.add(peer->session.socket().fd(), EPOLLIN,
                                           [this, id](std::uint32_t) { wait_for_turn(id, false); });
   const auto process =
@@ -246,7 +242,30 @@ void Broker::accept(PacketSocket socket) {
   peer->process = *process;
   peer->counts_as_observer = only_observes;
   ++(only_observes ? used.observers : used.clients);
-  peers_.emplace(id, std::move(peer));
+  find_user_namespace(*peers_.emplace(id, std::move(peer)).first->second);
+}
+
+// Before Linux 6.11 only /proc says it, and whoever looks there may have to wait: so long nothing is read from the
+// process.
+void Broker::find_user_namespace(Peer& peer) {
+  const PeerIdentity& identity = peer.session.identity();
+  const auto known = identity.process.user_namespace();
+  peer.session.user_namespace = known.value_or(0);
+  if (known || identity.pid <= 0 ||
+      errands_.waiting(Errands::Lane::looking, identity.uid) >= looks_waiting_max)
+    return;
+  park(peer);
+  const auto found = std::make_shared<std::uint64_t>(0);
+  errands_.run(
+      Errands::Lane::looking, identity.uid,
+      [found, pid = identity.pid] { *found = agnocast::user_namespace_of(pid).value_or(0); },
+      [this, found, id = peer.id, here = std::weak_ptr(here_)] {
+        if (here.expired()) return;
+        const auto at = peers_.find(id);
+        if (at == peers_.end()) return;
+        at->second->session.user_namespace = *found;
+        unpark(id);
+      });
 }
 
 void Broker::wait_for_turn(PeerId id, bool ended) {

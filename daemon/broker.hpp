@@ -140,6 +140,7 @@ class Broker final : private Post {
   /// Nobody is accepted until the next look around: there is no descriptor.
   void pause_listening();
   void accept(PacketSocket socket);
+  void find_user_namespace(Peer& peer);
   /// Takes one waiting connection although no descriptor is left, and says why it is refused.
   void turn_away();
   void wait_for_turn(PeerId id, bool ended);

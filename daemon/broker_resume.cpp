@@ -159,15 +159,13 @@ Result<void> Broker::watch(ClientIndex client, Pidfd process) {
   if (!token) return tl::unexpected(token.error());
   peer->process = *token;
   peer->session.greet(client);
-  peer->session.user_namespace =
-      record.pid > 0 ? agnocast::user_namespace_of(peer->session.identity().pid).value_or(0) : 0;
   peer->detached = true;
   ++detached_count_;
   peer->revoked = registry_.is_revoked(client);
   if (!peer->revoked) by_client_[number(client)] = peer.get();
   ++connections_[record.uid].clients;
   ++connections_[record.uid].detached;
-  peers_.emplace(id, std::move(peer));
+  find_user_namespace(*peers_.emplace(id, std::move(peer)).first->second);
   return {};
 }
 

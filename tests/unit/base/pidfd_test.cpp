@@ -102,6 +102,9 @@ TEST(Pidfd, StartTimeSurvivesAHostileProcessName) {
 TEST(Pidfd, UserNamespaceTellsContainersApart) {
   const auto own = user_namespace_of(::getpid());
   ASSERT_TRUE(own);
+  const auto self = Pidfd::open(::getpid());
+  ASSERT_TRUE(self);
+  EXPECT_EQ(self->user_namespace().value_or(*own), *own) << "none before Linux 6.11";
   Child same([&] { return user_namespace_of(::getpid()) == own ? 0 : 1; });
   EXPECT_EQ(same.wait(), 0);
   Child other([&] {
