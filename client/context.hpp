@@ -212,6 +212,8 @@ class Context {
   void look_for_descriptors(bool now) noexcept;
   int passes_due_ms();
   void read_connection();
+  void ask_again_later() noexcept;
+  void look_for_bells() noexcept;
   void handle(Incoming& packet);
   void on_announce(Incoming& packet);
   void on_window(Incoming& packet);
@@ -220,6 +222,7 @@ class Context {
   void on_kick(Incoming& packet);
   void on_notice(Incoming& packet);
   void on_move_heap(Incoming& packet);
+  void on_bells_renewed(Incoming& packet);
   bool is_self(std::uint64_t client, std::uint64_t generation) const noexcept {
     return client == client_ && generation == client_generation_;
   }
@@ -305,6 +308,8 @@ class Context {
   Reconnection reconnection_;  // control thread only, as the next four
   // When to begin a new connection because descriptors that came on this one were lost.
   std::optional<Reconnection::Clock::time_point> said_again_;
+  Reconnection::Clock::time_point again_at_{}, bells_looked_{}, bells_asked_{};
+  std::chrono::seconds again_pause_{};
   std::map<StrangerKey, std::shared_ptr<Stranger>> strangers_;
   int passes_pause_ = 0, link_look_ = 0;
   bool was_reclaimable_ = false, is_output_blocked_ = false;

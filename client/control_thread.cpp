@@ -38,6 +38,11 @@ constexpr int link_look_first_ms = 1;
 constexpr int output_look_ms = 10;
 // Before the next turn when there is no memory.
 constexpr int memory_pause_ms = 10;
+// Before a new connection because of descriptors that were lost; twice that the next time, up to the longest. It is the
+// pause as well between new connections because more bells can be had.
+constexpr std::chrono::seconds again_first{1}, again_last{30};
+// For one announcement of a subscription: its region and two bells.
+constexpr unsigned announced_descriptors = 3;
 // Looks at what is left of a membership without a daemon.
 constexpr int former_look_ms = 20;
 
@@ -113,8 +118,12 @@ void Context::serve_once(int timeout_ms) {
     }
   }
   if (said_again_ && Reconnection::Clock::now() >= *said_again_) {
-    said_again_.reset();
-    lose_connection();
+    if (can_open(announced_descriptors)) {
+      said_again_.reset();
+      lose_connection();
+    } else {
+      said_again_ = Reconnection::Clock::now() + again_first;
+    }
   }
   if (reconnection_.is_due(Reconnection::Clock::now())) reconnect();
   run_errands();
@@ -144,11 +153,31 @@ void Context::read_connection() {
     if (!unasked) return;
     if (packet.packet.descriptors_lost) {
       // This process had none free. After a new connection the daemon says all of it again.
-      if (!said_again_) said_again_ = Reconnection::Clock::now() + std::chrono::seconds{1};
-      continue;
+      ask_again_later();
+      if (packet.header().opcode != Opcode::announce) continue;
     }
     handle(packet);
   }
+}
+
+void Context::ask_again_later() noexcept {
+  if (said_again_) return;
+  const auto now = Reconnection::Clock::now();
+  again_pause_ = now - again_at_ > 2 * again_last ? again_first
+                                                  : std::min(2 * again_pause_, again_last);
+  said_again_ = again_at_ = now + again_pause_;
+}
+
+/// Members that are mute because there were too many get bells when others have left.
+void Context::look_for_bells() noexcept {
+  const auto now = Reconnection::Clock::now();
+  if (said_again_ || now < bells_looked_ + again_first || now < bells_asked_ + again_last ||
+      reconnection_.state() != Reconnection::State::connected)
+    return;
+  bells_looked_ = now;
+  if (!DescriptorShare::instance().has_more()) return;
+  bells_asked_ = now;
+  said_again_ = now;
 }
 
 // Passes destroy messages, and destructors are user code: they run without our locks.
@@ -193,6 +222,9 @@ void Context::handle(Incoming& packet) {
     case Opcode::region:
       on_region(packet);
       break;
+    case Opcode::bells_renewed:
+      on_bells_renewed(packet);
+      break;
     case Opcode::revoked:
       become_island(failure_with(Errc::revoked, detail_of(refusal_of(packet))));
       break;
@@ -215,9 +247,11 @@ std::shared_ptr<Peer> Context::use(KnownPeer& known) {
 std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
                                        std::span<UniqueFd> fds, std::size_t& used) {
   used = 1 + announcement.window_count;
-  if (announcement.window_count > abi::window_count_max || fds.size() < used) return nullptr;
+  if (announcement.window_count > abi::window_count_max) return nullptr;
   const std::pair key{announcement.client, announcement.client_generation};
   auto found = peers_.find(key);
+  const bool is_known = found != peers_.end() && found->second.peer->has_file();
+  if (fds.size() < used && !(is_known && announcement.window_count == 0)) return nullptr;
   if (found == peers_.end()) {
     KnownPeer known;
     known.users = std::make_shared<std::atomic<std::uint64_t>>(0);
@@ -226,10 +260,11 @@ std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
     } else {
       AGNOCAST_CRASH_POINT(C_peer_map);
       Result<SparseRegion> region =
-          SparseRegion::make(std::move(fds[0]), std::uint64_t{1} << 30, Mapping::Access::read);
-      if (!region || !region->open(0, abi::page_bytes)) return nullptr;
+          SparseRegion::make(UniqueFd(), std::uint64_t{1} << 30, Mapping::Access::read);
+      if (!region || !region->open(0, abi::page_bytes, fds[0].get())) return nullptr;
+      const DescriptorShare::Owner owner{announcement.uid, announcement.same_user != 0};
       known.peer = std::make_unique<Peer>(announcement.client, announcement.client_generation,
-                                          std::move(*region));
+                                          owner, std::move(*region));
     }
     found = peers_.emplace(key, std::move(known)).first;
   }
@@ -245,7 +280,8 @@ std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
   const bool own = is_self(announcement.client, announcement.client_generation);
   Result<void> opened;
   if (!own) {
-    opened = known.peer->open(announcement.extent, bytes);
+    opened = known.peer->open(announcement.extent, bytes,
+                              fds.empty() ? UniqueFd() : std::move(fds[0]));
   } else if (!is_here(announcement.kind, {announcement.topic, announcement.index})) {
     // Announced before the answer to its creation, which was asked again.
     opened = region_.open(announcement.extent, bytes);
@@ -260,11 +296,19 @@ Result<void> Context::add_window_of(KnownPeer& known, const PeerHeap::Announced&
   if (!arena_->contains(window.base, window.length))
     return fail(Errc::protocol_violation, "a window outside the arena");
   AGNOCAST_CRASH_POINT(C_peer_window);
+  if (heap.has(window.number)) return {};
   const std::uint64_t before = heap.window_count();
   const bool own = is_self(known.peer->client(), known.peer->generation());
-  Result<void> added = own                                       ? heap.add_own(window)
-                       : arena_->has(window.base, window.length) ? heap.add(window, std::move(fd))
-                                                                 : heap.add_blocked(window);
+  Result<void> added;
+  if (own) {
+    added = heap.add_own(window);
+  } else if (!arena_->has(window.base, window.length)) {
+    added = heap.add_blocked(window);
+  } else if (auto counted = DescriptorShare::instance().take(known.peer->owner(), 1)) {
+    added = heap.add(window, std::move(fd), std::move(counted));
+  } else {
+    added = heap.add_without_file(window);
+  }
   if (heap.window_count() == before) return added;
   // A taker may have found a message there already and left it.
   const std::lock_guard lock(endpoints_);
@@ -274,12 +318,17 @@ Result<void> Context::add_window_of(KnownPeer& known, const PeerHeap::Announced&
 
 namespace {
 
-/// Mute if there is none: nobody has its receiver any more, or the daemon had no descriptor for it.
-Doorbell bell_among(std::span<UniqueFd> fds, std::uint32_t count) noexcept {
-  if (fds.size() < count) return {};
-  if (count == 1) return Doorbell(std::move(fds[0]));
-  if (count == 2) return Doorbell(std::move(fds[1]), std::move(fds[0]));
-  return {};
+/// Mute if there is none: nobody has its receiver any more, the daemon or this process had no descriptor for it, or the
+/// owner has no share left.
+PublisherEndpoint::Bell bell_among(std::span<UniqueFd> fds, std::size_t before, std::uint32_t count,
+                                   DescriptorShare::Owner owner) {
+  if (count == 0 || count > 2 || fds.size() < before + count) return {};
+  auto counted = DescriptorShare::instance().take(owner, count);
+  if (!counted) return {};
+  const auto bells = fds.subspan(before, count);
+  return {count == 1 ? Doorbell(std::move(bells[0]))
+                     : Doorbell(std::move(bells[1]), std::move(bells[0])),
+          std::move(counted)};
 }
 
 }  // namespace
@@ -318,7 +367,7 @@ void Context::on_announce(Incoming& packet) {
       publisher->attach(
           {announcement.index, announcement.generation, announcement.extent, announcement.executor,
            announcement.uid},
-          std::move(peer), bell_among(fds.subspan(used), announcement.doorbell_count));
+          peer, bell_among(fds, used, announcement.doorbell_count, peer->owner()));
       if (shares_.is_out(announcement.uid, ReaderShares::Clock::now()))
         publisher->withdraw_newcomer(announcement.index, announcement.generation);
       linked = true;
@@ -329,7 +378,7 @@ void Context::on_announce(Incoming& packet) {
            (announcement.kind == Kind::publisher
                 ? is_linked(announcement.topic, announcement.index, announcement.generation)
                 : is_attached(announcement.topic, announcement.index, announcement.generation));
-  if (linked) return;
+  if (linked || packet.packet.descriptors_lost) return;
   say_unlinked(announcement.kind, announcement.topic, announcement.index, announcement.generation);
   // Never mapped, so nobody will unmap it.
   if (peers_.count({announcement.client, announcement.client_generation}) == 0)
@@ -403,6 +452,23 @@ void Context::on_kick(Incoming& packet) {
   }
 }
 
+// One that belongs to nobody in this moment stays without: its next user is heard by its own looks.
+void Context::on_bells_renewed(Incoming& packet) {
+  wire::BellsRenewed renewed{};
+  if (!packet.read(renewed) || packet.packet.descriptor_count != 2) return;
+  const auto fds = packet.packet.fds();
+  DoorbellReceiver bells(std::move(fds[0]), std::move(fds[1]));  // afterwards the former ones
+  for (const auto& sleeper : Reregistration::instance().sleepers()) {
+    if (sleeper->index_in(this) != renewed.executor) continue;
+    sleeper->renew(this, bells);
+    return;
+  }
+  const std::lock_guard lock(sleepers_);
+  for (const auto& place : unused_places_) {
+    if (place->index == renewed.executor) return std::swap(place->bells, bells);
+  }
+}
+
 namespace {
 
 void tell(EndpointEvents& events, const wire::Notice& notice) noexcept {
@@ -467,6 +533,7 @@ void Context::run_errands() {
     island_reason_.store(Errc::ok, std::memory_order_release);
     tell_state(ConnectionState::connected);
   }
+  look_for_bells();
   say_departures();
   look_at_readers();
   for (const auto& publisher : publishers()) {

@@ -5,6 +5,7 @@
 // gone the control thread tells the daemon (rule RU).
 #pragma once
 
+#include <client/descriptor_share.hpp>
 #include <client/peer_heap.hpp>
 #include <client/sparse_region.hpp>
 
@@ -16,31 +17,42 @@ namespace agnocast {
 
 class Peer {
  public:
-  /// `region`: its client region, for reading; the first page is open.
-  Peer(std::uint64_t client, std::uint64_t generation, SparseRegion region) noexcept
+  /// `region`: its client region, for reading; the first page is open. Its file is not kept yet.
+  Peer(std::uint64_t client, std::uint64_t generation, DescriptorShare::Owner owner,
+       SparseRegion region) noexcept
       : client_(client),
         generation_(generation),
+        owner_(owner),
         region_(std::move(region)),
         base_(region_.base()),
         heap_(base_) {}
   /// This very process: `region` belongs to the context, which is immortal.
   Peer(std::uint64_t client, std::uint64_t generation, std::byte* region) noexcept
-      : client_(client), generation_(generation), base_(region), heap_(base_) {}
+      : client_(client), generation_(generation), owner_{0, true}, base_(region), heap_(base_) {}
 
   std::uint64_t client() const noexcept { return client_; }
   std::uint64_t generation() const noexcept { return generation_; }
   std::byte* region() const noexcept { return base_; }
-  /// Makes an endpoint of it accessible. Not of this very process.
-  [[nodiscard]] Result<void> open(std::uint64_t extent, std::uint64_t bytes) noexcept {
-    return region_.open(extent, bytes);
+  DescriptorShare::Owner owner() const noexcept { return owner_; }
+  /// Makes an endpoint of it accessible. Not of this very process. `announced`: the region's file, as it came with
+  /// the endpoint; it is kept if none is and the peer's user has a share left. May be empty if one is kept.
+  [[nodiscard]] Result<void> open(std::uint64_t extent, std::uint64_t bytes, UniqueFd announced) {
+    if (!region_.has_file() && announced) {
+      counted_ = DescriptorShare::instance().take(owner_, 1);
+      if (counted_) region_.keep_file(std::move(announced));
+    }
+    return region_.open(extent, bytes, announced.get());
   }
+  bool has_file() const noexcept { return region_.has_file(); }
   PeerHeap& heap() noexcept { return heap_; }
-  /// Without a daemon to say so. One system call.
+  /// Without a daemon to say so. One system call. True if its file was not kept: nobody would tell when it ends.
   bool is_alive() const noexcept { return region_.base() == nullptr || region_.is_claimed(); }
 
  private:
   std::uint64_t client_;
   std::uint64_t generation_;
+  DescriptorShare::Owner owner_;
+  DescriptorShare::Part counted_;
   SparseRegion region_;
   std::byte* base_;
   PeerHeap heap_;  // after region_: it reads frontiers from there, and goes first

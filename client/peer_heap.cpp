@@ -34,11 +34,20 @@ PeerHeap::~PeerHeap() {
   }
 }
 
-Result<void> PeerHeap::append(const Announced& window, UniqueFd fd, std::uint64_t opened,
-                              bool is_blocked) noexcept {
+Result<void> PeerHeap::append(const Announced& window, UniqueFd fd, DescriptorShare::Part counted,
+                              std::uint64_t opened, bool is_blocked, bool lacks_file) noexcept {
   const std::lock_guard lock(growing_);
   const std::uint64_t count = count_.load(std::memory_order_relaxed);
-  if (window.number < count) return {};
+  if (window.number < count) {
+    Window& known = windows_[window.number];
+    if (!fd || !known.lacks_file.load(std::memory_order_relaxed) || window.base != known.base ||
+        !AddressUsers::instance().enter(known.base, known.length, AddressUsers::file_of(fd.get())))
+      return {};
+    known.fd = std::move(fd);
+    known.counted = std::move(counted);
+    known.lacks_file.store(false, std::memory_order_release);
+    return {};  // open() finds that nothing of it is mapped
+  }
   if (window.number != count || count >= windows_.size() || window.first > window.number ||
       window.base % abi::page_bytes != 0 || window.length % abi::page_bytes != 0 ||
       window.base + window.length < window.base) {
@@ -50,26 +59,33 @@ Result<void> PeerHeap::append(const Announced& window, UniqueFd fd, std::uint64_
     is_blocked = true;
   }
   Window& added = windows_[count];
+  if (fd) added.counted = std::move(counted);
   added.fd = std::move(fd);
   added.base = window.base;
   added.length = window.length;
   added.first = window.first;
   added.opened.store(opened, std::memory_order_relaxed);
   added.is_closed.store(is_blocked, std::memory_order_relaxed);
+  added.lacks_file.store(lacks_file, std::memory_order_relaxed);
   count_.store(count + 1, std::memory_order_release);
   return {};
 }
 
-Result<void> PeerHeap::add(const Announced& window, UniqueFd fd) noexcept {
-  return append(window, std::move(fd), 0, false);
+Result<void> PeerHeap::add(const Announced& window, UniqueFd fd,
+                           DescriptorShare::Part counted) noexcept {
+  return append(window, std::move(fd), std::move(counted), 0, false);
+}
+
+Result<void> PeerHeap::add_without_file(const Announced& window) noexcept {
+  return append(window, UniqueFd(), {}, 0, true, true);
 }
 
 Result<void> PeerHeap::add_blocked(const Announced& window) noexcept {
-  return append(window, UniqueFd(), 0, true);
+  return append(window, UniqueFd(), {}, 0, true);
 }
 
 Result<void> PeerHeap::add_own(const Announced& window) noexcept {
-  return append(window, UniqueFd(), window.length, false);
+  return append(window, UniqueFd(), {}, window.length, false);
 }
 
 std::uint64_t PeerHeap::open() noexcept {
@@ -79,7 +95,9 @@ std::uint64_t PeerHeap::open() noexcept {
     const std::uint64_t claimed =
         dataplane::load_frontier<SharedMemory>(client_region_, i, window.length) &
         ~(abi::page_bytes - 1);
-    if (claimed <= window.opened.load(std::memory_order_acquire) || !window.fd) continue;
+    if (claimed <= window.opened.load(std::memory_order_acquire) ||
+        window.lacks_file.load(std::memory_order_acquire) || !window.fd)
+      continue;
     const std::lock_guard lock(growing_);
     const std::uint64_t frontier = std::min(claimed, length_of(window.fd.get()));
     const std::uint64_t opened = window.opened.load(std::memory_order_relaxed);

@@ -14,6 +14,7 @@
 #include <agnocast/result.hpp>
 #include <base/unique_fd.hpp>
 #include <client/dataplane/windows.hpp>
+#include <client/descriptor_share.hpp>
 
 #include <array>
 #include <atomic>
@@ -51,7 +52,16 @@ class PeerHeap {
   /// `fd` opened for reading, the addresses reserved by the caller. Windows come in order; one that is
   /// there already is ignored, and one whose addresses are in use for something else is as blocked.
   /// Errors: invalid_argument.
-  [[nodiscard]] Result<void> add(const Announced& window, UniqueFd fd) noexcept;
+  [[nodiscard]] Result<void> add(const Announced& window, UniqueFd fd,
+                                 DescriptorShare::Part counted = {}) noexcept;
+  /// The same of an owner whose user has no share of descriptors left: nothing in it can be read until it is
+  /// added once more with a file.
+  [[nodiscard]] Result<void> add_without_file(const Announced& window) noexcept;
+  /// Is it here, with its file if it needs one?
+  bool has(std::uint64_t number) const noexcept {
+    return number < window_count() &&
+           !windows_[number].lacks_file.load(std::memory_order_acquire);
+  }
   /// The same where this process has something else.
   [[nodiscard]] Result<void> add_blocked(const Announced& window) noexcept;
   /// The same for this process's own heap, which the hook has mapped already.
@@ -83,14 +93,16 @@ class PeerHeap {
  private:
   struct Window {
     UniqueFd fd;
+    DescriptorShare::Part counted;
     std::uint64_t base = 0;
     std::uint64_t length = 0;
     std::uint64_t first = 0;
     std::atomic<std::uint64_t> opened{0};  // bytes; only grows
     std::atomic<bool> is_closed{false};    // blocked, or the system refuses to map what is in use
+    std::atomic<bool> lacks_file{false};   // release behind `fd`
   };
-  Result<void> append(const Announced& window, UniqueFd fd, std::uint64_t opened,
-                      bool is_blocked) noexcept;
+  Result<void> append(const Announced& window, UniqueFd fd, DescriptorShare::Part counted,
+                      std::uint64_t opened, bool is_blocked, bool lacks_file = false) noexcept;
   bool shows(std::uint64_t window) const noexcept;
 
   std::byte* client_region_;

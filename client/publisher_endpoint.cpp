@@ -47,9 +47,9 @@ struct PublisherEndpoint::Work {
   }
   void ring(std::uint64_t executor, std::uint64_t armed) noexcept {
     Executor& sleeper = endpoint.executors_[executor];
-    if (!sleeper.bell) return;
+    if (!sleeper.bell.doorbell) return;
     if (rung++ < ring_at_once_max) {
-      sleeper.bell.ring();
+      sleeper.bell.doorbell.ring();
     } else {
       sleeper.owed = armed;
       wake_control = true;
@@ -206,7 +206,7 @@ void PublisherEndpoint::count_heap_exhausted() noexcept {
 }
 
 std::size_t PublisherEndpoint::executor_of(const Peer& peer, std::uint64_t executor,
-                                           Doorbell bell) {
+                                           Bell bell) {
   std::size_t free_place = executors_.size();
   for (std::size_t i = 0; i < executors_.size(); ++i) {
     Executor& known = executors_[i];
@@ -215,7 +215,7 @@ std::size_t PublisherEndpoint::executor_of(const Peer& peer, std::uint64_t execu
     } else if (known.client == peer.client() && known.client_generation == peer.generation() &&
                known.executor == executor) {
       ++known.users;
-      if (bell) std::swap(known.bell, bell);
+      if (bell.doorbell) std::swap(known.bell, bell);
       return i;
     }
   }
@@ -226,7 +226,7 @@ std::size_t PublisherEndpoint::executor_of(const Peer& peer, std::uint64_t execu
 }
 
 void PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr<Peer> peer,
-                               Doorbell bell) {
+                               Bell bell) {
   if (is_attached(subscription.index, subscription.generation))
     return replace_bell(subscription, std::move(bell));
   {
@@ -247,15 +247,15 @@ void PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr
 }
 
 // The one that was here may be mute, or lead to a receiver that is no more.
-void PublisherEndpoint::replace_bell(const Subscription& subscription, Doorbell bell) noexcept {
-  if (!bell) return;
+void PublisherEndpoint::replace_bell(const Subscription& subscription, Bell bell) noexcept {
+  if (!bell.doorbell) return;
   const std::lock_guard lock(mutex_);
   for (const Attached& attached : attached_) {
     if (attached.index != subscription.index || attached.generation != subscription.generation)
       continue;
     std::swap(executors_[attached.executor].bell, bell);
     // What was published since it fell asleep has rung the former one.
-    executors_[attached.executor].bell.ring();
+    executors_[attached.executor].bell.doorbell.ring();
     return;
   }
 }
@@ -440,7 +440,7 @@ void PublisherEndpoint::run_errands() noexcept {
       // Another generation: it was awake meanwhile and has looked for itself.
       if (SharedMemory::word(sleeper.region, armed_offset(sleeper.executor))
               .load(std::memory_order_relaxed) == owed)
-        sleeper.bell.ring();
+        sleeper.bell.doorbell.ring();
     }
     core_->pass(work);
     work.destroy_doomed();

@@ -14,6 +14,7 @@
 #include <base/doorbell.hpp>
 #include <client/dataplane/publisher_core.hpp>
 #include <client/departure.hpp>
+#include <client/descriptor_share.hpp>
 #include <client/endpoint_events.hpp>
 #include <client/library_thread.hpp>
 #include <client/peer.hpp>
@@ -66,6 +67,12 @@ class PublisherEndpoint {
     std::uint64_t bytes;  // that it held then
   };
 
+  /// How a sleeper is rung, and what that costs this process.
+  struct Bell {
+    Doorbell doorbell;
+    DescriptorShare::Part counted;
+  };
+
   explicit PublisherEndpoint(const Identity& identity);
   PublisherEndpoint(const PublisherEndpoint&) = delete;
   PublisherEndpoint& operator=(const PublisherEndpoint&) = delete;
@@ -107,7 +114,7 @@ class PublisherEndpoint {
 
   /// An announced subscription. `bell` may be mute (empty): the subscription is looked at like any other and
   /// rung by nobody. A bell of one that is attached already replaces the one it has. Allocates.
-  void attach(const Subscription& subscription, std::shared_ptr<Peer> peer, Doorbell bell);
+  void attach(const Subscription& subscription, std::shared_ptr<Peer> peer, Bell bell);
   bool is_attached(std::uint64_t index, std::uint64_t generation) const noexcept;
   /// It is over: looks at it no more and lets go of its region.
   void detach(std::uint64_t index, std::uint64_t generation) noexcept;
@@ -184,7 +191,7 @@ class PublisherEndpoint {
     std::uint64_t client_generation = 0;
     std::uint64_t executor = 0;
     std::uint64_t users = 0;  // attached subscriptions; 0 = free
-    Doorbell bell;
+    Bell bell;
     std::uint64_t owed = 0;  // sleep generation that the control thread shall ring; 0 = none
     std::byte* region = nullptr;
   };
@@ -213,8 +220,8 @@ class PublisherEndpoint {
   template <class Do>
   void in_control_thread(Do work) noexcept;
   void count(std::size_t counter, std::uint64_t more) noexcept;
-  std::size_t executor_of(const Peer& peer, std::uint64_t executor, Doorbell bell);
-  void replace_bell(const Subscription& subscription, Doorbell bell) noexcept;
+  std::size_t executor_of(const Peer& peer, std::uint64_t executor, Bell bell);
+  void replace_bell(const Subscription& subscription, Bell bell) noexcept;
   bool is_linked(const Attached& attached) const noexcept;
   void note_links() noexcept;
   std::size_t linked_count() const noexcept;  // under the mutex

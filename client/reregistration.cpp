@@ -269,16 +269,18 @@ void Reregistration::move_everything(Context& present) {
   }
 }
 
-Result<void> Reregistration::make_places(Context& present) {
+std::vector<std::shared_ptr<Sleeper>> Reregistration::sleepers() {
   std::vector<std::shared_ptr<Sleeper>> all;
-  {
-    const std::lock_guard lock(mutex_);
-    for (const auto& entry : sleepers_) {
-      if (auto sleeper = entry.lock()) all.push_back(std::move(sleeper));
-    }
+  const std::lock_guard lock(mutex_);
+  for (const auto& entry : sleepers_) {
+    if (auto sleeper = entry.lock()) all.push_back(std::move(sleeper));
   }
+  return all;
+}
+
+Result<void> Reregistration::make_places(Context& present) {
   Result<void> problem;
-  for (const auto& sleeper : all) {
+  for (const auto& sleeper : sleepers()) {
     AGNOCAST_CRASH_POINT(C_place);
     keep_first(problem, present.make_place(*sleeper));
     AGNOCAST_CRASH_POINT(C_place);

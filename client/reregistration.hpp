@@ -45,6 +45,8 @@ class Reregistration {
   void add(const std::shared_ptr<SubscriptionEndpoint>& subscription,
            const EndpointRequest& request);
   void add(const std::shared_ptr<Sleeper>& sleeper);
+  /// All of this process.
+  std::vector<std::shared_ptr<Sleeper>> sleepers();
 
   /// The present membership is lost. Any thread; nothing happens when it is known.
   void begin() noexcept;

@@ -58,6 +58,22 @@ void Sleeper::remove(Membership membership) noexcept {
   wake();  // a ring that nobody has noticed yet goes with the bell
 }
 
+bool Sleeper::renew(Membership membership, DoorbellReceiver& bells) noexcept {
+  const std::lock_guard lock(mutex_);
+  const auto found = std::find_if(places_.begin(), places_.end(),
+                                  [&](const auto& entry) { return entry.first == membership; });
+  if (found == places_.end()) return false;
+  for (const Set& set : sets_) {
+    if (bells.add_to(set.epoll, set.eventfd_tag, set.datagram_tag)) continue;
+    for (const Set& before : sets_) bells.remove_from(before.epoll);
+    return false;
+  }
+  for (const Set& set : sets_) found->second->bells.remove_from(set.epoll);
+  std::swap(found->second->bells, bells);
+  wake();  // nobody has rung the new ones for what is there
+  return true;
+}
+
 std::optional<std::uint64_t> Sleeper::index_in(Membership membership) const noexcept {
   const std::lock_guard lock(mutex_);
   for (const auto& [where, place] : places_) {

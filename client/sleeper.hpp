@@ -53,6 +53,9 @@ class Sleeper {
   [[nodiscard]] Result<void> add(Membership membership, std::shared_ptr<Place> place);
   /// The place is let go of. Nothing happens if there is none.
   void remove(Membership membership) noexcept;
+  /// Other bells for the place that it has there; those that it had are in `bells` afterwards. False: it has none,
+  /// or the system refuses to watch them.
+  bool renew(Membership membership, DoorbellReceiver& bells) noexcept;
   std::optional<std::uint64_t> index_in(Membership membership) const noexcept;
 
   /// All bells, also those to come, are in this epoll set until remove_from(). Errors: os_failure.

@@ -66,7 +66,7 @@ bool SparseRegion::is_claimed() const noexcept {
   return ::fcntl(fd_.get(), F_OFD_GETLK, &lock) != 0 || lock.l_type != F_UNLCK;
 }
 
-Result<void> SparseRegion::open(std::uint64_t offset, std::uint64_t bytes) noexcept {
+Result<void> SparseRegion::open(std::uint64_t offset, std::uint64_t bytes, int file) noexcept {
   if (offset % abi::page_bytes != 0 || bytes > reservation_.bytes() ||
       offset > reservation_.bytes() - bytes) {
     return fail(Errc::invalid_argument, "a range outside its region");
@@ -74,9 +74,10 @@ Result<void> SparseRegion::open(std::uint64_t offset, std::uint64_t bytes) noexc
   const std::uint64_t whole = (bytes + abi::page_bytes - 1) & ~(abi::page_bytes - 1);
   const int protection = access_ == Mapping::Access::read ? PROT_READ : PROT_READ | PROT_WRITE;
   std::byte* const at = reservation_.base() + offset;
-  if (!is_intact(fd_.get())) return fail(Errc::os_failure, "mapping a part of a region", EBADF);
-  if (::mmap(at, whole, protection, MAP_SHARED | MAP_FIXED, fd_.get(),
-             static_cast<off_t>(offset)) == MAP_FAILED) {
+  if (fd_) file = fd_.get();
+  if (!is_intact(file)) return fail(Errc::os_failure, "mapping a part of a region", EBADF);
+  if (::mmap(at, whole, protection, MAP_SHARED | MAP_FIXED, file, static_cast<off_t>(offset)) ==
+      MAP_FAILED) {
     if (errno == EAGAIN) return tl::unexpected(lock_refusal(whole));
     return fail(Errc::os_failure, "mapping a part of a region", errno);
   }

@@ -34,13 +34,17 @@ class SparseRegion {
                                                  Mapping::Access access) noexcept;
 
   /// Makes [offset, offset + bytes) accessible, whole pages. Repeating it is harmless. Errors:
-  /// invalid_argument (outside the region), os_failure, lock_limit.
-  [[nodiscard]] Result<void> open(std::uint64_t offset, std::uint64_t bytes) noexcept;
+  /// invalid_argument (outside the region), os_failure, lock_limit. `file`: another descriptor of the region, when
+  /// this one keeps none.
+  [[nodiscard]] Result<void> open(std::uint64_t offset, std::uint64_t bytes,
+                                  int file = -1) noexcept;
+  bool has_file() const noexcept { return static_cast<bool>(fd_); }
+  void keep_file(UniqueFd fd) noexcept { fd_ = std::move(fd); }
   /// Says to everybody who has this region that this process lives, for as long as it does and has the
   /// region; children of fork do not go on saying so. Only who may write can say it. Once. Errors:
   /// limit_reached, os_failure (as from a kernel, or a filter, without such locks).
   [[nodiscard]] Result<void> claim() noexcept;
-  /// Whether the process that claimed it lives. One system call.
+  /// Whether the process that claimed it lives; true as well when nobody can know, without a file. One system call.
   bool is_claimed() const noexcept;
   std::byte* base() const noexcept { return reservation_.base(); }
 

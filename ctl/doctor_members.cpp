@@ -291,6 +291,20 @@ Ailments holder_at_quota(const Facts& facts) {
   }
   return found;
 }
+Ailments no_bell(const Facts& facts) {
+  Ailments found;
+  const System& system = facts.system();
+  for (const auto& [index, topic] : system.topics) {
+    for (const Endpoint& subscription : topic.subscriptions) {
+      if (subscription.state() != abi::MemberState::active || !system.is_silent(subscription))
+        continue;
+      found.push_back({who(system, subscription) + " hears of messages of " + escaped(topic.name) +
+                           " only when it looks",
+                       restart_of(facts, system.process_of(subscription))});
+    }
+  }
+  return found;
+}
 Ailments heap_full(const Facts& facts) {
   Ailments found;
   const System& system = facts.system();
@@ -411,6 +425,9 @@ constexpr Check table[] = {
     {"holder-at-quota", "no subscription holds all that it may", warning, daemon,
      "it keeps messages and takes no further ones until it lets go of some",
      "agnocast-ctl process revoke PID", holder_at_quota},
+    {"no-bell", "every subscription can be rung", warning, daemon,
+     "it has closed its bells, or lost them; its publishers go on, and asleep it looks for messages by itself once a second",
+     "kill PID && COMMAND &", no_bell},
     {"heap-full", "every publisher has room for messages", failed, daemon,
      "it has all the windows that it may have, and they are nearly full: publish fails with window_exhausted",
      "CONFIGURE && ANEW", heap_full},

@@ -80,6 +80,13 @@ const Process* System::process_of(const Endpoint& endpoint) const {
   return found == processes.end() || !found->second.owns(endpoint) ? nullptr : &found->second;
 }
 
+bool System::is_silent(const Endpoint& subscription) const {
+  const Process* const process = process_of(subscription);
+  return process != nullptr && !subscription.is_publisher() &&
+         subscription.facts.executor < abi::executor_count_max &&
+         (process->facts.silent_executors >> subscription.facts.executor & 1) != 0;
+}
+
 std::byte* System::region_of(const Endpoint& endpoint) const {
   const Process* const process = process_of(endpoint);
   if (process == nullptr || !process->region) return nullptr;

@@ -69,6 +69,8 @@ struct System {
 
   /// The process of an endpoint; nothing when the daemon's dump names none.
   const Process* process_of(const Endpoint& endpoint) const;
+  /// Can nobody ring this subscription, as far as the daemon knows?
+  bool is_silent(const Endpoint& subscription) const;
   /// Its mapped region; nullptr when there is none.
   std::byte* region_of(const Endpoint& endpoint) const;
   dataplane::TopicWords<SharedMemory> words_of(const Topic& topic) const noexcept {

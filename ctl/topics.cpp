@@ -188,6 +188,8 @@ void print_subscription_numbers(const System& system, const Topic& topic, const 
       "Lost: " + counted(found->lost, "message") +
       (found->malformed == 0 ? "" : ", " + std::to_string(found->malformed) + " malformed") +
       (found->unreachable == 0 ? "" : ", " + std::to_string(found->unreachable) + " unreachable"));
+  if (system.is_silent(endpoint))
+    console.line("Bell: nobody can ring it; asleep, it looks once a second");
   const Process* const process = system.process_of(endpoint);
   if (process != nullptr && process->facts.blocked_bytes != 0)
     console.line("Blocked: " + bytes_for_people(process->facts.blocked_bytes) +

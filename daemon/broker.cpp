@@ -760,6 +760,7 @@ void Broker::look_around(std::uint64_t now) {
     }
   }
   membership_.go_on_telling();
+  membership_.announce_renewed();
   announce_what_waits();
   drop_slow_observers(now);
   end_old_output(now);
@@ -771,6 +772,7 @@ void Broker::look_around(std::uint64_t now) {
     watched_ms_ = now;
     watch_holds();
     watch_letting_go();
+    doorbells_.look();
   }
   log_.flush();
 }
@@ -787,7 +789,8 @@ int Broker::due_ms() const noexcept {
   if (!waiting_.empty() || !endings_.empty()) return 0;
   if (!listens_) return short_interval_ms;
   if (const int due = answers_due_ms(); due >= 0) return std::min(due, short_interval_ms);
-  if (detached_count_ > 0 || flush_later_ || membership_.has_waiting() || membership_.tells())
+  if (detached_count_ > 0 || flush_later_ || membership_.has_waiting() || membership_.tells() ||
+      membership_.has_renewed())
     return short_interval_ms;
   return peers_.empty() ? 10'000 : watch_interval_ms;
 }

@@ -220,6 +220,7 @@ class Broker final : private Post {
   void expect_no_windows(Peer& peer);
   [[nodiscard]] Result<WindowRecord> choose_window(ClientIndex client);
   [[nodiscard]] Result<void> open_executor(Peer& peer, const ExecutorRequest& request);
+  void renew_bells(Peer& peer);
   [[nodiscard]] Result<void> admit_executor(ClientIndex client, const ExecutorRequest& request);
   [[nodiscard]] Result<void> check_topics(const ClientRecord& record, std::string_view topic);
   [[nodiscard]] Result<void> check_places(const ClientRecord& record, const CreateRequest& request);

@@ -280,6 +280,11 @@ DumpFacts Broker::facts() const {
     if (registry_.is_revoked(client)) process.state = wire::ProcessState::revoked;
     process.age_ns = now - registry_.client(client).since_ns;
     process.region = regions_.region_reader(client);
+    const std::uint64_t executors = registry_.client(client).executors;
+    for (std::uint64_t executor = 0; executor < abi::executor_count_max; ++executor) {
+      if ((executors >> executor & 1) != 0 && doorbells_.is_silent(client, executor))
+        process.silent_executors |= std::uint64_t{1} << executor;
+    }
     for (const Obstacles::Claim& claim : obstacles_.of(client)) {
       process.blocked_bytes += claim.bytes;
       if (process.blocked_by.empty()) process.blocked_by = claim.what;

@@ -395,11 +395,28 @@ Result<void> Broker::rejoin(Peer& peer, const wire::Rejoin& request) {
   packet.incarnation = registry_.incarnation();
   reply(peer, packet_of(packet));
   let_go_watch_.told_again(client);
+  renew_bells(peer);
   membership_.welcome_back(client);
   look_for_collisions_of_publishers(client);  // it may have been asked to move in vain
   log_.write(LogLevel::debug, "client is back",
              {{"client", number(client)}, {"pid", peer.session.identity().pid}});
   return {};
+}
+
+// Its sleepers would be deaf to publishers of other users for as long as it lives.
+void Broker::renew_bells(Peer& peer) {
+  const ClientIndex client = *peer.session.client();
+  const std::uint64_t executors = registry_.client(client).executors;
+  for (std::uint64_t executor = 0; executor < abi::executor_count_max; ++executor) {
+    if ((executors >> executor & 1) == 0) continue;
+    auto bells = doorbells_.renew(client, executor, registry_.client(client).uid);
+    if (!bells || bells->empty()) continue;
+    AGNOCAST_CRASH_POINT(B_bell_bound);
+    auto packet = make_body<wire::BellsRenewed>(wire::Opcode::bells_renewed);
+    packet.executor = executor;
+    reply(peer, packet_of(packet), std::move(*bells));
+    membership_.renewed(client, executor);
+  }
 }
 
 Result<void> Broker::room_for_brought(const ClientRecord& record, std::uint64_t bytes) {

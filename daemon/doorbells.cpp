@@ -10,6 +10,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <memory>
 #include <set>
@@ -51,6 +52,18 @@ Result<std::vector<SharedFd>> Doorbells::open(ClientIndex client, std::uint64_t 
       return std::vector<SharedFd>{found->second.eventfd, std::move(datagram)};
     close(client, executor);
   }
+  auto fds = make(client, executor, uid, nullptr);
+  if (!fds) return fds;
+  if (auto kept = store_.put(DescriptorStore::eventfd(client, executor), (*fds)[0]->get()); !kept) {
+    bells_.erase(key);
+    return tl::unexpected(kept.error());
+  }
+  return fds;
+}
+
+Result<std::vector<SharedFd>> Doorbells::make(ClientIndex client, std::uint64_t executor,
+                                              std::uint32_t uid, SharedFd eventfd) {
+  const Key key{number(client), executor};
   const std::string name = name_of(key);
   AGNOCAST_CRASH_POINT(B_bell_bind);
   ::mkdir(directory_.c_str(), 0700);  // it may have been removed; whose it is now is looked at
@@ -59,14 +72,40 @@ Result<std::vector<SharedFd>> Doorbells::open(ClientIndex client, std::uint64_t 
   UniqueFd way = way_to(name);
   auto sender = connect_to(way, name);
   if (!sender) return tl::unexpected(sender.error());
-  auto eventfd = duplicate(receiver->eventfd());
-  if (!eventfd) return tl::unexpected(eventfd.error());
+  if (eventfd == nullptr) {
+    auto own = duplicate(receiver->eventfd());
+    if (!own) return tl::unexpected(own.error());
+    eventfd = std::move(*own);
+  }
   auto datagram = duplicate_receiver(receiver->datagram_fd(), uid);
   if (!datagram) return tl::unexpected(datagram.error());
-  if (auto kept = store_.put(DescriptorStore::eventfd(client, executor), (*eventfd)->get()); !kept)
+  bells_[key] = Bell{eventfd, *datagram, Doorbell(std::move(*sender)), std::move(way)};
+  return std::vector<SharedFd>{std::move(eventfd), std::move(*datagram)};
+}
+
+Result<std::vector<SharedFd>> Doorbells::renew(ClientIndex client, std::uint64_t executor,
+                                               std::uint32_t uid) {
+  const Key key{number(client), executor};
+  const auto found = bells_.find(key);
+  SharedFd eventfd;
+  unsigned left = renewals_max;
+  if (found != bells_.end()) {
+    left = found->second.renewals_left;
+    if (left == 0) return std::vector<SharedFd>{};
+    const auto sender = connect_to(found->second.way, name_of(key));
+    if (sender || sender.error().code != Errc::endpoint_gone) return std::vector<SharedFd>{};
+    eventfd = found->second.eventfd;
+  }
+  const bool is_new = eventfd == nullptr;
+  auto fds = make(client, executor, uid, std::move(eventfd));
+  if (!fds) return fds;
+  bells_[key].renewals_left = left - 1;
+  if (!is_new) return fds;
+  if (auto kept = store_.put(DescriptorStore::eventfd(client, executor), (*fds)[0]->get()); !kept) {
+    bells_.erase(key);
     return tl::unexpected(kept.error());
-  bells_[key] = Bell{*eventfd, *datagram, Doorbell(std::move(*sender)), std::move(way)};
-  return std::vector<SharedFd>{*eventfd, *datagram};
+  }
+  return fds;
 }
 
 void Doorbells::restore(ClientIndex client, std::uint64_t executor) {
@@ -75,10 +114,26 @@ void Doorbells::restore(ClientIndex client, std::uint64_t executor) {
   if (!eventfd) return;  // its process opens it again
   UniqueFd way = way_to(name_of(key));
   auto sender = connect_to(way, name_of(key));
+  const bool is_silent = !sender;
   bells_[key] = Bell{share(std::move(eventfd)),
                      {},
                      sender ? Doorbell(std::move(*sender)) : Doorbell(),
-                     std::move(way)};
+                     std::move(way),
+                     is_silent,
+                     is_silent ? renewals_max : 0};
+}
+
+void Doorbells::look() noexcept {
+  auto at = bells_.upper_bound(looked_at_);
+  for (std::size_t looks = std::min(looks_max, bells_.size()); looks > 0; --looks, ++at) {
+    if (at == bells_.end()) at = bells_.begin();
+    looked_at_ = at->first;
+    note(at->second, connect_to(at->second.way, name_of(at->first)));
+  }
+}
+
+void Doorbells::note(Bell& bell, const Result<UniqueFd>& sender) noexcept {
+  if (sender || !is_shortage(sender.error().os_errno)) bell.is_silent = !sender;
 }
 
 UniqueFd Doorbells::way_to(const std::string& name) const {
@@ -107,8 +162,9 @@ Result<std::vector<SharedFd>> Doorbells::for_publisher(ClientIndex client, std::
   std::vector<SharedFd> fds;
   const auto found = bells_.find(key);
   if (found == bells_.end()) return fds;
-  const Bell& bell = found->second;
+  Bell& bell = found->second;
   auto sender = connect_to(bell.way, name_of(key));
+  note(bell, sender);
   // Its name was removed before this daemon began. The eventfd is what its user's publishers ring.
   if (!sender && !bell.way && same_user) sender = make_mute_doorbell();
   if (!sender && is_shortage(sender.error().os_errno)) return tl::unexpected(sender.error());

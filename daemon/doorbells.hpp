@@ -9,7 +9,8 @@
 //
 // The names in the directory are for the next daemon. This one goes its own way to each (O_PATH), so
 // nothing is lost when they are removed meanwhile. A daemon that starts without them has eventfds alone:
-// publishers of the same user ring those, for others such an executor is silent.
+// publishers of the same user ring those, for others such an executor is silent until its process is back
+// and is given a new socket.
 #pragma once
 
 #include <agnocast/result.hpp>
@@ -18,6 +19,7 @@
 #include <daemon/shared_fd.hpp>
 #include <daemon/tables.hpp>
 
+#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <map>
@@ -54,6 +56,17 @@ class Doorbells {
   /// any more. Errors: os_failure: not now, there is no descriptor or no memory.
   [[nodiscard]] Result<std::vector<SharedFd>> for_publisher(ClientIndex client,
                                                             std::uint64_t executor, bool same_user);
+  /// For a process that is back: new bells (the eventfd stays) of an executor that this daemon found without a way
+  /// to it; none if nothing is lost. A process that closes what it is given gets it a few times. Errors: os_failure.
+  [[nodiscard]] Result<std::vector<SharedFd>> renew(ClientIndex client, std::uint64_t executor,
+                                                    std::uint32_t uid);
+  /// Looks at the next few bells in turn: has anybody the receivers?
+  void look() noexcept;
+  /// As far as that is known: by datagram nobody reaches it.
+  bool is_silent(ClientIndex client, std::uint64_t executor) const {
+    const auto found = bells_.find({number(client), executor});
+    return found == bells_.end() || found->second.is_silent;
+  }
   void ring(ClientIndex client, std::uint64_t executor) noexcept;
   void ring_all() noexcept;
   /// The process is dead.
@@ -66,8 +79,18 @@ class Doorbells {
     Doorbell own;
     // O_PATH of the bound name: a way to it when somebody has tidied up the directory.
     UniqueFd way;
+    bool is_silent = false;
+    unsigned renewals_left = 0;
   };
   Result<SharedFd> duplicate_receiver(int fd, std::uint32_t uid) const;
+  // Publishers are told of each.
+  static constexpr unsigned renewals_max = 3;
+  // Each a socket that is made, connected and closed, some 5 µs.
+  static constexpr std::size_t looks_max = 64;
+  /// With this eventfd, or a new one. Not put into the store.
+  Result<std::vector<SharedFd>> make(ClientIndex client, std::uint64_t executor, std::uint32_t uid,
+                                     SharedFd eventfd);
+  static void note(Bell& bell, const Result<UniqueFd>& sender) noexcept;
   Result<UniqueFd> connect_to(const UniqueFd& way, const std::string& name) const;
   UniqueFd way_to(const std::string& name) const;
   void close(ClientIndex client, std::uint64_t executor) noexcept;
@@ -80,6 +103,7 @@ class Doorbells {
   DescriptorStore& store_;
   Close close_;
   std::map<Key, Bell> bells_;
+  Key looked_at_{};
 };
 
 }  // namespace agnocast::daemon

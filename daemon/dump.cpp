@@ -61,6 +61,7 @@ class Writer {
     body.region_count = has_region ? 1 : 0;
     for (std::uint64_t w = 0; w < record.window_count; ++w)
       body.window[w] = {record.window[w].base, record.window[w].bytes, record.window[w].first};
+    body.silent_executors = facts.silent_executors;
     body.blocked_bytes = facts.blocked_bytes;
     body.blocked_by = name_of(facts.blocked_by);
     body.name = copy_of(record.name);

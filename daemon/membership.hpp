@@ -82,6 +82,11 @@ class Membership {
   /// Announcements that went without doorbells because no descriptor was left: they are made again.
   bool has_waiting() const noexcept { return !waiting_.empty(); }
   void announce_waiting();
+  /// The bells of an executor are others now: publishers are told of its subscriptions once more, a part of
+  /// them with each announce_renewed().
+  void renewed(ClientIndex client, std::uint64_t executor);
+  bool has_renewed() const noexcept { return !renewed_.empty(); }
+  void announce_renewed();
   /// Tells a process on a new connection what it has and whom it knows. A part of it at first when
   /// that is much: go_on_telling() says more as the process reads.
   void welcome_back(ClientIndex client);
@@ -129,6 +134,7 @@ class Membership {
                                         ClientIndex client, std::uint64_t extent);
   void announce_publisher(TopicIndex topic, std::uint32_t index, std::uint32_t subscription);
   void announce_subscription(TopicIndex topic, std::uint32_t index, std::uint32_t publisher);
+  bool are_of_one_user(ClientIndex one, ClientIndex other) const;
   void tell_members(const EndpointRef& ref);
   void answer_creation(const EndpointRef& ref, std::uint64_t request);
   Session* tell(const EndpointRef& ref, ClientIndex to);
@@ -196,6 +202,7 @@ class Membership {
   static constexpr std::size_t missed_notices_max = 64;
   std::map<std::uint32_t, std::vector<wire::Notice>> missed_notices_;
   std::set<Attachment> waiting_;
+  std::map<std::uint64_t, EndpointRef> renewed_;  // subscriptions by generation
   std::map<ClientIndex, ToTell> to_tell_;
   GivenUp given_up_;
 };

@@ -55,6 +55,7 @@ void Membership::announce_publisher(TopicIndex topic, std::uint32_t index,
   packet.first_sequence = abi::first_sequence_of(publisher.generation);
   // One counter for all generations: the publisher joined later.
   packet.from_start = publisher.generation > member.generation ? 1 : 0;
+  packet.same_user = are_of_one_user(publisher.client, member.client) ? 1 : 0;
   std::vector<SharedFd> fds{regions_.region_reader(publisher.client)};
   const ClientRecord& owner = registry_.client(publisher.client);
   for (const SharedFd& reader : regions_.window_readers(publisher.client)) {
@@ -69,6 +70,13 @@ void Membership::announce_publisher(TopicIndex topic, std::uint32_t index,
     on_matched({Kind::publisher, topic, index}, {Kind::subscription, topic, subscription});
 }
 
+// One uid in two user namespaces is two users.
+bool Membership::are_of_one_user(ClientIndex one, ClientIndex other) const {
+  const std::uint64_t user_namespace = post_.user_namespace_of(one);
+  return registry_.client(one).uid == registry_.client(other).uid && user_namespace != 0 &&
+         user_namespace == post_.user_namespace_of(other);
+}
+
 void Membership::announce_subscription(TopicIndex topic, std::uint32_t index,
                                        std::uint32_t publisher) {
   const SubscriptionRecord& subscription = registry_.subscription(topic, index);
@@ -78,10 +86,8 @@ void Membership::announce_subscription(TopicIndex topic, std::uint32_t index,
   packet.own_index = publisher;
   packet.own_generation = member.generation;
   packet.executor = subscription.executor;
-  const std::uint64_t user_namespace = post_.user_namespace_of(subscription.client);
-  const bool same_user =
-      registry_.client(subscription.client).uid == registry_.client(member.client).uid &&
-      user_namespace != 0 && user_namespace == post_.user_namespace_of(member.client);
+  const bool same_user = are_of_one_user(subscription.client, member.client);
+  packet.same_user = same_user ? 1 : 0;
   const Attachment attachment{topic, publisher, index, member.generation, subscription.generation};
   const auto bytes = packet_of(packet);
   announce({Kind::subscription, topic, index}, member.client,
@@ -121,6 +127,30 @@ void Membership::announce_waiting() {
     if (own.generation == again.publisher_generation &&
         other.generation == again.subscription_generation && is_to_know(own, other))
       announce_subscription(again.topic, again.subscription, again.publisher);
+  }
+}
+
+void Membership::renewed(ClientIndex client, std::uint64_t executor) {
+  for (const EndpointRef& ref : registry_.endpoints_of(client)) {
+    if (ref.kind == Kind::subscription &&
+        registry_.subscription(ref.topic, ref.index).executor == executor)
+      renewed_.emplace(registry_.generation_of(ref), ref);
+  }
+}
+
+void Membership::announce_renewed() {
+  // Some 10 µs each, with the socket that is made for it.
+  constexpr unsigned announcements_max = 200;
+  for (unsigned made = 0; !renewed_.empty() && made < announcements_max;) {
+    const auto [generation, ref] = *renewed_.begin();
+    renewed_.erase(renewed_.begin());
+    if (!registry_.is_used(ref) || registry_.generation_of(ref) != generation) continue;
+    const SubscriptionRecord& subscription = registry_.subscription(ref.topic, ref.index);
+    registry_.for_each_publisher(ref.topic, [&](std::uint32_t p, const PublisherRecord& publisher) {
+      if (!is_to_know(publisher, subscription)) return;
+      announce_subscription(ref.topic, ref.index, p);
+      ++made;
+    });
   }
 }
 

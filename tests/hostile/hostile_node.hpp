@@ -76,6 +76,20 @@ class HostileNode {
     bells_ = std::move(opened.fds);
     executor_ = true;
   }
+  /// A subscription of this depth with a further executor of its own. False: it was refused.
+  bool subscribe_with_executor(const char* topic, std::uint64_t executor, std::uint32_t depth) {
+    Incoming opened = wire_.open_executor(executor);
+    if (opened.opcode() != wire::Opcode::executor_opened) return false;
+    for (UniqueFd& fd : opened.fds) more_bells_.push_back(std::move(fd));
+    auto body = WireClient::endpoint(topic, {depth, false, true, false, false});
+    static std::map<std::string, std::pair<wire::Name, std::uint64_t>> types;  // a dump costs time
+    if (types.count(topic) == 0) types[topic] = type_of(topic);
+    body.type = types[topic].first;
+    body.layout_hash = types[topic].second;
+    body.executor = executor;
+    return wire_.ask(wire::Opcode::create_subscription, body).opcode() ==
+           wire::Opcode::endpoint_created;
+  }
   /// Nobody has the receivers of the own executor any more.
   void close_bells() { bells_.clear(); }
 
@@ -164,7 +178,7 @@ class HostileNode {
   WireClient wire_;
   std::uint64_t window_file_bytes_;
   wire::Welcome welcome_{};
-  std::vector<UniqueFd> fds_, window_fds_, bells_;
+  std::vector<UniqueFd> fds_, window_fds_, bells_, more_bells_;
   Mapping region_, heap_;
   wire::WindowOpened window_{};
   bool executor_ = false;

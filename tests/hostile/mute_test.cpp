@@ -5,6 +5,19 @@
 // Method: attackers of another user that shut their bells before anybody is told of them.
 
 #include <tests/hostile/hostile_node.hpp>
+#include <tests/support/ctl.hpp>
+
+#include <gmock/gmock.h>
+
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include <filesystem>
+#include <iterator>
+#include <memory>
+#include <sstream>
+#include <string>
+#include <vector>
 
 namespace agnocast::test {
 namespace {
@@ -33,7 +46,107 @@ TEST(HostileMute, ASubscriptionThatNobodyCanRingKeepsNoPublisherFromItsSlots) {
   });
   ASSERT_TRUE(attacker.wait_until_ready());
   honest_publishes(stage, more_than_slots);
+  EXPECT_THAT(run_ctl(stage.socket_path(), {"doctor", "-j"}).out,
+              testing::HasSubstr("(pid " + std::to_string(attacker.pid()) +
+                                 ") hears of messages of " + stream_topic));
   attacker.end();
+  stage.honest_goes_on();
+}
+
+/// Of a node that has joined the stream.
+struct Reader {
+  std::uint64_t received = 0, wrong = 0, lost = 0, largest_gap_ns = 0;
+};
+Reader read_state(SteeredProcess& node) {
+  Reader state;
+  std::uint64_t ignored = 0;
+  std::istringstream text(node.ask("state"));
+  text >> ignored >> ignored >> state.received >> state.wrong >> state.lost;
+  for (int i = 0; i < 4; ++i) text >> ignored;
+  text >> state.largest_gap_ns;
+  return state;
+}
+
+/// A hundred messages came one by one, not in heaps once a second. That may take more than one look on a busy
+/// machine; to one who is not rung it never happens.
+bool is_rung(SteeredProcess& node) {
+  return eventually([&] {
+    EXPECT_EQ(node.ask("forget-gap"), "ok");
+    const std::uint64_t before = read_state(node).received;
+    Reader now;
+    EXPECT_TRUE(eventually([&] { return (now = read_state(node)).received >= before + 400; }));
+    return now.largest_gap_ns < 500'000'000 || testing::Test::HasFailure();
+  });
+}
+
+TEST(HostileMute, BellsWhoseNamesWereRemovedAreMadeAnewAfterARestart) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage;
+  const auto reader = stage.another_honest_process(third_uid);
+  ASSERT_EQ(reader->ask(std::string("join ") + stream_topic), "ok");
+  ASSERT_TRUE(is_rung(*reader));
+  for (const auto& name :
+       std::filesystem::directory_iterator(stage.socket_path() + ".bells"))
+    std::filesystem::remove(name);
+  ASSERT_TRUE(stage.daemon().wait_for_next(stage.daemon().kill_worker()));
+  EXPECT_TRUE(is_rung(*reader));
+  honest_publishes(stage, more_than_slots);
+  const Reader end = read_state(*reader);
+  EXPECT_EQ(end.wrong, 0u);
+  EXPECT_EQ(end.lost, 0u);
+}
+
+std::size_t descriptor_count(pid_t pid) {
+  const std::filesystem::directory_iterator all("/proc/" + std::to_string(pid) + "/fd");
+  return static_cast<std::size_t>(std::distance(begin(all), end(all)));
+}
+
+// 95 members with 8 sleepers each: 855 descriptors at their publisher, whose usual limit is 1,024.
+TEST(HostileMute, OneUserCausesAQuarterOfAPublishersDescriptorsAtMost) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  constexpr unsigned members = 95, sleepers = 8;
+  constexpr std::size_t limit = 1024, share = limit / 4;
+  // The honest processes inherit it; root in a container may not set it for another user.
+  rlimit own{};
+  ASSERT_EQ(::getrlimit(RLIMIT_NOFILE, &own), 0);
+  const rlimit usual{limit, own.rlim_max};
+  ASSERT_EQ(::setrlimit(RLIMIT_NOFILE, &usual), 0);
+  Stage stage({.quota = "held_messages = 100000\n"});
+  ASSERT_EQ(::setrlimit(RLIMIT_NOFILE, &own), 0);
+  const pid_t victim = stage.publisher().pid();
+  const std::size_t before = descriptor_count(victim);
+  Attacker attacker([&](Attack& attack) {
+    rlimit many{};
+    ::getrlimit(RLIMIT_NOFILE, &many);
+    many.rlim_cur = many.rlim_max;
+    ::setrlimit(RLIMIT_NOFILE, &many);
+    std::vector<std::unique_ptr<HostileNode>> nodes;
+    bool is_refused = false;
+    for (unsigned m = 0; m < members && !is_refused; ++m) {
+      nodes.push_back(std::make_unique<HostileNode>(stage.socket_path()));
+      for (unsigned s = 0; s < sleepers && !is_refused; ++s) {
+        is_refused = !nodes.back()->subscribe_with_executor(stream_topic, s, 1);
+        if (!is_refused) ++attack.word(0);
+      }
+    }
+    attack.ready();
+    while (attack.goes_on()) ::usleep(1000);
+  });
+  ASSERT_TRUE(attacker.wait_until_ready());
+  // Less than all if other shares are smaller, and more than this one in any case.
+  ASSERT_GT(attacker.word(0), share + share / 4);
+  for (const uid_t uid : {third_uid, honest_uid}) {
+    const auto reader = stage.another_honest_process(uid);
+    ASSERT_EQ(reader->ask(std::string("join ") + stream_topic), "ok");
+    EXPECT_TRUE(is_rung(*reader)) << "uid " << uid;
+    // Its announcement came behind all of the attacker's.
+    EXPECT_LE(descriptor_count(victim), before + share + 8);
+    EXPECT_GT(descriptor_count(victim), before + share / 2) << "nobody caused any";
+  }
+  honest_publishes(stage, more_than_slots);
+  attacker.end();
+  EXPECT_TRUE(eventually([&] { return descriptor_count(victim) <= before + 8; }))
+      << descriptor_count(victim) << " of " << before;
   stage.honest_goes_on();
 }
 

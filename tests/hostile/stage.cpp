@@ -23,9 +23,10 @@ std::string configuration(const StageOptions& options) {
          stream_topic + "\"\npublish = [\"uid:" + std::to_string(honest_uid) + "\"]\n";
 }
 
-std::unique_ptr<SteeredProcess> honest_process(const DaemonProcess& daemon) {
+std::unique_ptr<SteeredProcess> honest_process(const DaemonProcess& daemon,
+                                               uid_t uid = honest_uid) {
   return std::make_unique<SteeredProcess>(
-      std::vector<std::string>{AGNOCAST_HONEST_NODE, std::to_string(honest_uid)},
+      std::vector<std::string>{AGNOCAST_HONEST_NODE, std::to_string(uid)},
       std::vector<std::string>{"AGNOCAST_SOCKET=" + daemon.socket_path()});
 }
 
@@ -63,8 +64,8 @@ Stage::~Stage() {
   if (!judged_) honest_lost_nothing();
 }
 
-std::unique_ptr<SteeredProcess> Stage::another_honest_process() const {
-  return honest_process(daemon_);
+std::unique_ptr<SteeredProcess> Stage::another_honest_process(uid_t uid) const {
+  return honest_process(daemon_, uid);
 }
 
 Stage::State Stage::state() {

@@ -39,7 +39,8 @@
 
 namespace agnocast::test {
 
-inline constexpr uid_t honest_uid = 65533, hostile_uid = 65534, daemon_uid = 65532;
+inline constexpr uid_t honest_uid = 65533, hostile_uid = 65534, daemon_uid = 65532,
+                       third_uid = 65531;
 /// Topic on which only the honest user may publish, and one that is open to everybody.
 inline constexpr const char* stream_topic = "/stream";
 inline constexpr const char* open_topic = "/open";
@@ -62,7 +63,7 @@ class Stage {
   SteeredProcess& publisher() noexcept { return *publisher_; }
   SteeredProcess& subscriber() noexcept { return *subscriber_; }
   /// One more of the honest user; nothing is asked of it.
-  std::unique_ptr<SteeredProcess> another_honest_process() const;
+  std::unique_ptr<SteeredProcess> another_honest_process(uid_t uid = honest_uid) const;
 
   /// Another 100 messages are published and have arrived since now. That is what "is not blocked"
   /// means: a publisher that waits for somebody, or a reader that starves, never gets there.

@@ -47,7 +47,7 @@ struct CtlNode {
   wire::EndpointCreated subscription(const std::string& topic, const abi::Qos& qos = {5},
                                      const std::string& node = "/listener",
                                      const std::string& type = "test/msg/Type") {
-    if (!executor) wire.open_executor();
+    if (!executor) bells = wire.open_executor().fds;
     executor = true;
     return create(wire::Opcode::create_subscription, topic, qos, node, type);
   }
@@ -92,6 +92,7 @@ struct CtlNode {
   Mapping region;
   wire::WindowOpened window{};
   bool executor = false;
+  std::vector<UniqueFd> bells;
 };
 
 }  // namespace agnocast::test

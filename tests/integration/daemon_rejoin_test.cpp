@@ -6,6 +6,7 @@
 // more came" is asked, not waited for.
 
 #include <agnocast/abi/board.hpp>
+#include <base/doorbell.hpp>
 #include <base/mapping.hpp>
 #include <base/memory_policy.hpp>
 #include <client/dataplane/views.hpp>
@@ -14,10 +15,13 @@
 #include <tests/support/wire_dump.hpp>
 
 #include <gtest/gtest.h>
+#include <poll.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include <algorithm>
+#include <cerrno>
+#include <filesystem>
 #include <memory>
 
 namespace agnocast::test {
@@ -149,6 +153,67 @@ TEST(DaemonRejoin, AProcessFindsEverythingAsItWas) {
   EXPECT_EQ(of_kind<wire::Announcement>(to_sender, Opcode::announce)[0].generation,
             subscription.generation);
   EXPECT_EQ(to_sender[1].fds.size(), 3u) << "region and two bells";
+}
+
+TEST(DaemonRejoin, BellsWhoseNamesWereRemovedAreMadeAnew) {
+  DaemonProcess daemon;
+  Node sender(daemon), receiver(daemon);
+  sender.publisher("/t");
+  receiver.subscription("/t");
+  const UniqueFd eventfd(::dup(receiver.bells[0].get()));
+  sender.lose_connection();
+  receiver.lose_connection();
+  for (const auto& name : std::filesystem::directory_iterator(daemon.socket_path() + ".bells"))
+    std::filesystem::remove(name);
+  ASSERT_TRUE(daemon.wait_for_next(daemon.kill_worker()));
+  sender.come_back();
+  const auto first = of_kind<wire::Announcement>(sender.wire.drain(), Opcode::announce);
+  ASSERT_EQ(first.size(), 1u);
+  EXPECT_EQ(first[0].doorbell_count, 2u) << "the eventfd was kept";
+
+  receiver.come_back();
+  auto packets = receiver.wire.drain();
+  ASSERT_FALSE(packets.empty());
+  ASSERT_EQ(packets[0].opcode(), Opcode::bells_renewed);
+  EXPECT_EQ(packets[0].as<wire::BellsRenewed>().executor, 0u);
+  ASSERT_EQ(packets[0].fds.size(), 2u);
+  DoorbellReceiver bells(std::move(packets[0].fds[0]), std::move(packets[0].fds[1]));
+  // Its publishers are told once more, and ring the new socket.
+  std::vector<UniqueFd> fds;
+  const auto again = sender.wire.expect<wire::Announcement>(Opcode::announce, &fds);
+  EXPECT_EQ(again.generation, first[0].generation);
+  ASSERT_EQ(fds.size(), 3u);
+  std::uint64_t before = 0, after = 0;
+  ASSERT_EQ(::read(eventfd.get(), &before, sizeof before) >= 0 || errno == EAGAIN, true);
+  EXPECT_EQ(Doorbell(UniqueFd(::dup(fds[2].get()))).ring(), Doorbell::Rung::rung);
+  pollfd readable{bells.datagram_fd(), POLLIN, 0};
+  EXPECT_EQ(::poll(&readable, 1, WireClient::patience_ms), 1);
+  EXPECT_EQ(Doorbell(std::move(fds[2]), std::move(fds[1])).ring(), Doorbell::Rung::rung);
+  EXPECT_EQ(::read(eventfd.get(), &after, sizeof after), static_cast<ssize_t>(sizeof after))
+      << "it is the same eventfd";
+
+  // Nothing is lost any more.
+  receiver.lose_connection();
+  receiver.come_back();
+  EXPECT_EQ(order_of(receiver.wire.drain()), "own announce region ");
+}
+
+TEST(DaemonRejoin, WhoThrowsNewBellsAwayGetsThemThreeTimes) {
+  DaemonProcess daemon;
+  Node sender(daemon), receiver(daemon);
+  sender.publisher("/t");
+  receiver.subscription("/t");
+  receiver.bells.clear();
+  receiver.lose_connection();
+  receiver.come_back();
+  EXPECT_EQ(order_of(receiver.wire.drain()), "own announce region ") << "it had them";
+  ASSERT_TRUE(daemon.wait_for_next(daemon.kill_worker()));
+  for (const char* expected : {"212 own announce region ", "212 own announce region ",
+                               "212 own announce region ", "own announce region "}) {
+    receiver.lose_connection();
+    receiver.come_back();
+    EXPECT_EQ(order_of(receiver.wire.drain()), expected);
+  }
 }
 
 TEST(DaemonRejoin, TheNewConnectionTakesThePlaceOfTheOldOne) {

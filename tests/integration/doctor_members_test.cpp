@@ -305,6 +305,27 @@ TEST_F(DoctorMembers, SaysWhoReadsTooSlowlyOrHoldsTooMuch) {
   })) << "it has to be restarted, and is told so";
 }
 
+TEST_F(DoctorMembers, SaysWhoCannotBeRung) {
+  Node a(socket());
+  a.open_window();
+  a.publisher("/points", {20}, "/lidar");
+  Member reader(socket(), [&](Node& node) {
+    node.subscription("/points", {10}, "/viewer");
+    node.bells.clear();
+  });
+  ASSERT_TRUE(soon([&] { return !doctor_.look().all.empty(); }));
+  const Findings findings = doctor_.look();
+  ASSERT_THAT(findings.ids(), ElementsAre("no-bell"));
+  EXPECT_THAT(findings.all[0],
+              HasSubstr("/viewer of wire_client (pid " + std::to_string(reader.pid()) +
+                        ") hears of messages of /points only when it looks"));
+  EXPECT_THAT(run_ctl(socket(), {"topic", "info", "-v", "/points"}).out,
+              HasSubstr("Bell: nobody can ring it"));
+  const Remedy remedy(first_part(findings.remedies[0]));
+  EXPECT_EQ(reader.wait(), -SIGTERM);
+  EXPECT_TRUE(is_well());
+}
+
 TEST_F(DoctorMembers, SaysWhoseHeapIsFull) {
   DaemonProcess daemon({.more_config = "windows_per_process = 1\n"});
   Doctored doctor(daemon.socket_path());

@@ -137,6 +137,8 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::MoveHeap, header), offsetof(wire::MoveHeap, window),
           offsetof(wire::Announcement::Window, base), offsetof(wire::Announcement::Window, bytes),
           offsetof(wire::Announcement::Window, first));
+  sum.add(sizeof(wire::BellsRenewed), offsetof(wire::BellsRenewed, header),
+          offsetof(wire::BellsRenewed, executor));
   sum.add(sizeof(wire::ExecutorRequest), offsetof(wire::ExecutorRequest, header),
           offsetof(wire::ExecutorRequest, executor));
   sum.add(sizeof(wire::CreateEndpoint), offsetof(wire::CreateEndpoint, header),
@@ -158,6 +160,7 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::Announcement, first_sequence), offsetof(wire::Announcement, executor),
           offsetof(wire::Announcement, from_start), offsetof(wire::Announcement, window_count),
           offsetof(wire::Announcement, doorbell_count), offsetof(wire::Announcement, uid),
+          offsetof(wire::Announcement, same_user), offsetof(wire::Announcement, reserved),
           offsetof(wire::Announcement, window));
   sum.add(sizeof(wire::Orphaned), offsetof(wire::Orphaned, header), offsetof(wire::Orphaned, topic),
           offsetof(wire::Orphaned, reserved), offsetof(wire::Orphaned, index),
@@ -241,7 +244,8 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::DumpProcess, pid), offsetof(wire::DumpProcess, uid),
           offsetof(wire::DumpProcess, gid), offsetof(wire::DumpProcess, state),
           offsetof(wire::DumpProcess, domain), offsetof(wire::DumpProcess, age_ns),
-          offsetof(wire::DumpProcess, executors), offsetof(wire::DumpProcess, window_count),
+          offsetof(wire::DumpProcess, executors), offsetof(wire::DumpProcess, silent_executors),
+          offsetof(wire::DumpProcess, window_count),
           offsetof(wire::DumpProcess, region_count), offsetof(wire::DumpProcess, window),
           offsetof(wire::DumpProcess, blocked_bytes), offsetof(wire::DumpProcess, name),
           offsetof(wire::DumpProcess, blocked_by));

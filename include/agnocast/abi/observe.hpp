@@ -199,6 +199,7 @@ struct DumpProcess {
   std::uint64_t domain;
   std::uint64_t age_ns;     // since its hello
   std::uint64_t executors;  // one bit each
+  std::uint64_t silent_executors;  // those that nobody can ring by datagram, as far as is known
   std::uint32_t window_count;
   std::uint32_t region_count;  // descriptors that came with this
   Announcement::Window window[window_count_max];

@@ -39,6 +39,7 @@
 //   notice                Notice             incompatible QoS, type mismatch, …
 //   own                   Own                after rejoined: an endpoint of yours that I know
 //   region                Reference          after rejoined: a region that you have been told about
+//   bells_renewed         BellsRenewed       eventfd, datagram socket: of an executor whose bells were lost
 //   revoked               Refused            your membership is over; the connection ends
 #pragma once
 
@@ -116,6 +117,7 @@ enum class Opcode : std::uint32_t {
   region = 208,
   revoked = 209,
   move_heap = 211,
+  bells_renewed = 212,
 };
 
 /// What a Reference or Unlinked speaks of. A region is everything that belongs to one process:
@@ -246,6 +248,11 @@ struct ExecutorRequest {
   Header header;
   std::uint64_t executor;
 };
+/// Instead of those that the executor has.
+struct BellsRenewed {
+  Header header;
+  std::uint64_t executor;
+};
 struct CreateEndpoint {
   Header header;
   std::uint64_t qos;  // abi::Qos, packed
@@ -288,7 +295,9 @@ struct Announcement {
   std::uint32_t window_count;    // publisher
   std::uint32_t doorbell_count;  // subscription: 1 datagram socket, 2 eventfd (same user), then
                                  // datagram socket, 0 nobody can ring it
-  std::uint32_t uid;  // of its process, as the daemon knows it
+  std::uint32_t uid;        // of its process, as the daemon knows it
+  std::uint32_t same_user;  // 1: the addressed process has it as well, in the same user namespace
+  std::uint32_t reserved;
   struct Window {
     std::uint64_t base;
     std::uint64_t bytes;

@@ -1,0 +1,95 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: peers of other users cause no more descriptors than their share, whatever comes and goes; the last few
+// numbers are nobody's.
+// Method: the share of this very process, under limits that the test sets.
+
+#include <base/unique_fd.hpp>
+#include <client/descriptor_share.hpp>
+
+#include <fcntl.h>
+#include <gtest/gtest.h>
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include <vector>
+
+namespace agnocast {
+namespace {
+
+using Owner = DescriptorShare::Owner;
+using Part = DescriptorShare::Part;
+
+class Share : public testing::Test {
+ protected:
+  void SetUp() override {
+    ASSERT_EQ(::getrlimit(RLIMIT_NOFILE, &before_), 0);
+    limit_to(limit);
+  }
+  void TearDown() override { ::setrlimit(RLIMIT_NOFILE, &before_); }
+  void limit_to(rlim_t count) {
+    const rlimit wanted{count, before_.rlim_max};
+    ASSERT_EQ(::setrlimit(RLIMIT_NOFILE, &wanted), 0);
+  }
+  std::size_t take_all(Owner owner, std::vector<Part>& parts) {
+    const std::size_t before = parts.size();
+    for (Part part = share_.take(owner, 1); part && parts.size() < 2 * limit;
+         part = share_.take(owner, 1)) {
+      parts.push_back(std::move(part));
+    }
+    return parts.size() - before;
+  }
+
+  static constexpr std::size_t limit = 256;
+  rlimit before_{};
+  DescriptorShare share_;
+};
+
+TEST_F(Share, IsAQuarterForOneUserAndHalfForAll) {
+  std::vector<Part> parts;
+  EXPECT_EQ(take_all({1, false}, parts), limit / 4);
+  EXPECT_FALSE(share_.take({1, false}, 1));
+  EXPECT_EQ(take_all({2, false}, parts), limit / 4);
+  EXPECT_EQ(take_all({3, false}, parts), 0u) << "half of all is taken";
+  // Nobody counts processes of one's own user.
+  EXPECT_TRUE(share_.take({4, true}, 2));
+  EXPECT_EQ(take_all({4, true}, parts), 2 * limit - limit / 2);
+}
+
+TEST_F(Share, IsTakenWholeOrNotAtAll) {
+  const Part most = share_.take({1, false}, limit / 4 - 1);
+  ASSERT_TRUE(most);
+  EXPECT_FALSE(share_.take({1, false}, 2));
+  EXPECT_TRUE(share_.take({1, false}, 1));
+}
+
+TEST_F(Share, ComesBackWithItsUser) {
+  std::vector<Part> parts;
+  ASSERT_EQ(take_all({1, false}, parts), limit / 4);
+  EXPECT_FALSE(share_.has_more()) << "nobody has left";
+  parts.pop_back();
+  EXPECT_FALSE(share_.has_more()) << "not for one";
+  parts.resize(parts.size() / 2);
+  EXPECT_TRUE(share_.has_more());
+  EXPECT_FALSE(share_.has_more()) << "once";
+  take_all({1, false}, parts);
+  EXPECT_EQ(parts.size(), limit / 4);
+}
+
+TEST_F(Share, LeavesTheLastNumbersAlone) {
+  std::vector<UniqueFd> taken;
+  for (UniqueFd fd(::dup(0)); fd; fd.reset(::dup(0))) taken.push_back(std::move(fd));
+  ASSERT_FALSE(can_open(1));
+  EXPECT_FALSE(share_.take({1, true}, 1));
+  taken.resize(taken.size() - DescriptorShare::left_free + 1);
+  EXPECT_FALSE(share_.take({1, true}, 1));
+  EXPECT_FALSE(share_.has_more());
+  taken.pop_back();
+  EXPECT_TRUE(share_.take({1, true}, 1));
+  EXPECT_FALSE(share_.has_more()) << "too few for who takes the next ones";
+  taken.resize(taken.size() - DescriptorShare::left_free);
+  EXPECT_TRUE(share_.has_more());
+}
+
+}  // namespace
+}  // namespace agnocast
