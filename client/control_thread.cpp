@@ -17,6 +17,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <iterator>
+#include <map>
 #include <new>
 #include <utility>
 
@@ -364,12 +365,12 @@ void Context::on_announce(Incoming& packet) {
         publisher = found->second;
     }
     if (publisher != nullptr && publisher->identity().generation == announcement.own_generation) {
-      publisher->attach(
+      const bool is_new = publisher->attach(
           {announcement.index, announcement.generation, announcement.extent, announcement.executor,
            announcement.uid},
           peer, bell_among(fds, used, announcement.doorbell_count, peer->owner()));
-      if (shares_.is_out(announcement.uid, ReaderShares::Clock::now()))
-        publisher->withdraw_newcomer(announcement.index, announcement.generation);
+      if (is_new && shares_.is_out(announcement.uid, ReaderShares::Clock::now()))
+        publisher->withdraw({announcement.index, announcement.generation});
       linked = true;
     }
   }
@@ -562,21 +563,73 @@ void Context::run_errands() {
   ask_for_window();
 }
 
+namespace {
+
+/// What one user's readers keep of one publisher's messages, and which of them.
+struct KeptOfPublisher {
+  std::shared_ptr<PublisherEndpoint> publisher;
+  std::vector<PublisherEndpoint::Core::MemberId> readers;
+  std::uint64_t bytes;
+};
+
+std::map<std::uint32_t, std::vector<KeptOfPublisher>> kept_by_users(
+    const std::vector<std::shared_ptr<PublisherEndpoint>>& publishers) {
+  std::map<std::uint32_t, std::vector<KeptOfPublisher>> users;
+  std::vector<PublisherEndpoint::Reader> readers;
+  for (const auto& publisher : publishers) {
+    publisher->list_readers(::geteuid(), readers);
+    std::map<std::uint32_t, std::vector<PublisherEndpoint::Core::MemberId>> by_user;
+    for (const auto& reader : readers) by_user[reader.uid].push_back(reader.id);
+    for (auto& [uid, ids] : by_user) {
+      const std::uint64_t bytes = publisher->kept_bytes(ids);
+      if (bytes != 0) users[uid].push_back({publisher, std::move(ids), bytes});
+    }
+  }
+  return users;
+}
+
+/// From those that keep most first, until less than half of a user's share is left.
+void withdraw_largest(const std::vector<KeptOfPublisher>& kept, std::uint64_t heap_bytes) {
+  struct One {
+    std::uint64_t bytes;
+    PublisherEndpoint* publisher;
+    PublisherEndpoint::Core::MemberId reader;
+  };
+  std::vector<One> all;
+  for (const KeptOfPublisher& part : kept) {
+    for (const auto& reader : part.readers)
+      all.push_back({part.publisher->kept_bytes({&reader, 1}), part.publisher.get(), reader});
+  }
+  std::sort(all.begin(), all.end(), [](const One& a, const One& b) { return a.bytes > b.bytes; });
+  std::uint64_t left = 0;
+  for (const One& one : all) left += one.bytes;
+  for (const One& one : all) {
+    if (one.bytes == 0 || left < ReaderShares::one_user_of(heap_bytes) / 2) return;
+    one.publisher->withdraw(one.reader);
+    left -= one.bytes;
+  }
+}
+
+}  // namespace
+
 /// Once a second: who holds too much while the heap is full, and who cannot be attached.
 void Context::look_at_readers() {
   const auto now = ReaderShares::Clock::now();
   if (now - readers_looked_ < std::chrono::milliseconds{timer_last_ms}) return;
   readers_looked_ = now;
   const auto all = publishers();
+  const auto kept = kept_by_users(all);
   std::vector<ReaderShares::Held> users;
-  for (const auto& publisher : all) publisher->add_held(::geteuid(), users);
+  for (const auto& [uid, parts] : kept) {
+    users.push_back({uid, 0});
+    for (const KeptOfPublisher& part : parts) users.back().bytes += part.bytes;
+  }
   if (users.empty()) {
     shares_.nobody_holds();
   } else {
     const Heap::Room room = heap_->room();
-    if (const auto uid = shares_.look(now, room.refused, room.bytes, users)) {
-      for (const auto& publisher : all) publisher->withdraw_from(*uid);
-    }
+    if (const auto uid = shares_.look(now, room.refused, room.bytes, users))
+      withdraw_largest(kept.at(*uid), room.bytes);
   }
   std::vector<PublisherEndpoint::Withdrawn> news;
   for (const auto& publisher : all) {

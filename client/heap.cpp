@@ -334,7 +334,7 @@ std::uint64_t Heap::used_bytes() const noexcept {
 Heap::Room Heap::room() const noexcept {
   agnocast_heaphook_usage usage{};
   hook_->usage(&usage);
-  return {usage.length_bytes, usage.refused_count};
+  return {usage.used_bytes, usage.refused_count};
 }
 
 void Heap::pause() const noexcept {

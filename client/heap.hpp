@@ -57,7 +57,7 @@ class Heap {
   bool wants_window() const noexcept;
   std::uint64_t used_bytes() const noexcept;
   struct Room {
-    std::uint64_t bytes;    // of all windows
+    std::uint64_t bytes;    // that were in use at one time: of a heap that refuses, all it can have
     std::uint64_t refused;  // allocations that found none, since ever
   };
   Room room() const noexcept;

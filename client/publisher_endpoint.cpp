@@ -205,8 +205,7 @@ void PublisherEndpoint::count_heap_exhausted() noexcept {
   count(offsetof(abi::PublisherEndpoint, refused_heap_exhausted), 1);
 }
 
-std::size_t PublisherEndpoint::executor_of(const Peer& peer, std::uint64_t executor,
-                                           Bell bell) {
+std::size_t PublisherEndpoint::executor_of(const Peer& peer, std::uint64_t executor, Bell bell) {
   std::size_t free_place = executors_.size();
   for (std::size_t i = 0; i < executors_.size(); ++i) {
     Executor& known = executors_[i];
@@ -225,10 +224,12 @@ std::size_t PublisherEndpoint::executor_of(const Peer& peer, std::uint64_t execu
   return free_place;
 }
 
-void PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr<Peer> peer,
+bool PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr<Peer> peer,
                                Bell bell) {
-  if (is_attached(subscription.index, subscription.generation))
-    return replace_bell(subscription, std::move(bell));
+  if (is_attached(subscription.index, subscription.generation)) {
+    replace_bell(subscription, std::move(bell));
+    return false;
+  }
   {
     const std::lock_guard lock(mutex_);
     reserve_one_more(attached_);
@@ -244,6 +245,7 @@ void PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr
     core_->pass(work);
   });
   note_links();
+  return true;
 }
 
 // The one that was here may be mute, or lead to a receiver that is no more.
@@ -311,41 +313,35 @@ void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) no
   if (was_matched) events_->ceased();
 }
 
-void PublisherEndpoint::add_held(std::uint32_t own, std::vector<ReaderShares::Held>& users) const {
+void PublisherEndpoint::list_readers(std::uint32_t own, std::vector<Reader>& readers) const {
+  readers.clear();
+  readers.reserve(SharedMemory::subscription_capacity);  // not below the mutex
   const std::lock_guard lock(mutex_);
-  if (core_ == nullptr) return;
   for (const Attached& attached : attached_) {
-    if (attached.uid == own || core_->is_disregarded(attached.index)) continue;
-    const std::uint64_t bytes = core_->held_bytes(attached.index, attached.generation);
-    if (bytes == 0) continue;
-    const auto known = std::find_if(users.begin(), users.end(),
-                                    [&](const auto& user) { return user.uid == attached.uid; });
-    if (known == users.end()) {
-      users.push_back({attached.uid, bytes});
-    } else {
-      known->bytes += bytes;
-    }
+    if (attached.uid != own)
+      readers.push_back({{attached.index, attached.generation}, attached.uid});
   }
 }
 
-void PublisherEndpoint::withdraw_from(std::uint32_t uid) noexcept {
-  in_control_thread([&](Work& work) {
-    if (core_ == nullptr) return;
-    for (const Attached& attached : attached_) {
-      if (attached.uid != uid || core_->held_bytes(attached.index, attached.generation) == 0) continue;
-      AGNOCAST_CRASH_POINT(C_withdraw);
-      core_->withdraw(attached.index, attached.generation, abi::Withdrawal::over_share);
-    }
-    core_->pass(work);
-  });
+std::uint64_t PublisherEndpoint::kept_bytes(
+    std::span<const Core::MemberId> readers) const noexcept {
+  const std::lock_guard lock(mutex_);
+  return core_ != nullptr ? core_->kept_bytes(readers) : 0;
 }
 
-void PublisherEndpoint::withdraw_newcomer(std::uint64_t index, std::uint64_t generation) noexcept {
+void PublisherEndpoint::withdraw(const Core::MemberId& reader) noexcept {
   in_control_thread([&](Work& work) {
     if (core_ == nullptr) return;
     AGNOCAST_CRASH_POINT(C_withdraw);
-    if (core_->withdraw(index, generation, abi::Withdrawal::over_share)) core_->pass(work);
+    if (core_->withdraw(reader.index, reader.generation, abi::Withdrawal::over_share))
+      core_->pass(work);
   });
+}
+
+bool PublisherEndpoint::may_be_served_again(abi::Withdrawal why, const Watched& member,
+                                            ReaderShares::Clock::time_point now) noexcept {
+  return why == abi::Withdrawal::not_attached ||
+         (why == abi::Withdrawal::over_share && now - member.since >= ReaderShares::out_for);
 }
 
 void PublisherEndpoint::look_at_readers(ReaderShares::Clock::time_point now,
@@ -358,19 +354,21 @@ void PublisherEndpoint::look_at_readers(ReaderShares::Clock::time_point now,
     return watched.emplace(index, is_known ? before->second : Watched{generation, now})
         .first->second;
   };
-  // Not below the queue's mutex: allocates.
   std::vector<Member> unmapped, attached;
+  unmapped.reserve(SharedMemory::subscription_capacity);  // not below the mutex
+  attached.reserve(SharedMemory::subscription_capacity);
   {
     const std::lock_guard lock(mutex_);
     if (core_ == nullptr || moved_) return;
-    unmapped.reserve(SharedMemory::subscription_capacity);
     core_->for_each_unmapped([&](std::uint64_t index, std::uint64_t generation) {
       unmapped.push_back({index, generation});
     });
-    attached.reserve(attached_.size());
     for (const Attached& one : attached_) {
-      if (core_->withdrawal(one.index, one.generation) != abi::Withdrawal::none)
-        attached.push_back({one.index, one.generation});
+      const abi::Withdrawal why = core_->withdrawal(one.index, one.generation);
+      const auto known = watched_.find(one.index);
+      const bool is_told = known != watched_.end() && known->second.generation == one.generation &&
+                           known->second.why == abi::Withdrawal::over_quota;
+      if (why != abi::Withdrawal::none && !is_told) attached.push_back({one.index, one.generation});
     }
   }
   const std::size_t unmapped_count = unmapped.size();
@@ -387,9 +385,10 @@ void PublisherEndpoint::look_at_readers(ReaderShares::Clock::time_point now,
         AGNOCAST_CRASH_POINT(C_withdraw);
         core_->withdraw(index, generation, abi::Withdrawal::not_attached);
         why = abi::Withdrawal::not_attached;
-      } else if (i >= unmapped_count && why == abi::Withdrawal::not_attached) {
+      } else if (i >= unmapped_count && may_be_served_again(why, member, now) &&
+                 core_->serve_again(index, generation, work)) {
         AGNOCAST_CRASH_POINT(C_withdraw);
-        if (core_->serve_again(index, generation, work)) why = abi::Withdrawal::none;
+        why = abi::Withdrawal::none;
       } else if (!core_->is_disregarded(index) && now - member.since >= ReaderShares::patience) {
         AGNOCAST_CRASH_POINT(C_withdraw);
         core_->disregard(index, generation);
@@ -397,11 +396,15 @@ void PublisherEndpoint::look_at_readers(ReaderShares::Clock::time_point now,
       core_->pass(work);
       if (why == member.why) return;
       is_news = why != abi::Withdrawal::none;
-      bytes = core_->held_bytes(index, generation);
+      bytes = core_->kept_bytes(std::array{Core::MemberId{index, generation}});
       member.why = why;
       member.since = now;
     });
     if (is_news) news.push_back({index, generation, member.why, bytes});
+  }
+  // For good, and nothing is left to look at.
+  for (const auto& [index, before] : watched_) {
+    if (before.why == abi::Withdrawal::over_quota) watched.emplace(index, before);
   }
   watched_.swap(watched);
 }

@@ -27,6 +27,7 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <span>
 #include <vector>
 
 namespace agnocast {
@@ -113,8 +114,8 @@ class PublisherEndpoint {
   // ------------------------------------------------------------------------------------------------------------
 
   /// An announced subscription. `bell` may be mute (empty): the subscription is looked at like any other and
-  /// rung by nobody. A bell of one that is attached already replaces the one it has. Allocates.
-  void attach(const Subscription& subscription, std::shared_ptr<Peer> peer, Bell bell);
+  /// rung by nobody. A bell of one that is attached already replaces the one it has, and false is returned. Allocates.
+  bool attach(const Subscription& subscription, std::shared_ptr<Peer> peer, Bell bell);
   bool is_attached(std::uint64_t index, std::uint64_t generation) const noexcept;
   /// It is over: looks at it no more and lets go of its region.
   void detach(std::uint64_t index, std::uint64_t generation) noexcept;
@@ -127,11 +128,16 @@ class PublisherEndpoint {
   };
   /// Lets go of every region, at the very end; of whom.
   std::vector<Member> detach_all();
-  /// Adds what readers of other users than `own` hold. Allocates.
-  void add_held(std::uint32_t own, std::vector<ReaderShares::Held>& users) const;
-  /// Serves the readers of this user no more that hold something, or the newcomer with this index.
-  void withdraw_from(std::uint32_t uid) noexcept;
-  void withdraw_newcomer(std::uint64_t index, std::uint64_t generation) noexcept;
+  struct Reader {
+    Core::MemberId id;
+    std::uint32_t uid;
+  };
+  /// The attached subscriptions of other users than `own`, instead of what is there. Allocates.
+  void list_readers(std::uint32_t own, std::vector<Reader>& readers) const;
+  /// See PublisherCore.
+  std::uint64_t kept_bytes(std::span<const Core::MemberId> readers) const noexcept;
+  /// Its user has more than its share.
+  void withdraw(const Core::MemberId& reader) noexcept;
   /// Who could not be mapped for long is not served; whoever was is served again; who was told long ago
   /// that it is not served is disregarded. What there is to tell the daemon is added. Allocates.
   void look_at_readers(ReaderShares::Clock::time_point now, std::vector<Withdrawn>& news);
@@ -224,6 +230,8 @@ class PublisherEndpoint {
   void replace_bell(const Subscription& subscription, Bell bell) noexcept;
   bool is_linked(const Attached& attached) const noexcept;
   void note_links() noexcept;
+  static bool may_be_served_again(abi::Withdrawal why, const Watched& member,
+                                  ReaderShares::Clock::time_point now) noexcept;
   std::size_t linked_count() const noexcept;  // under the mutex
   std::vector<std::uint64_t> linked_lineages(bool living) const;
 

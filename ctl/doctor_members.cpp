@@ -244,9 +244,9 @@ Ailments adopted(const Facts& facts) {
   });
 }
 Ailments withdrawn(const Facts& facts) {
-  return of_pairs(facts, PairState::withdrawn, [&](const Topic&, const Pair& pair) {
-    return restart_of(facts, facts.system().process_of(*pair.subscription));
-  });
+  // On a publisher's word: no reason to end its reader.
+  return of_pairs(facts, PairState::withdrawn,
+                  [](const Topic& topic, const Pair&) { return topic_words(topic); });
 }
 Ailments unreachable(const Facts& facts) {
   return of_pairs(facts, PairState::unreachable, [&](const Topic&, const Pair& pair) {
@@ -414,8 +414,8 @@ constexpr Check table[] = {
      "the program fills messages outside of a loan; with the scope all, everything that it allocates is shared",
      "kill PID && agnocast-run --scope all COMMAND &", adopted},
     {"reader-withdrawn", "every publisher serves all of its subscriptions", failed, daemon,
-     "it held too much of a publisher of another user, or could not be mapped there: it gets nothing of it any more",
-     "kill PID && COMMAND &", withdrawn},
+     "it held too much of a publisher of another user, or could not be mapped there; it is served again when that is over",
+     "agnocast-ctl topic info -v TOPIC --domain DOMAIN", withdrawn},
     {"unreachable", "every subscription can map what is published", failed, daemon,
      "something in the subscriber's process lies where the publisher's heap is; started anew, it reserves these addresses first",
      "kill PID && COMMAND &", unreachable},

@@ -27,12 +27,11 @@ bool is_linked(const System& system, const Endpoint& publisher, const Endpoint& 
 const char* sentence_of(abi::Withdrawal why) noexcept {
   switch (why) {
     case abi::Withdrawal::over_quota:
-      return "the publisher serves it no more: it held more messages than it may";
+      return "the publisher says that it held more messages than it may, and serves it no more";
     case abi::Withdrawal::over_share:
-      return "the publisher serves it no more: its user held too much of the publisher's heap while that "
-             "was full";
+      return "the publisher says that its user kept too much of a full heap, and serves it no more";
     default:
-      return "the publisher's process could not map it";
+      return "the publisher says that its process could not map it";
   }
 }
 

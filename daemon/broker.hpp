@@ -261,7 +261,10 @@ class Broker final : private Post {
   void look_for_collisions_of_publishers(ClientIndex owner);
   void look_for_collisions_of_subscriptions(ClientIndex reader);
   /// Why its heap does not move for this reader; empty: it does.
-  std::string why_not_moved(ClientIndex owner, ClientIndex reader) const;
+  const std::string& why_not_moved(ClientIndex owner, ClientIndex reader);
+  std::string find_why_not_moved(ClientIndex owner, ClientIndex reader) const;
+  // By owner and reader; of the request that is being served.
+  std::map<std::pair<std::uint32_t, std::uint32_t>, std::string> why_not_moved_;
   bool should_move(ClientIndex owner) const;
   template <class Function>
   void for_each_match(ClientIndex client, Kind kind, Function function) const;

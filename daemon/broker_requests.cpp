@@ -130,6 +130,7 @@ void Broker::serve(Peer& peer, const Request& request, std::span<UniqueFd> fds) 
   Result<void> served;
   std::uint64_t id = 0;
   exceeded_ = {};
+  why_not_moved_.clear();
   if (std::holds_alternative<CreateRequest>(request) ||
       std::holds_alternative<wire::WindowRequest>(request) ||
       std::holds_alternative<ExecutorRequest>(request))

@@ -108,7 +108,7 @@ void Broker::note_withdrawn(Peer& peer, const wire::Withdrawn& said) {
   if (said.why == static_cast<std::uint32_t>(abi::Withdrawal::over_quota))
     why = "it held more messages than it may";
   if (said.why == static_cast<std::uint32_t>(abi::Withdrawal::over_share))
-    why = "its user held too much of the publisher's heap while that was full";
+    why = "its user kept too much of a full heap";
   note(LogLevel::warning, peer.session.identity().uid, "reader withdrawn",
        {{"topic", registry_.topic(publisher.topic).name},
         {"publisher_pid", peer.session.identity().pid},
@@ -166,7 +166,15 @@ bool Broker::should_move(ClientIndex owner) const {
   return should;
 }
 
-std::string Broker::why_not_moved(ClientIndex owner, ClientIndex reader) const {
+/// Looked for once in a request: it walks all matches of the owner, and there may be as many to tell of.
+const std::string& Broker::why_not_moved(ClientIndex owner, ClientIndex reader) {
+  const auto [known, is_new] =
+      why_not_moved_.try_emplace({number(owner), number(reader)}, std::string());
+  if (is_new) known->second = find_why_not_moved(owner, reader);
+  return known->second;
+}
+
+std::string Broker::find_why_not_moved(ClientIndex owner, ClientIndex reader) const {
   const ClientRecord& record = registry_.client(owner);
   const std::uint64_t bytes = options_.arena.window_bytes;
   const std::uint64_t reserve = reserve_for(record, registry_.client(reader).uid);
@@ -237,6 +245,7 @@ void Broker::look_for_collision(const EndpointRef& publisher, const EndpointRef&
 }
 
 void Broker::look_for_collisions_of_publishers(ClientIndex owner) {
+  why_not_moved_.clear();
   for_each_match(owner, Kind::publisher,
                  [&](const EndpointRef& publisher, const EndpointRef& subscription) {
                    look_for_collision(publisher, subscription);
@@ -244,6 +253,7 @@ void Broker::look_for_collisions_of_publishers(ClientIndex owner) {
 }
 
 void Broker::look_for_collisions_of_subscriptions(ClientIndex reader) {
+  why_not_moved_.clear();
   for_each_match(reader, Kind::subscription,
                  [&](const EndpointRef& publisher, const EndpointRef& subscription) {
                    look_for_collision(publisher, subscription);

@@ -31,6 +31,7 @@
 #include <bit>
 #include <cstddef>
 #include <cstdint>
+#include <span>
 #include <utility>
 
 namespace agnocast::dataplane {
@@ -169,8 +170,8 @@ class PublisherCore {
     if (abi::generation_of(member.word) == generation && member.withdrawn_at != 0)
       member.word = abi::pack_member(generation, abi::MemberState::free);
   }
-  /// It is mapped now and served again, once it holds nothing: a slot that it has held since may be another
-  /// message's by now.
+  /// It is mapped and served again. Who was disregarded not before it holds nothing: a slot that it has held
+  /// since may be another message's by now.
   template <class Environment>
   bool serve_again(std::uint64_t index, std::uint64_t generation,
                    Environment& environment) noexcept {
@@ -186,7 +187,7 @@ class PublisherCore {
     std::uint64_t held = 0;
     for (std::size_t i = 0; i < mask_words; ++i)
       held |= link.hold(i).load(std::memory_order_acquire);
-    if (held != 0) return false;
+    if (held != 0 && !is_member(member.word)) return false;
     end_withdrawal(index);
     member.word = word;
     M::fence();  // who is rung finds it so
@@ -211,15 +212,29 @@ class PublisherCore {
         function(i, generation);
     }
   }
-  /// Bytes of the messages that a mapped member holds, with what belongs to them.
-  std::uint64_t held_bytes(std::uint64_t index, std::uint64_t generation) const noexcept {
-    const Member& member = members_[index];
-    if (member.attached_generation != generation) return 0;
-    const LinkWords<M> link{member.region, member.extent, self_.index};
+  /// Bytes of the messages that stay because of these mapped members, with what belongs to them: what one of
+  /// them holds, or has not read and may still ask for. One that several keep counts once.
+  struct MemberId {
+    std::uint64_t index, generation;
+  };
+  std::uint64_t kept_bytes(std::span<const MemberId> ids) const noexcept {
+    Mask kept{};
+    std::uint64_t unread_from = infinite;
+    for (const auto& [index, generation] : ids) {
+      const Member& member = members_[index];
+      if (member.attached_generation != generation || is_disregarded(index)) continue;
+      const LinkWords<M> link{member.region, member.extent, self_.index};
+      for (std::size_t word = 0; word < words_in_use(); ++word)
+        kept[word] |= link.hold(word).load(std::memory_order_relaxed) & allocated_[word];
+      // `low` is what the last pass has seen.
+      if (abi::state_of(member.word) == abi::MemberState::active)
+        unread_from = std::min(
+            unread_from,
+            std::max(member.low, minus_at_least(head_sequence_ + 1, member.window, 0)));
+    }
     std::uint64_t sum = 0;
     for_each_allocated([&](std::uint64_t slot) {
-      const std::uint64_t bits = link.hold(slot / 64).load(std::memory_order_relaxed);
-      if ((bits >> slot % 64 & 1) != 0) sum += bytes_[slot];
+      if (test(kept, slot) || sequence_[slot] >= unread_from) sum += bytes_[slot];
     });
     return sum;
   }

@@ -72,7 +72,7 @@ TEST(HostileShare, WhoKeepsAHeapFullIsServedNoMore) {
   ASSERT_TRUE(eventually([&] { return progress_of(*victim).refused > 0; }))
       << "the heap was never full";
   ASSERT_TRUE(stage.daemon().wait_for_log("reader withdrawn")) << stage.daemon().log();
-  EXPECT_NE(stage.daemon().log().find("its user held too much of the publisher's heap"),
+  EXPECT_NE(stage.daemon().log().find("its user kept too much of a full heap"),
             std::string::npos);
   ASSERT_TRUE(goes_on(*victim)) << "what is held by who is served no more still counts";
   const CtlResult doctor = run_ctl(stage.socket_path(), {"doctor"});

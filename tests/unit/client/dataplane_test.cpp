@@ -264,7 +264,10 @@ TEST(DataplaneWithdrawing, KeepsWhatIsHeldUntilItIsLetGoOfAndGivesNothingMore) {
   ASSERT_TRUE(pair.publish());
   const auto held = reader.take(pair.window);
   ASSERT_TRUE(held);
-  EXPECT_EQ(pair.core->held_bytes(0, 1), 100u);
+  const PublisherCore<M>::MemberId ids[] = {{0, 1}, {0, 1}};
+  EXPECT_EQ(pair.core->kept_bytes(ids), 100u) << "once";
+  ASSERT_TRUE(pair.publish());
+  EXPECT_EQ(pair.core->kept_bytes(ids), 200u) << "one is held, one unread";
   ASSERT_TRUE(pair.core->withdraw(0, 1, abi::Withdrawal::over_share));
   for (int i = 0; i < 8; ++i) ASSERT_TRUE(pair.publish());
   EXPECT_TRUE(pair.environment.live.count(held->address));

@@ -42,10 +42,17 @@ TEST_F(ReaderSharesTest, WithdrawsFromWhoHoldsMostWhereAllTogetherHoldHalf) {
   EXPECT_EQ(full_for(60, {{1, 160}, {2, 171}, {3, 169}}), 2u);
 }
 
-TEST_F(ReaderSharesTest, BeginsAnewOnceThereIsRoom) {
+TEST_F(ReaderSharesTest, WaitsForThoseThatTryRarely) {
+  const std::vector<ReaderShares::Held> users{{1, 500}};
+  EXPECT_FALSE(shares.look(now, ++refused, heap, users));
+  for (int i = 0; i < 60; ++i, now += 1s)
+    EXPECT_FALSE(shares.look(now, refused, heap, users)) << "nothing was refused since";
+  EXPECT_EQ(shares.look(now, ++refused, heap, users), 1u);
+}
+
+TEST_F(ReaderSharesTest, BeginsAnewOnceNobodyIsOverItsShare) {
   EXPECT_FALSE(full_for(5, {{1, 500}}));
-  now += ReaderShares::full_for;
-  EXPECT_FALSE(shares.look(now, refused, heap, std::vector<ReaderShares::Held>{{1, 500}}));
+  EXPECT_FALSE(full_for(1, {{1, 5}}));
   EXPECT_FALSE(full_for(5, {{1, 500}}));
   EXPECT_EQ(full_for(1, {{1, 500}}), 1u);
   shares.nobody_holds();
