@@ -262,7 +262,8 @@ TEST(DaemonRevoke, RepairsNothingInTheRegionOfAProcessThatLives) {
 }
 
 TEST(DaemonRevoke, TellsAProcessWhoseSocketIsFullWhenItReads) {
-  DaemonProcess daemon(talkative);
+  DaemonProcess daemon({.more_config = "[quota]\nsubscriptions_per_topic = \"unlimited\"\n",
+                        .arguments = {"--log-level", "debug"}});
   Child publisher = publisher_child(daemon.socket_path());
   ASSERT_EQ(publisher.command('x'), '?');
   ASSERT_EQ(::kill(publisher.pid(), SIGSTOP), 0);
