@@ -202,7 +202,7 @@ Result<wire::CreateEndpoint> describe(const EndpointRequest& request,
   body.qos = abi::pack_qos(request.qos);
   body.layout_hash = request.layout_hash;
   body.executor = executor;
-  body.quota = request.quota;
+  body.quota = request.quota | (request.quota_or_less ? wire::quota_or_less : 0);
   if (!write_name(body.topic, request.topic))
     return fail(Errc::invalid_name, "a topic name of more than 255 characters");
   if (!write_name(body.type, request.type))

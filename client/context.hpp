@@ -57,6 +57,7 @@ struct EndpointRequest {
   std::uint64_t layout_hash = 0;
   abi::Qos qos;
   std::uint64_t quota = 0;  // subscriptions: messages held at once, per publisher
+  bool quota_or_less = false;  // of publishers of other users fewer will do
   bool depth_per_publisher = false;  // subscriptions
   // Publishers: messages allocate from the shared heap by themselves, whoever answers malloc.
   bool uses_shared_allocator = false;

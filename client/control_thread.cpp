@@ -354,7 +354,7 @@ void Context::on_announce(Incoming& packet) {
       linked = subscription->add_publisher(
           {announcement.index, announcement.generation, announcement.extent,
            announcement.first_sequence, abi::unpack_qos(announcement.qos),
-           announcement.from_start != 0},
+           announcement.from_start != 0, announcement.quota},
           std::move(peer));
     }
   } else if (peer != nullptr && announcement.kind == Kind::subscription) {
@@ -367,7 +367,7 @@ void Context::on_announce(Incoming& packet) {
     if (publisher != nullptr && publisher->identity().generation == announcement.own_generation) {
       const bool is_new = publisher->attach(
           {announcement.index, announcement.generation, announcement.extent, announcement.executor,
-           announcement.uid},
+           announcement.uid, announcement.quota},
           peer, bell_among(fds, used, announcement.doorbell_count, peer->owner()));
       if (is_new && shares_.is_out(announcement.uid, ReaderShares::Clock::now()))
         publisher->withdraw({announcement.index, announcement.generation});

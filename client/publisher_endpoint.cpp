@@ -240,6 +240,7 @@ bool PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr
     const std::size_t executor = executor_of(*peer, subscription.executor, std::move(bell));
     core_->attach(subscription.index, subscription.generation, peer->region(), subscription.extent,
                   armed_offset(subscription.executor), executor, work);
+    core_->limit_holds(subscription.index, subscription.quota);
     attached_.push_back({subscription.index, subscription.generation, subscription.extent, executor,
                          std::move(peer), subscription.uid});
     core_->pass(work);

@@ -59,6 +59,7 @@ class PublisherEndpoint {
     std::uint64_t extent;
     std::uint64_t executor;  // in its process
     std::uint32_t uid;       // of its process
+    std::uint64_t quota;     // messages of this publisher that it may hold
   };
   /// A subscription that this publisher serves no more: what the daemon is told.
   struct Withdrawn {

@@ -168,6 +168,7 @@ Result<std::shared_ptr<UntypedSubscription>> UntypedSubscription::create(
   request.layout_hash = type.layout_hash();
   request.qos = to_abi_of_subscription(qos);
   request.quota = options.hold_quota();
+  request.quota_or_less = !options.is_hold_quota_set();
   request.depth_per_publisher = options.is_depth_per_publisher();
   request.lineage = name.lineage;
   request.message_bytes = type.message_bytes();

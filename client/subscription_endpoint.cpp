@@ -57,7 +57,8 @@ bool SubscriptionEndpoint::add_publisher(const Publisher& publisher, std::shared
                                       self_.message_alignment,
                                       self_.index};
   auto link =
-      std::make_shared<Link>(identity, std::move(peer), sleeper_, self_.quota, self_.wake_control);
+      std::make_shared<Link>(identity, std::move(peer), sleeper_,
+                             std::min(self_.quota, publisher.quota), self_.wake_control);
   links_.reserve(links_.size() + 1);
   AGNOCAST_CRASH_POINT(C_link);
   if (!link->core_.link(publisher.from_start)) return false;
@@ -215,7 +216,7 @@ inline bool SubscriptionEndpoint::may_take() const noexcept {
 
 /// False at the quota, and until a missing window is there: asking again would only turn in circles.
 bool SubscriptionEndpoint::can_take(const Link& link) const noexcept {
-  return link.held_count() < self_.quota &&
+  return link.held_count() < link.quota() &&
          (!link.core_.is_awaiting_window() || link.is_orphaned_ || is_alone_ ||
           link.peer().heap().window_count() != link.windows_seen_);
 }

@@ -66,6 +66,8 @@ class Link {
     return identity_.publisher.lineage().load(std::memory_order_relaxed);
   }
   Peer& peer() const noexcept { return *peer_; }
+  /// Messages of this publisher that may be held at once.
+  std::uint64_t quota() const noexcept { return quota_; }
 
   /// The last copy of a taken message is gone. Any thread; one locked instruction, no system call.
   /// True when the link is closing and this was its last message: then the control thread has
@@ -183,7 +185,7 @@ class SubscriptionEndpoint {
     std::byte* region;     // this process's client region
     std::uint64_t extent;  // in it
     abi::Qos qos;
-    std::uint64_t quota;  // messages held at once, per publisher
+    std::uint64_t quota;  // messages held at once, per publisher, at most
     bool depth_per_publisher = false;
     std::uint64_t message_bytes = 0;  // sizeof the message object; 0 = any
     std::uint64_t message_alignment = 1;
@@ -199,6 +201,7 @@ class SubscriptionEndpoint {
     std::uint64_t first_sequence;
     abi::Qos qos;
     bool from_start;
+    std::uint64_t quota;  // messages of it that may be held at once
   };
 
   SubscriptionEndpoint(const Identity& identity, std::shared_ptr<Sleeper> sleeper);

@@ -372,7 +372,8 @@ class Auditor {
     std::uint64_t held = 0;
     for (std::uint64_t word = 0; word * 64 < slot_count; ++word)
       held += static_cast<std::uint64_t>(std::popcount(line.hold(word).load(acquire)));
-    if (held > subscription.facts.quota) found(Invariant::hold_quota, where, {held, 0, 0});
+    if (held > system_.hold_quota(subscription, *publisher))
+      found(Invariant::hold_quota, where, {held, 0, 0});
   }
 
   const System& system_;

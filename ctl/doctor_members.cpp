@@ -278,7 +278,7 @@ Ailments holder_at_quota(const Facts& facts) {
   for (const auto& [index, topic] : system.topics) {
     for (const Endpoint& subscription : topic.subscriptions) {
       for (const Endpoint& publisher : topic.publishers) {
-        const std::uint64_t quota = subscription.facts.quota;
+        const std::uint64_t quota = system.hold_quota(subscription, publisher);
         if (quota == 0 || held_by(system, publisher, subscription) < quota ||
             publisher.state() != abi::MemberState::active ||
             subscription.state() != abi::MemberState::active)

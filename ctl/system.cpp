@@ -98,6 +98,14 @@ std::byte* System::region_of(const Endpoint& endpoint) const {
   return process->region.base();
 }
 
+std::uint64_t System::hold_quota(const Endpoint& subscription, const Endpoint& publisher) const {
+  const Process* const reader = process_of(subscription);
+  const Process* const writer = process_of(publisher);
+  const bool is_of_others =
+      reader != nullptr && writer != nullptr && reader->facts.uid != writer->facts.uid;
+  return is_of_others ? subscription.facts.quota_of_others : subscription.facts.quota;
+}
+
 bool System::is_still_there(const Topic& topic, const Endpoint& endpoint) const {
   const auto words = words_of(topic);
   const std::uint64_t word =

@@ -76,6 +76,8 @@ struct System {
   dataplane::TopicWords<SharedMemory> words_of(const Topic& topic) const noexcept {
     return {board, abi::topic_offset(topic.facts.topic)};
   }
+  /// How many messages of the publisher the subscription may hold.
+  std::uint64_t hold_quota(const Endpoint& subscription, const Endpoint& publisher) const;
   /// Does the board still show this endpoint? What was read of its extent before is its own then.
   bool is_still_there(const Topic& topic, const Endpoint& endpoint) const;
 };

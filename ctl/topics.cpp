@@ -146,6 +146,7 @@ Object object_of(const System& system, const Topic& topic, const Endpoint& endpo
     put("linked_publishers", found.has_value(), numbers.linked);
     put("held_messages", found.has_value(), numbers.held);
     put("held_messages_max_per_publisher", true, endpoint.facts.quota);
+    put("held_messages_max_per_publisher_of_others", true, endpoint.facts.quota_of_others);
     put("unread_messages", found.has_value(), numbers.unread);
     put("lost_messages", found.has_value(), numbers.lost);
     put("malformed_messages", found.has_value(), numbers.malformed);
@@ -181,8 +182,12 @@ void print_subscription_numbers(const System& system, const Topic& topic, const 
   const auto found = numbers_of_subscription(system, topic, endpoint);
   if (!found) return console.line("Numbers: not readable, the subscription is gone");
   console.line("Linked: " + counted(found->linked, "publisher"));
-  console.line("Held: " + counted(found->held, "message") + ", at most " +
-               std::to_string(endpoint.facts.quota) + " of each publisher");
+  console.line(
+      "Held: " + counted(found->held, "message") + ", at most " +
+      std::to_string(endpoint.facts.quota) + " of each publisher" +
+      (endpoint.facts.quota_of_others == endpoint.facts.quota
+           ? ""
+           : ", " + std::to_string(endpoint.facts.quota_of_others) + " of those of other users"));
   console.line("Unread: " + counted(found->unread, "message"));
   console.line(
       "Lost: " + counted(found->lost, "message") +

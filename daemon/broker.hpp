@@ -224,6 +224,8 @@ class Broker final : private Post {
   [[nodiscard]] Result<void> admit_executor(ClientIndex client, const ExecutorRequest& request);
   [[nodiscard]] Result<void> check_topics(const ClientRecord& record, std::string_view topic);
   [[nodiscard]] Result<void> check_places(const ClientRecord& record, const CreateRequest& request);
+  [[nodiscard]] Result<void> check_hold_quota(const ClientRecord& record,
+                                              const CreateRequest& request);
   [[nodiscard]] Result<void> create(Peer& peer, const CreateRequest& request);
   // broker_access.cpp: the rules, and what they mean for the memory behind the topics
   static Subject subject_of(const Peer& peer);

@@ -673,6 +673,30 @@ Result<void> Broker::check_places(const ClientRecord& record, const CreateReques
   return {};
 }
 
+// A number that its user has set and cannot have of any publisher there is. Where one is its own user's
+// the number is true of that one, and nobody who publishes as well can keep it out.
+Result<void> Broker::check_hold_quota(const ClientRecord& record, const CreateRequest& request) {
+  const auto known = registry_.find_topic(record.domain, request.topic);
+  if (request.quota_or_less || !known) return {};
+  const HoldPool pool = registry_.hold_pool();
+  const HoldPool::Use use = registry_.pool_use(record.uid, *known);
+  const std::uint64_t at_most = pool.at_most(use);
+  if (request.quota <= at_most) return {};
+  bool any = false, own = false;
+  registry_.for_each_publisher(*known, [&](std::uint32_t, const PublisherRecord& publisher) {
+    if (publisher.state != EndpointState::active) return;
+    any = true;
+    own = own || registry_.client(publisher.client).uid == record.uid;
+  });
+  if (!any || own) return {};
+  return over_quota(
+      {"hold_quota", at_most, use.user + use.others, request.quota},
+      "the publishers of " + request.topic + " are other users', and have " +
+          std::to_string(at_most) + " messages left for one more subscription of user " +
+          std::to_string(record.uid) + ": ask for a hold_quota of at most that, not " +
+          std::to_string(request.quota));
+}
+
 Result<void> Broker::create(Peer& peer, const CreateRequest& request) {
   const ClientIndex client = *peer.session.client();
   const ClientRecord& record = registry_.client(client);
@@ -699,6 +723,7 @@ Result<void> Broker::create(Peer& peer, const CreateRequest& request) {
     allowed = check_limit(usage.held_messages, request.quota, options_.config.quota.held_messages,
                           "[quota] held_messages");
     if (!allowed) return allowed;
+    if (allowed = check_hold_quota(record, request); !allowed) return allowed;
   }
   // Before anybody is told of the publisher, and with it of the heap.
   const bool is_first = publisher && record.readers == 0;

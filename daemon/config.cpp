@@ -4,6 +4,7 @@
 #include <base/text.hpp>
 #include <base/unique_fd.hpp>
 #include <daemon/config_keys.hpp>
+#include <daemon/hold_pool.hpp>
 
 #include <toml++/toml.h>
 
@@ -432,6 +433,15 @@ class Reader {
                    ") has no room beside a history of depth_max (" +
                    std::to_string(limits.depth_max) + ")",
                "make slots_per_publisher larger than depth_max");
+    } else if (const std::uint64_t needed = std::uint64_t{limits.depth_max} + slots_beside_history +
+                                            limits.subscriptions_per_topic;
+               limits.slots_per_publisher < needed) {
+      conflict("limits", "slots_per_publisher", "subscriptions_per_topic",
+               "slots_per_publisher (" + std::to_string(limits.slots_per_publisher) +
+                   ") has no room for a message of each of subscriptions_per_topic (" +
+                   std::to_string(limits.subscriptions_per_topic) +
+                   ") beside a history of depth_max (" + std::to_string(limits.depth_max) + ")",
+               "make it at least " + std::to_string(needed) + ", or one of the others less");
     }
     const Config::Heap& heap = config_.heap;
     if (heap.window_bytes != 0 && heap.arena_bytes != 0 && heap.arena_bytes < heap.window_bytes) {

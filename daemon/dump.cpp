@@ -93,6 +93,7 @@ class Writer {
     registry_.for_each_subscription(index, [&](std::uint32_t i, const SubscriptionRecord& member) {
       wire::DumpEndpoint endpoint = endpoint_of(Kind::subscription, index, i, member);
       endpoint.quota = member.quota;
+      endpoint.quota_of_others = member.quota_of_others;
       endpoint.executor = member.executor;
       write_endpoint(endpoint);
     });

@@ -41,7 +41,7 @@ std::uint64_t HoldWatch::held_beyond_quota(TopicIndex topic, std::uint32_t subsc
   for (std::uint64_t word = 0; word < words; ++word)
     held += static_cast<std::uint64_t>(
         std::popcount(seen[word] & line.hold(word).load(std::memory_order_acquire)));
-  return held > record.quota ? held : 0;
+  return held > registry_.hold_quota(record, registry_.publisher(topic, publisher)) ? held : 0;
 }
 
 std::uint32_t HoldWatch::look_at(TopicIndex topic, std::uint32_t subscription) {
@@ -102,7 +102,11 @@ std::vector<HoldWatch::Finding> HoldWatch::look() {
     }
     const SubscriptionRecord& record = registry_.subscription(ref.topic, subscription);
     if (++at->second.looks >= looks_needed &&
-        found.try_emplace(registry_.client(record.client).uid, Finding{ref, held, record.quota})
+        found
+            .try_emplace(
+                registry_.client(record.client).uid,
+                Finding{ref, held,
+                        registry_.hold_quota(record, registry_.publisher(ref.topic, publisher))})
             .second) {
       at = suspects_.erase(at);
     } else {

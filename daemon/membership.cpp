@@ -86,12 +86,17 @@ Result<void> Membership::create_subscription(ClientIndex client, TopicIndex topi
                                              const CreateRequest& request) {
   if (!doorbells_.is_open(client, request.executor))
     return fail(Errc::invalid_argument, "the executor of the subscription is not open");
-  const auto plan = registry_.plan_subscription(client, topic, request.qos, request.quota);
+  const HoldPool pool = registry_.hold_pool();
+  const HoldPool::Use use = registry_.pool_use(registry_.client(client).uid, topic);
+  const HoldQuota quota{request.quota, request.quota_or_less
+                                           ? pool.part(use, request.quota)
+                                           : std::min(request.quota, pool.at_most(use))};
+  const auto plan = registry_.plan_subscription(client, topic, request.qos, quota);
   if (!plan) return tl::unexpected(plan.error());
   if (auto ready = make_ready(topic, *plan, client, plan->extent); !ready) return ready;
   // Publishers can keep what this one may ask for before it is a member (docs/protocol.md, slots).
   for (const SlotRaise& raise : plan->raises) registry_.raise_slots(topic, raise);
-  registry_.add_subscription(client, topic, request.qos, request.quota, request.executor, *plan,
+  registry_.add_subscription(client, topic, request.qos, quota, request.executor, *plan,
                              request.node, request.request);
 
   answer_creation({Kind::subscription, topic, plan->index}, request.request);

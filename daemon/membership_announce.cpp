@@ -53,6 +53,7 @@ void Membership::announce_publisher(TopicIndex topic, std::uint32_t index,
   packet.own_index = subscription;
   packet.own_generation = member.generation;
   packet.first_sequence = abi::first_sequence_of(publisher.generation);
+  packet.quota = registry_.hold_quota(member, publisher);
   // One counter for all generations: the publisher joined later.
   packet.from_start = publisher.generation > member.generation ? 1 : 0;
   packet.same_user = are_of_one_user(publisher.client, member.client) ? 1 : 0;
@@ -86,6 +87,7 @@ void Membership::announce_subscription(TopicIndex topic, std::uint32_t index,
   packet.own_index = publisher;
   packet.own_generation = member.generation;
   packet.executor = subscription.executor;
+  packet.quota = registry_.hold_quota(subscription, member);
   const bool same_user = are_of_one_user(subscription.client, member.client);
   packet.same_user = same_user ? 1 : 0;
   const Attachment attachment{topic, publisher, index, member.generation, subscription.generation};

@@ -17,8 +17,6 @@
 namespace agnocast::daemon {
 namespace {
 
-// One for the message being published and one for the one being borrowed.
-constexpr std::uint64_t slots_in_hand = 2;
 // What every publisher gets: until its control thread has mapped a new subscription, it keeps all
 // messages for it, so a busy process needs a reserve. Up to here hold bits cost nothing more.
 constexpr std::uint64_t slots_at_least = abi::near_slot_count;
@@ -360,15 +358,16 @@ void Registry::free_topic(TopicIndex index) {
 
 // N >= max(K, deepest window) + every hold quota + what lazy passes leave + what is in hand: then
 // no reader can make the publisher run out (docs/protocol.md, slots). Whole words of hold bits.
-std::uint64_t Registry::slots_needed(TopicIndex topic, const abi::Qos& offered,
+std::uint64_t Registry::slots_needed(TopicIndex topic, const PublisherRecord& publisher,
                                      const SubscriptionRecord* joining) const {
+  const abi::Qos offered = abi::unpack_qos(publisher.qos);
   std::uint64_t window = offered.depth;
   std::uint64_t quotas = 0;
   const auto count = [&](const SubscriptionRecord& record) {
     const abi::Qos requested = abi::unpack_qos(record.qos);
     if (!abi::qos_match(offered, requested)) return;
     window = std::max<std::uint64_t>(window, abi::window_of(requested));
-    quotas += record.quota;
+    quotas += hold_quota(record, publisher);
   };
   for_each_subscription(topic, [&](std::uint32_t, const SubscriptionRecord& record) {
     if (counts_as_member(record.state)) count(record);
@@ -404,7 +403,10 @@ Result<PublisherPlan> Registry::plan_publisher(ClientIndex client, TopicIndex to
     return fail(Errc::limit_reached, "the region of the process has no room for another endpoint");
   plan.generation = next_generation();
   plan.extent = *extent;
-  plan.slot_count = slots_needed(topic, qos, nullptr);
+  PublisherRecord joining{};
+  joining.client = client;
+  joining.qos = abi::pack_qos(qos);
+  plan.slot_count = slots_needed(topic, joining, nullptr);
   plan.first_sequence = abi::first_sequence_of(plan.generation);
   return plan;
 }
@@ -423,7 +425,7 @@ void Registry::add_publisher(ClientIndex client, TopicIndex topic, const abi::Qo
 
 Result<SubscriptionPlan> Registry::plan_subscription(ClientIndex client, TopicIndex topic,
                                                      const abi::Qos& qos,
-                                                     std::uint64_t quota) const {
+                                                     const HoldQuota& quota) const {
   SubscriptionPlan plan;
   const std::uint32_t high = this->topic(topic).subscription_high;
   while (plan.index < high && (is_used({Kind::subscription, topic, plan.index}) ||
@@ -440,10 +442,12 @@ Result<SubscriptionPlan> Registry::plan_subscription(ClientIndex client, TopicIn
   plan.extent = *extent;
   SubscriptionRecord joining{};
   joining.qos = abi::pack_qos(qos);
-  joining.quota = quota;
+  joining.client = client;
+  joining.quota = quota.own;
+  joining.quota_of_others = quota.others;
   for_each_publisher(topic, [&](std::uint32_t index, const PublisherRecord& record) {
     if (record.state != EndpointState::active) return;
-    const std::uint64_t needed = slots_needed(topic, abi::unpack_qos(record.qos), &joining);
+    const std::uint64_t needed = slots_needed(topic, record, &joining);
     if (needed > record.slot_count) plan.raises.push_back({index, needed});
   });
   return plan;
@@ -457,7 +461,7 @@ void Registry::raise_slots(TopicIndex topic, const SlotRaise& raise) {
 }
 
 void Registry::add_subscription(ClientIndex client, TopicIndex topic, const abi::Qos& qos,
-                                std::uint64_t quota, std::uint64_t executor,
+                                const HoldQuota& quota, std::uint64_t executor,
                                 const SubscriptionPlan& plan, std::string_view node,
                                 std::uint64_t creation) {
   SubscriptionRecord& record = tables_.subscription[number(topic)][plan.index];
@@ -465,8 +469,20 @@ void Registry::add_subscription(ClientIndex client, TopicIndex topic, const abi:
   AGNOCAST_CHECK(record.state == EndpointState::free);
   AGNOCAST_CHECK(record.told.reusable());
   put(record.node, node);
-  change(Type::add_subscription, {number(topic), plan.index, plan.generation, number(client),
-                                  abi::pack_qos(qos), plan.extent, quota, executor, creation});
+  change(Type::add_subscription,
+         {number(topic), plan.index, plan.generation, number(client), abi::pack_qos(qos),
+          plan.extent, quota.own, executor, creation, quota.others});
+}
+
+HoldPool::Use Registry::pool_use(std::uint32_t uid, TopicIndex topic) const {
+  HoldPool::Use use;
+  for_each_subscription(topic, [&](std::uint32_t, const SubscriptionRecord& record) {
+    // Of one that is over nothing is held: it is not looked at any more.
+    if (!counts_as_member(record.state)) return;
+    (uid_of(record.client) == uid ? use.user : use.others) +=
+        std::max<std::uint64_t>(record.quota_of_others, 1) - 1;
+  });
+  return use;
 }
 
 std::optional<EndpointRef> Registry::find_creation(ClientIndex client, Kind kind,

@@ -17,6 +17,7 @@
 
 #include <agnocast/abi/words.hpp>
 #include <agnocast/result.hpp>
+#include <daemon/hold_pool.hpp>
 #include <daemon/tables.hpp>
 #include <journal/board_steps.hpp>
 #include <journal/redo_log.hpp>
@@ -87,6 +88,12 @@ struct SlotRaise {
   std::uint64_t slot_count = 0;
 };
 
+/// What a subscription may hold of each publisher.
+struct HoldQuota {
+  std::uint64_t own = 0;     // of publishers of its user
+  std::uint64_t others = 0;  // of those of other users
+};
+
 struct SubscriptionPlan {
   std::uint32_t index = 0;
   std::uint64_t generation = 0;
@@ -101,6 +108,7 @@ struct Capacity {
   std::uint32_t publishers_per_topic = abi::publisher_count_max;
   std::uint32_t subscriptions_per_topic = abi::subscription_count_max;
   std::uint32_t slots_per_publisher = abi::slot_count_max;
+  std::uint32_t depth_max = abi::depth_max;
 };
 
 /// What one user has in use. Processes that are dead count as long as others have their memory.
@@ -248,11 +256,22 @@ class Registry {
                      const PublisherPlan& plan, std::string_view node, std::uint64_t creation = 0);
   [[nodiscard]] Result<SubscriptionPlan> plan_subscription(ClientIndex client, TopicIndex topic,
                                                            const abi::Qos& qos,
-                                                           std::uint64_t quota) const;
+                                                           const HoldQuota& quota) const;
   void raise_slots(TopicIndex topic, const SlotRaise& raise);
   void add_subscription(ClientIndex client, TopicIndex topic, const abi::Qos& qos,
-                        std::uint64_t quota, std::uint64_t executor, const SubscriptionPlan& plan,
-                        std::string_view node, std::uint64_t creation = 0);
+                        const HoldQuota& quota, std::uint64_t executor,
+                        const SubscriptionPlan& plan, std::string_view node,
+                        std::uint64_t creation = 0);
+  /// What subscriptions of the topic have of the pool (hold_pool.hpp), seen by one of this user's.
+  HoldPool::Use pool_use(std::uint32_t uid, TopicIndex topic) const;
+  HoldPool hold_pool() const noexcept {
+    return {capacity_.slots_per_publisher, capacity_.depth_max, capacity_.subscriptions_per_topic};
+  }
+  std::uint64_t hold_quota(const SubscriptionRecord& subscription,
+                           const PublisherRecord& publisher) const noexcept {
+    return uid_of(subscription.client) == uid_of(publisher.client) ? subscription.quota
+                                                                   : subscription.quota_of_others;
+  }
   /// The endpoint of the process that this request created, if it is still there.
   std::optional<EndpointRef> find_creation(ClientIndex client, Kind kind,
                                            std::uint64_t creation) const;
@@ -339,8 +358,9 @@ class Registry {
   void note_generation(std::uint64_t generation) noexcept;
   std::uint64_t next_generation() const noexcept { return tables_.header.last_generation + 1; }
   std::optional<std::uint64_t> lowest_extent(ClientIndex client, std::uint64_t bytes) const;
-  std::uint64_t slots_needed(TopicIndex topic, const abi::Qos& offered,
+  std::uint64_t slots_needed(TopicIndex topic, const PublisherRecord& publisher,
                              const SubscriptionRecord* joining) const;
+  std::uint32_t uid_of(ClientIndex index) const noexcept { return client(index).uid; }
   /// Makes the account of its user say what the record of the process says now.
   void count_client(ClientIndex index);
   void count_endpoint(const EndpointRef& ref, bool is_there);

@@ -260,6 +260,7 @@ void Registry::apply_to_endpoint(const Record& record) {
       store(subscription.quota, argument[6]);
       store(subscription.executor, argument[7]);
       store(subscription.creation, argument[8]);
+      store(subscription.quota_of_others, argument[9]);
       AGNOCAST_CRASH_POINT(B_told);
       subscription.told.begin(subscription.generation);
       store(subscription.state, EndpointState::active);

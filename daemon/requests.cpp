@@ -107,8 +107,10 @@ std::string absolute(std::string_view node) {
 }
 
 Request decode_create(Packet packet) {
-  const auto body = body_of<wire::CreateEndpoint>(packet);
+  auto body = body_of<wire::CreateEndpoint>(packet);
   CreateRequest request;
+  request.quota_or_less = (body.quota & wire::quota_or_less) != 0;
+  body.quota &= ~wire::quota_or_less;
   request.again = is_asked_again(packet);
   request.kind = body.header.opcode == wire::Opcode::create_publisher ? wire::Kind::publisher
                                                                       : wire::Kind::subscription;

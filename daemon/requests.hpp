@@ -33,6 +33,7 @@ struct CreateRequest {
   std::uint64_t layout_hash = 0;
   std::uint64_t executor = 0;
   std::uint64_t quota = 0;
+  bool quota_or_less = false;  // of publishers of other users
   std::string topic;
   std::string type;
   std::string node;

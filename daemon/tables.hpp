@@ -115,6 +115,7 @@ struct SubscriptionRecord {
   std::uint64_t quota;
   std::uint64_t executor;
   std::uint64_t creation;  // id of the request that created it
+  std::uint64_t quota_of_others;  // messages of a publisher of another user
   AnnounceSet told;
   char node[abi::wire::name_bytes];
 };

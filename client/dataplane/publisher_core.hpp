@@ -145,8 +145,14 @@ class PublisherCore {
       member.extent = extent;
       member.armed_offset = armed_offset;
     }
+    member.limit = infinite;
     if (index >= member_high_) member_high_ = index + 1;
     AGNOCAST_STEP(J7_ring) environment.ring(executor, 0);
+  }
+  /// Behind attach(): of this publisher the member may hold no more, whatever the board says that it may
+  /// hold of others.
+  void limit_holds(std::uint64_t index, std::uint64_t quota) noexcept {
+    members_[index].limit = quota;
   }
   /// The control thread is about to unmap it.
   void detach(std::uint64_t index, std::uint64_t generation) noexcept {
@@ -285,6 +291,7 @@ class PublisherCore {
     std::uint64_t executor = 0;
     std::uint64_t low = 0;    // of the last pass, for room_for_one_more
     std::uint64_t quota = 0;  // messages that it may hold at once
+    std::uint64_t limit = infinite;  // likewise, of this publisher
     std::uint64_t withdrawn_at =
         0;  // head when it was told that it gets nothing more; 0 = it was not
     typename M::Region region{};
@@ -529,7 +536,8 @@ class PublisherCore {
       held[word] |= bits;
       if (bits != 0) count += static_cast<std::uint64_t>(std::popcount(bits & allocated_[word]));
     }
-    if (count > member.quota + 1 && holds_too_many(link, member.quota)) {
+    const std::uint64_t quota = std::min(member.quota, member.limit);
+    if (count > quota + 1 && holds_too_many(link, quota)) {
       member.withdrawn_at = head_sequence_;
       member.word = abi::pack_member(abi::generation_of(member.word), abi::MemberState::free);
       say_withdrawal(index, abi::Withdrawal::over_quota);

@@ -33,12 +33,15 @@ class Watch;
 /// Options of a subscription, with setters; those of the event callbacks are in events.hpp.
 class SubscriptionOptions : public detail::EventOptions<SubscriptionOptions> {
  public:
-  /// Messages held at once per publisher, at most; what is beyond stays unread (default 64). 0 is
-  /// refused at creation.
+  /// Messages held at once per publisher, at most; what is beyond stays unread. 0 is refused at
+  /// creation. Without a call: 64, and of publishers of other users what the daemon has left, 1 at
+  /// least (docs/agnocastd.md, Limits). A number that is set and not to be had there is refused with
+  /// quota_exceeded while every publisher of the topic is another user's.
   SubscriptionOptions& hold_quota(std::size_t messages) noexcept {
-    return hold_quota_ = messages, *this;
+    return hold_quota_ = messages, is_hold_quota_set_ = true, *this;
   }
   std::size_t hold_quota() const noexcept { return hold_quota_; }
+  bool is_hold_quota_set() const noexcept { return is_hold_quota_set_; }
   /// Keep-last counts for each publisher by itself, and no longer over all of them together as in a
   /// DDS reader (DDS 1.4, 2.2.3.18): a publisher that publishes much pushes out nothing of another
   /// one, and a late subscription gets the whole history of each. Of publishers that are gone, all
@@ -51,6 +54,7 @@ class SubscriptionOptions : public detail::EventOptions<SubscriptionOptions> {
 
  private:
   std::size_t hold_quota_ = 64;
+  bool is_hold_quota_set_ = false;
   bool depth_per_publisher_ = false;
 };
 

@@ -338,6 +338,7 @@ class Script {
     body.from_start = input_.ConsumeBool();
     body.window_count = static_cast<std::uint32_t>(some(1));
     body.doorbell_count = static_cast<std::uint32_t>(few());
+    body.quota = 4;
     for (std::uint64_t w = 0; w < abi::window_count_max; ++w) {
       body.window[w].base = base(body.client, w);
       body.window[w].bytes = some(window_bytes);

@@ -81,10 +81,10 @@ void live(Registry& registry, FuzzedDataProvider& input) {
         registry.add_publisher(client, *topic, qos, *plan, "node");
         endpoints.push_back({Kind::publisher, *topic, plan->index});
       } else {
-        const auto plan = registry.plan_subscription(client, *topic, qos, 700);
+        const auto plan = registry.plan_subscription(client, *topic, qos, {700, 9});
         if (!plan) continue;
         for (const SlotRaise& raise : plan->raises) registry.raise_slots(*topic, raise);
-        registry.add_subscription(client, *topic, qos, 700, 0, *plan, "node");
+        registry.add_subscription(client, *topic, qos, {700, 9}, 0, *plan, "node");
         endpoints.push_back({Kind::subscription, *topic, plan->index});
       }
     } else if (!endpoints.empty()) {
@@ -137,7 +137,7 @@ void ask(const Registry& registry) {
     for (std::uint32_t t = 0; t < registry.topic_high(); ++t) {
       if (registry.topic(TopicIndex{t}).state == TopicState::free) continue;
       static_cast<void>(registry.plan_publisher(client, TopicIndex{t}, qos));
-      static_cast<void>(registry.plan_subscription(client, TopicIndex{t}, qos, 4));
+      static_cast<void>(registry.plan_subscription(client, TopicIndex{t}, qos, {4, 1}));
     }
   }
 }

@@ -166,12 +166,23 @@ TEST(HostileLies, AGreedySubscriptionGetsWhatItsUserMayHoldAndNoMore) {
   honest_goes_on_beside(
       stage,
       [&](Attack& attack) {
-        LyingSubscriber greedy(stage, 1000, 400);
+        // Half of what the honest subscription leaves of the pool, and one (daemon/hold_pool.hpp).
+        constexpr std::uint64_t most = 115;
+        LyingSubscriber greedy(stage, 1000, most);
         HostileNode second(stage.socket_path());
         EXPECT_EQ(second.wire().open_executor().opcode(), Opcode::executor_opened);
-        EXPECT_EQ(second.wire().create_subscription("/any").refused_code(), Errc::quota_exceeded);
+        EXPECT_EQ(
+            second.wire()
+                .ask(Opcode::create_subscription, second.body_like(stream_topic, stream_topic, {}))
+                .refused_code(),
+            Errc::quota_exceeded)
+            << "four more";
+        auto wanting = WireClient::endpoint("/any", {});
+        wanting.quota = 400 - most + 1;
+        EXPECT_EQ(second.wire().ask(Opcode::create_subscription, wanting).refused_code(),
+                  Errc::quota_exceeded);
         // All that it may hold, from now on for ever.
-        for (std::uint64_t slot = 0; slot < 400; ++slot)
+        for (std::uint64_t slot = 0; slot < most; ++slot)
           greedy.line().hold(slot / 64).fetch_or(std::uint64_t{1} << slot % 64);
         greedy.line().cursor().store(~std::uint64_t{0} >> 16);
         attack.ready();

@@ -62,7 +62,7 @@ class Stage {
   const std::string& socket_path() const noexcept { return daemon_.socket_path(); }
   SteeredProcess& publisher() noexcept { return *publisher_; }
   SteeredProcess& subscriber() noexcept { return *subscriber_; }
-  /// One more of the honest user; nothing is asked of it.
+  /// One more of the honest user, or of another one; nothing is asked of it.
   std::unique_ptr<SteeredProcess> another_honest_process(uid_t uid = honest_uid) const;
 
   /// Another 100 messages are published and have arrived since now. That is what "is not blocked"

@@ -97,6 +97,53 @@ TEST(DaemonLimits, CountsThePlacesOfAUserInEachTopic) {
       << "another user has places of its own";
 }
 
+TEST(DaemonLimits, GivesAHoldQuotaOrSaysWhichOneCouldBeHad) {
+  if (::geteuid() != 0) GTEST_SKIP() << "needs root and another user";
+  DaemonProcess daemon;
+  const auto a = greeted(daemon);
+  EXPECT_EQ(a->create_publisher("/t").opcode(), Opcode::endpoint_created);
+  EXPECT_EQ(a->open_executor().opcode(), Opcode::executor_opened);
+  auto wanted = WireClient::endpoint("/t", Qos{});
+  wanted.quota = abi::slot_count_max;
+  for (int i = 0; i < 5; ++i) {
+    EXPECT_EQ(a->ask(Opcode::create_subscription, wanted).opcode(), Opcode::endpoint_created);
+    EXPECT_EQ(a->expect<wire::Announcement>(Opcode::announce).quota, abi::slot_count_max)
+        << "of the user's own publisher";
+    // The publisher hears of the subscription as well.
+    EXPECT_EQ(a->expect<wire::Announcement>(Opcode::announce).quota, abi::slot_count_max);
+  }
+  EXPECT_EQ(in_other_user([&] {
+              const auto other = greeted(daemon);
+              EXPECT_EQ(other->open_executor().opcode(), Opcode::executor_opened);
+              const auto ask = [&](std::uint64_t quota) {
+                wanted.quota = quota;
+                return other->ask(Opcode::create_subscription, wanted);
+              };
+              const Incoming refused = ask(abi::slot_count_max);
+              EXPECT_EQ(refused.refused_code(), Errc::quota_exceeded);
+              EXPECT_EQ(
+                  refused.refused_text(),
+                  "the publishers of /t are other users', and have 62 messages left for one "
+                  "more subscription of user 65534: ask for a hold_quota of at most that, not "
+                  "2048");
+              const auto quota_given = [&] {
+                return other->expect<wire::Announcement>(Opcode::announce).quota;
+              };
+              EXPECT_EQ(ask(64 | wire::quota_or_less).opcode(), Opcode::endpoint_created);
+              EXPECT_EQ(quota_given(), 9u) << "an eighth of 61, and one";
+              EXPECT_EQ(ask(55).refused_code(), Errc::quota_exceeded);
+              EXPECT_EQ(ask(53).opcode(), Opcode::endpoint_created);
+              EXPECT_EQ(quota_given(), 53u);
+              EXPECT_EQ(ask(64 | wire::quota_or_less).opcode(), Opcode::endpoint_created);
+              EXPECT_EQ(quota_given(), 2u);
+              EXPECT_EQ(ask(64 | wire::quota_or_less).opcode(), Opcode::endpoint_created);
+              EXPECT_EQ(quota_given(), 1u) << "everybody may read";
+              return 0;
+            }),
+            0);
+  EXPECT_TRUE(daemon.wait_for_log("limit=hold_quota value=62"));
+}
+
 /// Takes windows for this user, in processes of its own, until it is refused.
 struct Taker {
   explicit Taker(const DaemonProcess& daemon) {

@@ -161,6 +161,7 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::Announcement, from_start), offsetof(wire::Announcement, window_count),
           offsetof(wire::Announcement, doorbell_count), offsetof(wire::Announcement, uid),
           offsetof(wire::Announcement, same_user), offsetof(wire::Announcement, reserved),
+          offsetof(wire::Announcement, quota),
           offsetof(wire::Announcement, window));
   sum.add(sizeof(wire::Orphaned), offsetof(wire::Orphaned, header), offsetof(wire::Orphaned, topic),
           offsetof(wire::Orphaned, reserved), offsetof(wire::Orphaned, index),
@@ -261,7 +262,8 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::DumpEndpoint, client_generation), offsetof(wire::DumpEndpoint, qos),
           offsetof(wire::DumpEndpoint, extent), offsetof(wire::DumpEndpoint, slot_count),
           offsetof(wire::DumpEndpoint, first_sequence), offsetof(wire::DumpEndpoint, quota),
-          offsetof(wire::DumpEndpoint, executor), offsetof(wire::DumpEndpoint, node));
+          offsetof(wire::DumpEndpoint, quota_of_others), offsetof(wire::DumpEndpoint, executor),
+          offsetof(wire::DumpEndpoint, node));
   sum.add(sizeof(wire::DumpUser), offsetof(wire::DumpUser, header), offsetof(wire::DumpUser, uid),
           offsetof(wire::DumpUser, connections), offsetof(wire::DumpUser, observers),
           offsetof(wire::DumpUser, use));

@@ -232,6 +232,7 @@ struct DumpEndpoint {
   std::uint64_t slot_count;      // publisher
   std::uint64_t first_sequence;  // publisher
   std::uint64_t quota;           // subscription
+  std::uint64_t quota_of_others;  // subscription: of publishers of other users
   std::uint64_t executor;        // subscription
   Name node;
 };

@@ -253,6 +253,8 @@ struct BellsRenewed {
   Header header;
   std::uint64_t executor;
 };
+/// Set in CreateEndpoint::quota: of publishers of other users fewer will do.
+inline constexpr std::uint64_t quota_or_less = std::uint64_t{1} << 63;
 struct CreateEndpoint {
   Header header;
   std::uint64_t qos;  // abi::Qos, packed
@@ -298,6 +300,7 @@ struct Announcement {
   std::uint32_t uid;        // of its process, as the daemon knows it
   std::uint32_t same_user;  // 1: the addressed process has it as well, in the same user namespace
   std::uint32_t reserved;
+  std::uint64_t quota;  // messages of the publisher that the subscription may hold
   struct Window {
     std::uint64_t base;
     std::uint64_t bytes;

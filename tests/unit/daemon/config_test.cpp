@@ -13,6 +13,7 @@
 
 #include <sys/stat.h>
 
+#include <algorithm>
 #include <fstream>
 #include <random>
 #include <sstream>
@@ -241,6 +242,10 @@ TEST(Config, MistakesAreToldWithPlaceAndRemedy) {
       {"[limits]\nslots_per_publisher = 1000\n",
        "f.toml:2:23: limits.slots_per_publisher: slots_per_publisher (1000) has no room beside a "
        "history of depth_max (1000); make slots_per_publisher larger than depth_max"},
+      {"[limits]\nslots_per_publisher = 1500\n",
+       "f.toml:2:23: limits.slots_per_publisher: slots_per_publisher (1500) has no room for a message "
+       "of each of subscriptions_per_topic (768) beside a history of depth_max (1000); make it at "
+       "least 1803, or one of the others less"},
       {"[heap]\nwindow_bytes = \"1GiB\"\narena_bytes = \"512MiB\"\n",
        "f.toml:3:15: heap.arena_bytes: arena_bytes (512MiB) is less than one window_bytes (1GiB); "
        "use one window for each process at least"},
@@ -375,7 +380,11 @@ TEST(Config, PrintedConfigurationsReadBackTheSame) {
       config.heap.arena_bytes =
           (std::uint64_t{1} << 40) + below(1 << 20) * abi::window_granule_bytes;
     config.limits.depth_max = static_cast<std::uint32_t>(1 + below(500));
-    config.limits.slots_per_publisher = static_cast<std::uint32_t>(501 + below(1000));
+    config.limits.slots_per_publisher = static_cast<std::uint32_t>(541 + below(1000));
+    config.limits.subscriptions_per_topic = static_cast<std::uint32_t>(
+        1 + below(std::min<std::uint64_t>(
+                abi::subscription_count_max,
+                config.limits.slots_per_publisher - config.limits.depth_max - 35)));
     config.quota.publishers = below(1 << 20);
     if (below(2)) config.quota.publishers_per_topic = 1 + below(300);
     if (below(3) == 0) config.quota.subscriptions_per_topic = unlimited;

@@ -170,9 +170,9 @@ TEST_F(Redo, MakesEveryChangeWholeWhateverPartOfItWasMade) {
   step(RecordType::add_publisher,
        [&](R& r) { r.add_publisher(a, t, qos, r.plan_publisher(a, t, qos).value(), "talker"); });
   step(RecordType::add_subscription, [&](R& r) {
-    auto plan = r.plan_subscription(b, t, qos, 7).value();
+    auto plan = r.plan_subscription(b, t, qos, {7, 3}).value();
     plan.raises.clear();
-    r.add_subscription(b, t, qos, 7, 5, plan, "listener");
+    r.add_subscription(b, t, qos, {7, 3}, 5, plan, "listener");
   });
   step(RecordType::raise_slots, [&](R& r) { r.raise_slots(t, {0, 512}); });
   step(RecordType::announced, [&](R& r) { r.tell(publisher, b); });

@@ -45,8 +45,9 @@ class RegistryTest : public testing::Test {
     return plan;
   }
   SubscriptionPlan subscription(ClientIndex owner, TopicIndex at, std::uint32_t depth = 1,
-                                std::uint64_t quota = 1) {
+                                std::uint64_t own_quota = 1, std::uint64_t quota_of_others = 1) {
     const abi::Qos qos{depth, false, true, false, false};
+    const HoldQuota quota{own_quota, quota_of_others};
     const SubscriptionPlan plan = registry.plan_subscription(owner, at, qos, quota).value();
     for (const SlotRaise& raise : plan.raises) registry.raise_slots(at, raise);
     registry.add_subscription(owner, at, qos, quota, 0, plan, "node");
@@ -122,7 +123,7 @@ TEST_F(RegistryTest, RaisesSlotsBeforeADeepSubscriptionIsAMember) {
   const auto p = publisher(a, t, 1);
   EXPECT_EQ(p.slot_count, abi::near_slot_count);
   const abi::Qos qos{500, false, true, false, false};
-  const auto plan = registry.plan_subscription(a, t, qos, 100).value();
+  const auto plan = registry.plan_subscription(a, t, qos, {100, 1}).value();
   ASSERT_EQ(plan.raises.size(), 1u);
   EXPECT_EQ(plan.raises[0].slot_count, 640u);  // 500 + 100 + 34, whole words
   registry.raise_slots(t, plan.raises[0]);
@@ -130,7 +131,7 @@ TEST_F(RegistryTest, RaisesSlotsBeforeADeepSubscriptionIsAMember) {
       board_word(t, abi::publisher_entry_offset(0) + offsetof(abi::PublisherEntry, slot_count)),
       640u);
   EXPECT_TRUE(registry.uses_far_slots(t));
-  registry.add_subscription(a, t, qos, 100, 0, plan, "node");
+  registry.add_subscription(a, t, qos, {100, 1}, 0, plan, "node");
   EXPECT_EQ(publisher(a, t, 1).slot_count, 640u);
 }
 
@@ -345,7 +346,7 @@ TEST_F(RegistryTest, GivesOutNoFreePlaceThatSomebodyIsStillToldOf) {
   const auto of_publisher = registry.plan_publisher(a, t, qos);
   ASSERT_FALSE(of_publisher);
   EXPECT_EQ(of_publisher.error().code, Errc::store_damaged);
-  const auto of_subscription = registry.plan_subscription(a, t, qos, 1);
+  const auto of_subscription = registry.plan_subscription(a, t, qos, {1, 1});
   ASSERT_FALSE(of_subscription);
   EXPECT_EQ(of_subscription.error().code, Errc::store_damaged);
   // One that was used before is passed over.
@@ -355,7 +356,7 @@ TEST_F(RegistryTest, GivesOutNoFreePlaceThatSomebodyIsStillToldOf) {
   tables.subscription[number(t)][1].told.let_go(5, 0);
   tables.subscription[number(t)][0].told.tell(5);
   EXPECT_FALSE(registry.is_used(ref));
-  EXPECT_EQ(registry.plan_subscription(a, t, qos, 1).value().index, 1u);
+  EXPECT_EQ(registry.plan_subscription(a, t, qos, {1, 1}).value().index, 1u);
 }
 
 /// Pages of the tables that have memory.
@@ -418,7 +419,7 @@ TEST_F(RegistryTest, GivesTheMemoryOfFreePlacesBack) {
   EXPECT_EQ(later.endpoints_of(a).size(), 4u);
   EXPECT_EQ(pages_of(memory.parts()), after);
   // And what is given out again is as if it were new.
-  const auto again = later.plan_subscription(a, topics[0], {1, false, true, false, false}, 1).value();
+  const auto again = later.plan_subscription(a, topics[0], {1, false, true, false, false}, {1, 1}).value();
   EXPECT_EQ(again.index, 1u);
 }
 
@@ -510,7 +511,7 @@ TEST_F(RegistryTest, KeepsTheUsageThatACountWouldFind) {
         life->add_publisher(one, at, qos, life->plan_publisher(one, at, qos).value(), "node");
         break;
       case 1: {
-        const std::uint64_t quota = random() % 9;
+        const HoldQuota quota{random() % 9, 1};
         const auto plan = life->plan_subscription(one, at, qos, quota).value();
         for (const SlotRaise& raise : plan.raises) life->raise_slots(at, raise);
         life->add_subscription(one, at, qos, quota, 0, plan, "node");
