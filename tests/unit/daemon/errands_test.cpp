@@ -37,11 +37,13 @@ TEST(Errands, GoOnWithoutMemory) {
   for (unsigned i = 0; i < count; ++i)
     (*errands)->run(
         Errands::Lane::looking, 1, [] { memory_fails = true; }, [&] { ++answered; });
-  while (answered < count) {
+  // One turn may have nothing left to answer: the turn before has taken it along.
+  for (unsigned idle = 0; answered < count && idle < 2;) {
     const unsigned before = answered;
     ASSERT_TRUE(dispatcher->wait(10'000));
-    ASSERT_GT(answered, before) << "nothing goes on";
+    idle = answered > before ? 0 : idle + 1;
   }
+  EXPECT_EQ(answered, count) << "nothing goes on";
   EXPECT_EQ((*errands)->waiting(Errands::Lane::looking, 1), 0u);
 }
 
