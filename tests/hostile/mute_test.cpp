@@ -113,7 +113,7 @@ TEST(HostileMute, OneUserCausesAQuarterOfAPublishersDescriptorsAtMost) {
   ASSERT_EQ(::getrlimit(RLIMIT_NOFILE, &own), 0);
   const rlimit usual{limit, own.rlim_max};
   ASSERT_EQ(::setrlimit(RLIMIT_NOFILE, &usual), 0);
-  Stage stage({.quota = "held_messages = 100000\n"});
+  Stage stage({.quota = "held_messages = 100000\nsubscriptions_per_topic = \"unlimited\"\n"});
   ASSERT_EQ(::setrlimit(RLIMIT_NOFILE, &own), 0);
   const pid_t victim = stage.publisher().pid();
   const std::size_t before = descriptor_count(victim);

@@ -20,13 +20,13 @@ constexpr std::uint64_t kept = 63;
 
 /// Holds everything that it may, of whatever comes.
 struct Hoarder {
-  explicit Hoarder(Stage& stage) : node(stage.socket_path()) { join(); }
-  void join() {
-    made = node.join(wire::Kind::subscription, bulk_topic, {1, false, true, false, false}, kept);
+  explicit Hoarder(Stage& stage) : node(stage.socket_path()) { join(kept); }
+  void join(std::uint64_t quota) {
+    made = node.join(wire::Kind::subscription, bulk_topic, {1, false, true, false, false}, quota);
     publisher = node.announced().body;
     line().cursor().store(publisher.first_sequence + 1);
     line().publisher_generation().store(publisher.generation);
-    line().hold(0).store((std::uint64_t{1} << kept) - 1);
+    line().hold(0).store((std::uint64_t{1} << quota) - 1);
   }
   dataplane::LinkWords<SharedMemory> line() const { return node.line(made, publisher.index); }
 
@@ -62,7 +62,7 @@ TEST(HostileShare, WhoKeepsAHeapFullIsServedNoMore) {
     attack.ready();
     while (attack.goes_on()) {
       if (attack.word(0).exchange(0) != 0) {
-        hoarder.join();
+        hoarder.join(kept - 10);  // what its user has left of the pool
         attack.word(1).store(1);
       }
       std::this_thread::sleep_for(std::chrono::milliseconds(10));

@@ -274,6 +274,21 @@ TEST_F(DoctorMembers, SaysWhatIsNotZeroCopyOrCannotBeReached) {
   ASSERT_THAT(findings.ids(), ElementsAre("unreachable"));
 }
 
+TEST_F(DoctorMembers, SaysWhomAPublisherServesNoMore) {
+  Node a(socket()), b(socket());
+  a.open_window();
+  const auto p = a.publisher("/points", {7}, "/lidar");
+  const auto s = b.subscription("/points", {5}, "/viewer");
+  b.link(s, p, 0, 0);
+  const dataplane::PublisherWords<SharedMemory> words{a.region.base(), p.extent};
+  words.withdrawn(s.index).store(abi::pack_withdrawal(s.index, abi::Withdrawal::over_share));
+  const Findings findings = doctor_.look();
+  ASSERT_THAT(findings.ids(), ElementsAre("reader-withdrawn"));
+  EXPECT_THAT(findings.all[0], HasSubstr("the publisher says that its user kept too much"));
+  words.withdrawn(s.index).store(0);
+  EXPECT_TRUE(is_well());
+}
+
 TEST_F(DoctorMembers, SaysWhoReadsTooSlowlyOrHoldsTooMuch) {
   Node a(socket());
   a.open_window();
