@@ -87,6 +87,7 @@ class HostileNode {
     body.type = types[topic].first;
     body.layout_hash = types[topic].second;
     body.executor = executor;
+    body.quota = 1;  // what everybody may hold of others
     return wire_.ask(wire::Opcode::create_subscription, body).opcode() ==
            wire::Opcode::endpoint_created;
   }

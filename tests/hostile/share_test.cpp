@@ -45,6 +45,12 @@ Progress progress_of(SteeredProcess& publisher) {
   return progress;
 }
 
+/// After ten seconds of patience, and then it may take as long as anything.
+bool is_logged(Stage& stage, const char* text) {
+  return stage.daemon().wait_for_log(text) || stage.daemon().wait_for_log(text) ||
+         stage.daemon().wait_for_log(text);
+}
+
 bool goes_on(SteeredProcess& publisher) {
   const std::uint64_t before = progress_of(publisher).published;
   return eventually([&] { return progress_of(publisher).published >= before + 50; });
@@ -71,10 +77,11 @@ TEST(HostileShare, WhoKeepsAHeapFullIsServedNoMore) {
   ASSERT_TRUE(attacker.wait_until_ready());
   ASSERT_TRUE(eventually([&] { return progress_of(*victim).refused > 0; }))
       << "the heap was never full";
-  ASSERT_TRUE(stage.daemon().wait_for_log("reader withdrawn")) << stage.daemon().log();
+  ASSERT_TRUE(is_logged(stage, "reader withdrawn")) << stage.daemon().log();
   EXPECT_NE(stage.daemon().log().find("its user kept too much of a full heap"),
             std::string::npos);
-  ASSERT_TRUE(goes_on(*victim)) << "what is held by who is served no more still counts";
+  ASSERT_TRUE(goes_on(*victim) || goes_on(*victim))
+      << "what is held by who is served no more still counts";
   const CtlResult doctor = run_ctl(stage.socket_path(), {"doctor"});
   EXPECT_NE(doctor.out.find("reader-withdrawn"), std::string::npos) << doctor.out;
   const CtlResult info = run_ctl(stage.socket_path(), {"topic", "info", "-v", bulk_topic});
@@ -106,10 +113,8 @@ TEST(HostileShare, WhoCannotBeMappedIsNotKeptForForEver) {
   ASSERT_TRUE(attacker.wait_until_ready());
   ASSERT_TRUE(eventually([&] { return progress_of(*victim).refused > 0; }))
       << "everything is kept for who may hold anything, or it was mapped after all";
-  ASSERT_TRUE(eventually([&] {
-    return stage.daemon().log().find("its process could not be mapped") != std::string::npos;
-  })) << stage.daemon().log();
-  ASSERT_TRUE(goes_on(*victim));
+  ASSERT_TRUE(is_logged(stage, "its process could not be mapped")) << stage.daemon().log();
+  ASSERT_TRUE(goes_on(*victim) || goes_on(*victim));
   const std::uint64_t refused = progress_of(*victim).refused;
   for (int i = 0; i < 4; ++i) ASSERT_TRUE(goes_on(*victim));
   EXPECT_EQ(progress_of(*victim).refused, refused);
