@@ -59,7 +59,8 @@ TEST_F(Bounds, LeaveHalfOfATopicsPlacesToThePublishersOfThisHost) {
   }));
   EXPECT_TRUE(other_.eventually([&] { return said("not bridged what=\"writers of ") == 1; }));
   std::vector<Publisher<String>::SharedPtr> publishers;
-  for (int i = 0; i < 120; ++i) {
+  // Of the bridge's own user, who may have three quarters of the places.
+  for (int i = 0; i < 60; ++i) {
     auto made = try_create_publisher<String>(PlainNode(), topic(), QoS(1));
     ASSERT_TRUE(made) << i << ": " << made.error().what;
     publishers.push_back(std::move(*made));
