@@ -375,7 +375,7 @@ void PublisherEndpoint::look_at_readers(ReaderShares::Clock::time_point now,
   const std::size_t unmapped_count = unmapped.size();
   unmapped.insert(unmapped.end(), attached.begin(), attached.end());
   for (std::size_t i = 0; i < unmapped.size(); ++i) {
-    const auto [index, generation] = unmapped[i];
+    const std::uint64_t index = unmapped[i].index, generation = unmapped[i].generation;
     Watched& member = watch(index, generation);
     bool is_news = false;
     std::uint64_t bytes = 0;

@@ -144,7 +144,8 @@ void Membership::announce_renewed() {
   // Some 10 µs each, with the socket that is made for it.
   constexpr unsigned announcements_max = 200;
   for (unsigned made = 0; !renewed_.empty() && made < announcements_max;) {
-    const auto [generation, ref] = *renewed_.begin();
+    const auto generation = renewed_.begin()->first;
+    const EndpointRef ref = renewed_.begin()->second;
     renewed_.erase(renewed_.begin());
     if (!registry_.is_used(ref) || registry_.generation_of(ref) != generation) continue;
     const SubscriptionRecord& subscription = registry_.subscription(ref.topic, ref.index);
