@@ -139,7 +139,6 @@ namespace agnocast {
   X(C_linked, "a linked publisher enters the table")                        \
   X(C_attach, "attach a subscription")                                      \
   X(C_detach, "detach a subscription")                                      \
-  X(C_withdraw, "serve a subscription no more, or again")                   \
   X(C_orphaned, "a publisher publishes no more")                            \
   X(C_unlink, "unlink what is over")                                        \
   X(C_errand_ring, "ring a sleeper that publish has left")                  \

@@ -333,7 +333,6 @@ std::uint64_t PublisherEndpoint::kept_bytes(
 void PublisherEndpoint::withdraw(const Core::MemberId& reader) noexcept {
   in_control_thread([&](Work& work) {
     if (core_ == nullptr) return;
-    AGNOCAST_CRASH_POINT(C_withdraw);
     if (core_->withdraw(reader.index, reader.generation, abi::Withdrawal::over_share))
       core_->pass(work);
   });
@@ -383,15 +382,12 @@ void PublisherEndpoint::look_at_readers(ReaderShares::Clock::time_point now,
       abi::Withdrawal why = core_->withdrawal(index, generation);
       if (why == abi::Withdrawal::none) {
         if (i >= unmapped_count || now - member.since < ReaderShares::patience_to_attach) return;
-        AGNOCAST_CRASH_POINT(C_withdraw);
         core_->withdraw(index, generation, abi::Withdrawal::not_attached);
         why = abi::Withdrawal::not_attached;
       } else if (i >= unmapped_count && may_be_served_again(why, member, now) &&
                  core_->serve_again(index, generation, work)) {
-        AGNOCAST_CRASH_POINT(C_withdraw);
         why = abi::Withdrawal::none;
       } else if (!core_->is_disregarded(index) && now - member.since >= ReaderShares::patience) {
-        AGNOCAST_CRASH_POINT(C_withdraw);
         core_->disregard(index, generation);
       }
       core_->pass(work);
