@@ -48,11 +48,11 @@ class Reach {
   bool follow(const CdrElements& elements, const std::byte* at, Elements& found) noexcept {
     // rosidl's functions take a vector, and compute with the words of this copy alone.
     const Snapshot<agnocast::detail::VectorEnds> ends(at);
-    if (note(ends->end >= ends->begin)) {
+    // Elements at no address are not looked for: they lie nowhere.
+    if (note(ends->end == ends->begin || (ends->end > ends->begin && ends->begin != nullptr))) {
       found.count = elements.table->size_function(&*ends);
       if (found.count != 0)
-        found.first =
-            static_cast<const std::byte*>(elements.table->get_const_function(&*ends, 0));
+        found.first = static_cast<const std::byte*>(elements.table->get_const_function(&*ends, 0));
     }
     return !is_left_ && take(found.first, found.count, elements.element->memory_bytes);
   }

@@ -21,8 +21,10 @@
 #include <sys/time.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cerrno>
 #include <cstring>
+#include <new>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -245,17 +247,20 @@ TEST(PacketSocket, PacketsSentBeforeAResetAreStillReceived) {
   EXPECT_EQ(pair.receive().kind, Packet::Kind::end);
 }
 
-volatile sig_atomic_t signal_count = 0;
+// In memory that the child sees, too.
+std::atomic<int>& signal_count =
+    *new (::mmap(nullptr, sizeof(std::atomic<int>), PROT_READ | PROT_WRITE,
+                 MAP_SHARED | MAP_ANONYMOUS, -1, 0)) std::atomic<int>(0);
 
 TEST(PacketSocket, SignalsDoNotEndAWait) {
   Pair pair;
   struct sigaction action {};
-  action.sa_handler = [](int) { signal_count = signal_count + 1; };  // without SA_RESTART
+  action.sa_handler = [](int) { ++signal_count; };  // without SA_RESTART
   struct sigaction old {};
   ASSERT_EQ(::sigaction(SIGALRM, &action, &old), 0);
   signal_count = 0;
   test::Child child([&] {
-    ::usleep(30'000);
+    for (int round = 0; round < 10'000 && signal_count < 5; ++round) ::usleep(1'000);
     return pair.left.send(bytes_of("at last")).value() == Sent::sent ? 0 : 1;
   });
   const itimerval often{{0, 2'000}, {0, 2'000}};
