@@ -202,6 +202,11 @@ void close_by_ending_thread(std::span<UniqueFd> fds) noexcept {
   for (UniqueFd& fd : fds) fd.reset();  // what could not be taken over
 }
 
+void use_in_own_table(UniqueFd fd, const std::function<void(int)>& work) noexcept {
+  if (fd) hand_over({&fd, 1}, &work);
+  if (fd) work(fd.get());
+}
+
 void close_received(std::span<UniqueFd> fds) noexcept {
   const linger none{};
   for (UniqueFd& fd : fds) {

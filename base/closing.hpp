@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Closing what somebody else has sent, for threads that may wait.
+// Closing and using what others have a hand in, for threads that may wait.
 //
 // A close may last as long as the sender likes: a TCP socket with SO_LINGER and unsent data waits for its peer,
 // a file of FUSE for its server, which not even SIGKILL ends. A connection is no better: closing it closes what is
@@ -20,6 +20,7 @@
 #include <sys/types.h>
 
 #include <cstddef>
+#include <functional>
 #include <span>
 
 namespace agnocast {
@@ -41,6 +42,11 @@ EndingThread close_at_end_of_thread(std::span<UniqueFd> fds) noexcept;
 void close_by_ending_thread(std::span<UniqueFd> fds) noexcept;
 /// Closes them here, after asking sockets not to linger.
 void close_received(std::span<UniqueFd> fds) noexcept;
+
+/// Uses a file that somebody else may write to, and so keep locked: calls `work` with a number of it in a thread
+/// that has nothing else open, and waits for that, which may be for ever. Where such threads are forbidden or there
+/// is none left, it calls `work` here.
+void use_in_own_table(UniqueFd fd, const std::function<void(int)>& work) noexcept;
 
 /// One packet, and of all that came with it the memory that was wanted.
 struct ReceivedMemory {

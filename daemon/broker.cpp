@@ -83,6 +83,7 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
       let_go_watch_(registry_, regions_, membership_, *this),
       by_client_(abi::client_count_max, nullptr),
       spare_(::open("/dev/null", O_RDONLY | O_CLOEXEC)) {
+  regions_.use(errands);
   membership_.on_ended = [this](ClientIndex client) { on_ended(client); };
   membership_.on_matched = [this](const EndpointRef& publisher, const EndpointRef& subscription) {
     look_for_collision(publisher, subscription);
@@ -351,22 +352,45 @@ unsigned Broker::read_packets(PeerId id, const Turn& share) {
 
 // The one place where a request may fail for want of memory. Until something is changed it is as if it
 // had never come; from then on there is the reserve.
-void Broker::serve_packet(Peer& peer, std::span<const std::byte> bytes, const Envelope& envelope,
-                          std::span<UniqueFd> fds) {
+template <class Serve>
+void Broker::serve_or_refuse(Peer& peer, std::uint64_t id, Serve serve_it) {
   try {
     if (!MemoryReserve::refill()) throw std::bad_alloc();
     const MemoryReserve::MayFail may_fail;
-    serve(peer, decode(bytes, envelope, peer.session.role()), fds);
+    serve_it();
     return;
   } catch (const std::bad_alloc&) {
   }
   // Nothing that ends a connection may fail, so the peer is still there.
+  const Request request = Rejected{id, Errc::limit_reached, std::string(no_memory_text), false};
+  remember(peer, request, Errc::limit_reached, no_memory_text);
+  refuse(peer, request, id, Errc::limit_reached, ENOMEM, no_memory_text);
+}
+
+void Broker::serve_packet(Peer& peer, std::span<const std::byte> bytes, const Envelope& envelope,
+                          std::span<UniqueFd> fds) {
   wire::Header header{};
   if (bytes.size() >= sizeof header) std::memcpy(&header, bytes.data(), sizeof header);
-  const Request request =
-      Rejected{header.request, Errc::limit_reached, std::string(no_memory_text), false};
-  remember(peer, request, Errc::limit_reached, no_memory_text);
-  refuse(peer, request, header.request, Errc::limit_reached, ENOMEM, no_memory_text);
+  serve_or_refuse(peer, header.request,
+                  [&] { serve(peer, decode(bytes, envelope, peer.session.role()), fds); });
+}
+
+// The file of a region is one that its process may write to, and so keep locked: what waits for that is an
+// errand of its user, and the request with it.
+bool Broker::clear_before(Peer& peer, const CreateRequest& request) {
+  const ClientIndex client = *peer.session.client();
+  const std::uint64_t bytes = request.kind == Kind::publisher ? abi::publisher_extent_bytes
+                                                              : abi::subscription_extent_bytes;
+  const auto offset = registry_.lowest_extent(client, bytes);
+  if (!offset || regions_.is_clear(client, {*offset, bytes})) return false;
+  regions_.clear(client, registry_.client(client).uid, {*offset, bytes},
+                 [this, id = peer.id, request] {
+                   Peer* const back = unpark(id);
+                   if (back == nullptr) return;
+                   serve_or_refuse(*back, request.request, [&] { serve(*back, request, {}); });
+                 });
+  park(peer);
+  return true;
 }
 
 // A descriptor that is received is one to close, and the kernel may close some on the way. So a packet that

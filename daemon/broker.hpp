@@ -204,6 +204,8 @@ class Broker final : private Post {
   void serve_packet(Peer& peer, std::span<const std::byte> bytes, const Envelope& envelope,
                     std::span<UniqueFd> fds);
   void serve(Peer& peer, const Request& request, std::span<UniqueFd> fds);
+  template <class Serve>
+  void serve_or_refuse(Peer& peer, std::uint64_t id, Serve serve_it);
   [[nodiscard]] Result<void> check_caller(const Peer& peer, std::uint64_t fingerprint);
   [[nodiscard]] Result<void> hello(Peer& peer, const wire::Hello& hello);
   [[nodiscard]] Result<void> rejoin(Peer& peer, const wire::Rejoin& request);
@@ -227,6 +229,8 @@ class Broker final : private Post {
   [[nodiscard]] Result<void> check_hold_quota(const ClientRecord& record,
                                               const CreateRequest& request);
   [[nodiscard]] Result<void> create(Peer& peer, const CreateRequest& request);
+  /// True: memory for the endpoint is prepared first; the request waits for that.
+  bool clear_before(Peer& peer, const CreateRequest& request);
   // broker_access.cpp: the rules, and what they mean for the memory behind the topics
   static Subject subject_of(const Peer& peer);
   [[nodiscard]] Result<void> check_access(const Peer& peer, const CreateRequest& request);

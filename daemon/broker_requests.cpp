@@ -725,6 +725,7 @@ Result<void> Broker::create(Peer& peer, const CreateRequest& request) {
     if (!allowed) return allowed;
     if (allowed = check_hold_quota(record, request); !allowed) return allowed;
   }
+  if (clear_before(peer, request)) return {};
   // Before anybody is told of the publisher, and with it of the heap.
   const bool is_first = publisher && record.readers == 0;
   if (is_first)

@@ -2,8 +2,8 @@
 //
 // Errands: calls that may take as long as a client likes, and so must not be made in the loop.
 //
-// A close of a descriptor that a client sent, a look at /proc/PID/maps of its process: each may sleep in the
-// kernel for ever. Threads of this pool make such calls; the loop hands them in and gets an answer later.
+// A close of a descriptor that a client sent, a look at /proc/PID/maps of its process, a change of a file that it
+// may write to: each may sleep in the kernel for ever. Threads of this pool make such calls; the loop hands them in and gets an answer later.
 //
 //   loop:    run(lane, uid, errand, then) ──▶ queue of this lane and user
 //   thread:                                   errand()  ──▶ answers, eventfd
@@ -29,7 +29,7 @@ namespace agnocast::daemon {
 
 class Errands {
  public:
-  enum class Lane : std::uint8_t { closing, receiving, looking, freeing };
+  enum class Lane : std::uint8_t { closing, receiving, looking, freeing, clearing };
   /// One for each of as many users who are stuck at once; each is a stack that is hardly touched.
   static constexpr std::size_t thread_count_max = 64;
 

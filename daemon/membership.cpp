@@ -49,7 +49,7 @@ Result<void> Membership::create_publisher(ClientIndex client, TopicIndex topic,
                                           const CreateRequest& request) {
   const auto plan = registry_.plan_publisher(client, topic, request.qos);
   if (!plan) return explain_full(topic, plan.error());
-  const auto ready = regions_.renew(client, plan->extent, abi::publisher_extent_bytes,
+  const auto ready = regions_.renew(client, {plan->extent, abi::publisher_extent_bytes},
                                     abi::slot_offset(abi::ring_count, plan->slot_count));
   if (!ready) return ready;
   // Nobody looks there yet; the add that follows publishes it.
@@ -168,7 +168,7 @@ Result<void> Membership::make_ready(TopicIndex topic, const SubscriptionPlan& pl
   bool far = registry_.uses_far_slots(topic);
   for (const SlotRaise& raise : plan.raises) far = far || raise.slot_count > abi::near_slot_count;
   const std::uint64_t near_bytes = abi::far_hold_offset(abi::publisher_count_max, 0, 0);
-  auto ready = regions_.renew(client, extent, abi::subscription_extent_bytes,
+  auto ready = regions_.renew(client, {extent, abi::subscription_extent_bytes},
                               far ? abi::subscription_extent_bytes : near_bytes);
   for (const SlotRaise& raise : plan.raises) {
     const PublisherRecord& publisher = registry_.publisher(topic, raise.index);

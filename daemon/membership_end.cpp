@@ -250,7 +250,8 @@ void Membership::free_publisher(const EndpointRef& ref) {
 
 // A process that was revoked goes on storing there.
 void Membership::discard(ClientIndex owner, std::uint64_t extent, std::uint64_t bytes) {
-  if (!registry_.is_revoked(owner)) regions_.discard(owner, extent, bytes);
+  if (!registry_.is_revoked(owner))
+    regions_.discard(owner, registry_.client(owner).uid, {extent, bytes});
 }
 
 void Membership::settle_topic(TopicIndex topic) {

@@ -3,7 +3,9 @@
 #include <daemon/regions.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
+#include <base/closing.hpp>
 #include <base/memfd.hpp>
+#include <base/populate.hpp>
 #include <base/step.hpp>
 #include <daemon/requests.hpp>
 
@@ -60,6 +62,22 @@ std::uint64_t read_map_count_max() noexcept {
 
 // More than this is not freed between two requests: 16 MiB take a millisecond or two.
 constexpr std::uint64_t freed_at_once_bytes = 16 << 20;
+
+// Both wait for the lock of the file, which the process keeps while it writes to it by system calls.
+void punch(int fd, std::uint64_t offset, std::uint64_t bytes) noexcept {
+  ::fallocate(fd, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, static_cast<off_t>(offset),
+              static_cast<off_t>(bytes));
+}
+// A hole reads as zero, whatever kind of endpoint was here, and the parts that are backed later are zero then.
+Result<void> clear_file(int fd, std::uint64_t offset, std::uint64_t bytes) noexcept {
+  AGNOCAST_CRASH_POINT(B_clear);
+  punch(fd, offset, bytes);
+  return lengthen(fd, offset + bytes);
+}
+
+UniqueFd copy_of(const UniqueFd& fd) noexcept {
+  return UniqueFd(::fcntl(fd.get(), F_DUPFD_CLOEXEC, 0));
+}
 
 std::uint64_t memory_of(int fd) noexcept {
   struct stat file {};
@@ -195,36 +213,56 @@ Result<void> Regions::adopt_client(ClientIndex client, std::uint64_t window_coun
 }
 
 Result<void> Regions::back(ClientIndex client, std::uint64_t offset, std::uint64_t bytes) {
-  const ClientMemory& memory = of(client);
+  std::byte* const at = of(client).region.base() + offset;
   AGNOCAST_CRASH_POINT(B_back);
-  int status = 0;
-  do {
-    status = ::fallocate(memory.region_writer->get(), 0, static_cast<off_t>(offset),
-                         static_cast<off_t>(bytes));
-  } while (status != 0 && errno == EINTR);
-  if (status != 0) return fail(Errc::os_failure, "backing an extent with memory", errno);
+  if (auto backed = populate(at, bytes); !backed) return backed;
+  // The pages stay where they are; the daemon's own view of them costs page tables.
+  ::madvise(at, bytes, MADV_DONTNEED);
   return {};
 }
 
-Result<void> Regions::renew(ClientIndex client, std::uint64_t offset, std::uint64_t extent_bytes,
-                            std::uint64_t backed_bytes) {
-  AGNOCAST_CRASH_POINT(B_clear);
-  // A hole reads as zero, whatever kind of endpoint was here, and the parts that are backed later
-  // are zero then.
-  if (::fallocate(of(client).region_writer->get(), FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE,
-                  static_cast<off_t>(offset), static_cast<off_t>(extent_bytes)) != 0)
-    return fail(Errc::os_failure, "clearing an extent", errno);
-  if (auto longer = lengthen(of(client).region_writer->get(), offset + extent_bytes); !longer)
-    return longer;
-  return back(client, offset, backed_bytes);
+bool Regions::is_clear(ClientIndex client, const Extent& extent) const noexcept {
+  const auto& cleared = of(client).cleared;
+  return cleared && cleared->extent == extent;
 }
 
-void Regions::discard(ClientIndex client, std::uint64_t offset,
-                      std::uint64_t extent_bytes) noexcept {
+void Regions::clear(ClientIndex client, std::uint32_t uid, const Extent& extent,
+                    std::function<void()> then) {
   const ClientMemory& memory = of(client);
-  if (!memory.region_writer) return;
-  ::fallocate(memory.region_writer->get(), FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE,
-              static_cast<off_t>(offset), static_cast<off_t>(extent_bytes));
+  const auto result = std::make_shared<Result<void>>(
+      fail(Errc::os_failure, "no descriptor to clear an extent with", EMFILE));
+  errands_->run(
+      Errands::Lane::clearing, uid,
+      [file = memory.region_writer, extent, result] {
+        use_in_own_table(copy_of(*file), [&](int fd) { *result = clear_file(fd, extent.offset, extent.bytes); });
+      },
+      [this, client, region = memory.file, extent, result, then = std::move(then)] {
+        ClientMemory& now = clients_[number(client)];
+        if (now.file == region) now.cleared = Cleared{extent, *result};
+        then();
+      });
+}
+
+Result<void> Regions::renew(ClientIndex client, const Extent& extent, std::uint64_t backed_bytes) {
+  ClientMemory& memory = clients_[number(client)];
+  const bool is_clear_now = is_clear(client, extent);
+  const auto cleared = std::exchange(memory.cleared, std::nullopt);
+  auto result = is_clear_now
+                    ? cleared->result
+                    : clear_file(memory.region_writer->get(), extent.offset, extent.bytes);
+  if (!result) return result;
+  return back(client, extent.offset, backed_bytes);
+}
+
+void Regions::discard(ClientIndex client, std::uint32_t uid, const Extent& extent) {
+  const SharedFd& file = of(client).region_writer;
+  if (!file) return;
+  if (errands_ == nullptr) return punch(file->get(), extent.offset, extent.bytes);
+  errands_->run(Errands::Lane::clearing, uid,
+                [file, extent] {
+                  use_in_own_table(copy_of(*file),
+                                   [&](int fd) { punch(fd, extent.offset, extent.bytes); });
+                });
 }
 
 Result<SharedFd> Regions::open_window(ClientIndex client, std::uint64_t base, uid_t owner) {

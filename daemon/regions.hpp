@@ -26,6 +26,7 @@
 #include <base/mapping.hpp>
 #include <daemon/closer.hpp>
 #include <daemon/descriptor_store.hpp>
+#include <daemon/errands.hpp>
 #include <daemon/registry.hpp>
 #include <daemon/shared_fd.hpp>
 
@@ -33,8 +34,10 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <memory>
+#include <optional>
 #include <vector>
 
 namespace agnocast::daemon {
@@ -73,18 +76,31 @@ class Regions {
   struct FileId {
     std::uint64_t device = 0;
     std::uint64_t inode = 0;
+    friend bool operator==(const FileId&, const FileId&) = default;
   };
   FileId region_file(ClientIndex client) const noexcept { return of(client).file; }
 
-  /// Backs [offset, offset + bytes) of the region with memory. Errors: os_failure (ENOSPC, ENOMEM).
+  /// Whoever may write to the file of a region may keep the kernel's lock of it for ever. With errands nothing
+  /// below waits for that: back() does not take the lock, clear() and discard() take it elsewhere. Without them
+  /// (tests) renew() and discard() take it in place.
+  void use(Errands& errands) noexcept { errands_ = &errands; }
+  /// Backs [offset, offset + bytes) of the region with memory. Errors: os_failure.
   [[nodiscard]] Result<void> back(ClientIndex client, std::uint64_t offset, std::uint64_t bytes);
-  /// An extent as if never used, all zero: [offset, offset + extent_bytes), of which the first
-  /// backed_bytes are backed. Errors: os_failure.
-  [[nodiscard]] Result<void> renew(ClientIndex client, std::uint64_t offset,
-                                   std::uint64_t extent_bytes, std::uint64_t backed_bytes);
+  /// A part of a region that one endpoint has.
+  struct Extent {
+    std::uint64_t offset = 0, bytes = 0;
+    friend bool operator==(const Extent&, const Extent&) = default;
+  };
+  /// Makes an extent as if never used, all zero, in an errand of this user; then calls `then`.
+  void clear(ClientIndex client, std::uint32_t uid, const Extent& extent, std::function<void()> then);
+  /// Whether clear() was the last that happened to it.
+  bool is_clear(ClientIndex client, const Extent& extent) const noexcept;
+  /// An extent as if never used, of which the first backed_bytes are backed. Errors: os_failure.
+  [[nodiscard]] Result<void> renew(ClientIndex client, const Extent& extent,
+                                   std::uint64_t backed_bytes);
 
-  /// An extent that nobody has any more: its memory goes back.
-  void discard(ClientIndex client, std::uint64_t offset, std::uint64_t extent_bytes) noexcept;
+  /// An extent of a process of this user that nobody has any more: its memory goes back.
+  void discard(ClientIndex client, std::uint32_t uid, const Extent& extent);
 
   /// A heap window for the addresses at `base`, in the store; keeps what readers need. Yields the
   /// writable descriptor, which is its owner's alone. Errors: os_failure.
@@ -115,6 +131,10 @@ class Regions {
   static std::uint64_t regions_max(std::uint64_t map_count_max) noexcept;
 
  private:
+  struct Cleared {
+    Extent extent;
+    Result<void> result;
+  };
   struct ClientMemory {
     SharedFd region_writer;
     SharedFd region_reader;
@@ -122,6 +142,7 @@ class Regions {
     FileId file;
     std::vector<SharedFd> window_readers;
     std::map<std::uint64_t, std::weak_ptr<SharedFd::element_type>> window_writers;  // on their way
+    std::optional<Cleared> cleared;
   };
 
   explicit Regions(DescriptorStore& store) : store_(&store), clients_(abi::client_count_max) {}
@@ -132,6 +153,7 @@ class Regions {
 
   DescriptorStore* store_;
   std::unique_ptr<Closer> closer_ = std::make_unique<Closer>();
+  Errands* errands_ = nullptr;
   UniqueFd board_fd_, journal_fd_;
   SharedFd board_reader_;
   Mapping board_, journal_;

@@ -185,6 +185,8 @@ class Registry {
   }
   /// Of its region: up to the end of the last extent.
   std::uint64_t used_bytes_of(ClientIndex index) const;
+  /// Of its region: where the next endpoint that needs so many bytes will lie. None: nowhere.
+  std::optional<std::uint64_t> lowest_extent(ClientIndex client, std::uint64_t bytes) const;
   /// Asked before every creation, so it is kept and not counted.
   Usage usage_of(std::uint32_t uid) const;
   /// Has a process of this user an endpoint there?
@@ -357,7 +359,6 @@ class Registry {
   std::uint64_t repair_subscription(TopicIndex topic, std::uint32_t index);
   void note_generation(std::uint64_t generation) noexcept;
   std::uint64_t next_generation() const noexcept { return tables_.header.last_generation + 1; }
-  std::optional<std::uint64_t> lowest_extent(ClientIndex client, std::uint64_t bytes) const;
   std::uint64_t slots_needed(TopicIndex topic, const PublisherRecord& publisher,
                              const SubscriptionRecord* joining) const;
   std::uint32_t uid_of(ClientIndex index) const noexcept { return client(index).uid; }

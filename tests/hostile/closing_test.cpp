@@ -19,12 +19,17 @@
 #include <sys/prctl.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
+#include <sys/syscall.h>
 #include <sys/wait.h>
 
 #include <array>
 #include <chrono>
 #include <csignal>
 #include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <optional>
 #include <thread>
 
 namespace agnocast::test {
@@ -142,6 +147,17 @@ void honest_goes_on_beside(Stage& stage, const std::function<void(Attack&)>& bod
   EXPECT_LT(most, before + 4'096);
   EXPECT_TRUE(eventually([&] { return stage.daemon().descriptor_count() <= before; }))
       << stage.daemon().descriptor_count() << " descriptors, before the attack " << before;
+}
+
+/// Whether a thread of it is in a wait that no signal ends.
+bool is_waiting_in_kernel(pid_t process) {
+  for (const auto& task : std::filesystem::directory_iterator("/proc/" + std::to_string(process) + "/task")) {
+    std::ifstream file(task.path() / "stat");
+    const std::string stat((std::istreambuf_iterator<char>(file)), {});
+    const std::size_t end_of_name = stat.rfind(')');
+    if (end_of_name != std::string::npos && stat.substr(end_of_name, 3) == ") D") return true;
+  }
+  return false;
 }
 
 class HostileClosing : public testing::TestWithParam<bool> {};
@@ -341,6 +357,116 @@ TEST(HostileLooking, ALookAtAProcessThatDoesNotEndHoldsUpNobody) {
   EXPECT_EQ(another->ask(std::string("watch ") + open_topic), "ok") << "the next one is welcomed";
   process.end();
   attacker.end();
+}
+
+// A write keeps the kernel's lock of its file while it waits for the page that it copies from.
+class LockedFile {
+ public:
+  LockedFile() : directory_(make_directory()), page_(directory_ + "/page") {
+    UniqueFd(::open(page_.c_str(), O_CREAT | O_WRONLY | O_CLOEXEC, 0666));
+    silent_.emplace(page_, S_IFREG, false, abi::page_bytes);
+  }
+  ~LockedFile() {
+    silent_->end();
+    remove_directory(directory_);
+  }
+  LockedFile(const LockedFile&) = delete;
+  LockedFile& operator=(const LockedFile&) = delete;
+
+  bool made() const { return silent_->made(); }
+  bool is_kept() const { return silent_->unanswered() > 0; }
+  /// In the attacker: by a process that is no member, and goes on when the member has died.
+  pid_t keep(int file) const {
+    const pid_t keeper = ::fork();
+    if (keeper != 0) return keeper;
+    // Nothing else of the test may outlive it here, above all not the server's end of the file system.
+    ::dup2(file, 3);
+    ::dup2(::open(page_.c_str(), O_RDONLY | O_CLOEXEC), 4);
+    ::syscall(SYS_close_range, 5U, ~0U, 0U);
+    struct stat size {};
+    static_cast<void>(::fstat(4, &size));  // the kernel asks the server
+    void* const from = ::mmap(nullptr, abi::page_bytes, PROT_READ, MAP_SHARED, 4, 0);
+    static_cast<void>(!::pwrite(3, from, abi::page_bytes, 0));
+    ::_exit(0);
+  }
+  /// Body of an attacker. While its region is locked one endpoint goes, and its memory with it, one comes,
+  /// and one stays, which may need more memory.
+  void attack(Attack& attack, const std::string& path, const char* known_type) const {
+    HostileNode node(path);
+    const auto leaving = node.join(wire::Kind::publisher, "/leaving");
+    EXPECT_EQ(node.wire().ask(Opcode::create_publisher, node.body_like(known_type, "/locked", {})).opcode(),
+              Opcode::endpoint_created);
+    attack.word(0) = static_cast<std::uint64_t>(keep(node.region_fd()));
+    EXPECT_TRUE(eventually([&] { return attack.word(1) != 0; }));
+    EXPECT_EQ(node.wire().reference(Opcode::leave, wire::Kind::publisher, leaving.topic, leaving.index,
+                                    leaving.generation).opcode(),
+              Opcode::done);
+    node.wire().send(Opcode::create_publisher, WireClient::endpoint("/waits", {}));
+    attack.ready();
+    while (attack.goes_on()) ::usleep(1'000);
+  }
+
+ private:
+  std::string directory_, page_;
+  std::optional<SilentFuse> silent_;
+};
+
+TEST(HostileLocking, AFileThatItsProcessKeepsLockedHoldsUpNobody) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage;
+  LockedFile file;
+  if (!file.made()) GTEST_SKIP() << "no FUSE here";
+  Attacker attacker([&](Attack& attack) { file.attack(attack, stage.socket_path(), open_topic); });
+  EXPECT_TRUE(eventually([&] { return file.is_kept(); }));
+  attacker.set_word(1, 1);
+  if (!attacker.wait_until_ready()) return;
+  const auto others_go_on = [&] {
+    stage.honest_goes_on();
+    stage.honest_is_served();
+    // They read more than the hostile publishers have had to keep before.
+    const auto another = stage.another_honest_process();
+    EXPECT_EQ(another->ask(std::string("watch ") + open_topic), "ok");
+    EXPECT_EQ(another->ask("watch /locked"), "ok");
+    EXPECT_EQ(another->ask("create /locked"), "ok");
+  };
+  others_go_on();
+  // Nor is the next daemon, which makes the memory of everybody present that it finds.
+  const pid_t killed = stage.daemon().kill_worker();
+  EXPECT_TRUE(stage.daemon().wait_for_next(killed)) << stage.daemon().log();
+  others_go_on();
+  const auto keeper = static_cast<pid_t>(attacker.word(0));
+  const std::uint64_t died = stage.counters().clients_died;
+  attacker.kill();
+  EXPECT_TRUE(eventually([&] { return stage.counters().clients_died > died; })) << "its death is noticed";
+  others_go_on();
+  ::kill(keeper, SIGKILL);
+}
+
+TEST(HostileLocking, ADaemonThatDiesBesideALockedFileKeepsNothingOpen) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  DaemonProcess daemon({.config = "[daemon]\nsocket_mode = \"0666\"\n"
+                                  "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"4GiB\"\n" AGNOCAST_TEST_ARENA_BASE,
+                        .arguments = {"--fd-store=none"}});
+  LockedFile file;
+  if (!file.made()) GTEST_SKIP() << "no FUSE here";
+  WireClient client(daemon.socket_path());
+  EXPECT_EQ(client.hello().opcode(), Opcode::welcome);
+  Attacker attacker([&](Attack& attack) { file.attack(attack, daemon.socket_path(), "/locked"); });
+  EXPECT_TRUE(eventually([&] { return file.is_kept(); }));
+  attacker.set_word(1, 1);
+  if (!attacker.wait_until_ready()) return;
+  const UniqueFd lock(::open((daemon.socket_path() + ".lock").c_str(), O_RDONLY | O_CLOEXEC));
+  ASSERT_TRUE(lock);
+  EXPECT_TRUE(eventually([&] { return is_waiting_in_kernel(daemon.pid()); })) << "nobody waits for the lock";
+  ::kill(daemon.pid(), SIGKILL);
+  EXPECT_TRUE(eventually([&] { return ::flock(lock.get(), LOCK_EX | LOCK_NB) == 0; }));
+  EXPECT_TRUE(eventually([&] {
+    pollfd end{client.socket().fd(), 0, 0};
+    return ::poll(&end, 1, 0) == 1 && (end.revents & POLLHUP) != 0;
+  }));
+  EXPECT_TRUE(file.is_kept());
+  ::kill(static_cast<pid_t>(attacker.word(0)), SIGKILL);
+  attacker.kill();
 }
 
 INSTANTIATE_TEST_SUITE_P(Kernels, HostileClosing, testing::Bool(),

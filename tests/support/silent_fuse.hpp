@@ -5,7 +5,8 @@
 // The whole file system is its root: a file that can be opened, and whose close waits for ever for the answer
 // to FUSE_FLUSH; or a directory in which every look for a name waits for ever. Not even SIGKILL ends the
 // first. A file system that keeps what is written goes further: whoever closes the last descriptor of a file
-// waits for the answer to FUSE_WRITE, also where nobody ever had a number for it. Needs root and /dev/fuse; see
+// waits for the answer to FUSE_WRITE, also where nobody ever had a number for it. Whoever reads one of `bytes` bytes
+// waits as well. Needs root and /dev/fuse; see
 // made().
 #pragma once
 
@@ -34,10 +35,11 @@ namespace agnocast::test {
 class SilentFuse {
  public:
   /// Over what is at `path`: S_IFREG over a file, S_IFDIR over a directory.
-  SilentFuse(std::string path, mode_t kind, bool keeps_writes = false)
+  SilentFuse(std::string path, mode_t kind, bool keeps_writes = false, std::uint64_t bytes = 0)
       : path_(std::move(path)),
         kind_(kind),
         keeps_writes_(keeps_writes),
+        bytes_(bytes),
         device_(::open("/dev/fuse", O_RDWR | O_CLOEXEC)) {
     if (!device_) return;
     std::array<char, 128> options{};
@@ -99,6 +101,7 @@ class SilentFuse {
         out.attr.ino = FUSE_ROOT_ID;
         out.attr.mode = kind_ | 0777;
         out.attr.nlink = 1;
+        out.attr.size = bytes_;
         answer(header.unique, out);
       } else if (header.opcode == FUSE_OPEN) {
         fuse_open_out out{};
@@ -117,6 +120,7 @@ class SilentFuse {
   std::string path_;
   mode_t kind_;
   bool keeps_writes_;
+  std::uint64_t bytes_;
   UniqueFd device_;
   bool made_ = false;
   std::atomic<bool> stops_ = false;
