@@ -381,11 +381,11 @@ class LockedFile {
     if (keeper != 0) return keeper;
     // Nothing else of the test may outlive it here, above all not the server's end of the file system.
     ::dup2(file, 3);
-    ::dup2(::open(page_.c_str(), O_RDONLY | O_CLOEXEC), 4);
-    ::syscall(SYS_close_range, 5U, ~0U, 0U);
+    ::syscall(SYS_close_range, 4U, ~0U, 0U);
+    const int source = ::open(page_.c_str(), O_RDONLY | O_CLOEXEC);
     struct stat size {};
-    static_cast<void>(::fstat(4, &size));  // the kernel asks the server
-    void* const from = ::mmap(nullptr, abi::page_bytes, PROT_READ, MAP_SHARED, 4, 0);
+    static_cast<void>(::fstat(source, &size));  // the kernel asks the server
+    void* const from = ::mmap(nullptr, abi::page_bytes, PROT_READ, MAP_SHARED, source, 0);
     static_cast<void>(!::pwrite(3, from, abi::page_bytes, 0));
     ::_exit(0);
   }
