@@ -202,9 +202,20 @@ void close_by_ending_thread(std::span<UniqueFd> fds) noexcept {
   for (UniqueFd& fd : fds) fd.reset();  // what could not be taken over
 }
 
-void use_in_own_table(UniqueFd fd, const std::function<void(int)>& work) noexcept {
-  if (fd) hand_over({&fd, 1}, &work);
-  if (fd) work(fd.get());
+void use_in_own_table(int fd, const std::function<void(int)>& work) noexcept {
+  bool is_done = false;
+  try {
+    const SignalsBlocked blocked;
+    std::thread([&] {
+      const int process = leave_table();
+      const auto own = process < 0 ? -1 : static_cast<int>(::syscall(SYS_pidfd_getfd, process, fd, 0U));
+      if (own < 0) return;
+      work(own);
+      is_done = true;
+    }).join();
+  } catch (const std::exception&) {  // no thread left, or no memory for one
+  }
+  if (!is_done) work(fd);
 }
 
 void close_received(std::span<UniqueFd> fds) noexcept {

@@ -44,9 +44,9 @@ void close_by_ending_thread(std::span<UniqueFd> fds) noexcept;
 void close_received(std::span<UniqueFd> fds) noexcept;
 
 /// Uses a file that somebody else may write to, and so keep locked: calls `work` with a number of it in a thread
-/// that has nothing else open, and waits for that, which may be for ever. Where such threads are forbidden or there
-/// is none left, it calls `work` here.
-void use_in_own_table(UniqueFd fd, const std::function<void(int)>& work) noexcept;
+/// that has nothing else open, and waits for that, which may be for ever. Takes no number of the caller's. Where
+/// such threads are forbidden or there is none left, it calls `work` here.
+void use_in_own_table(int fd, const std::function<void(int)>& work) noexcept;
 
 /// One packet, and of all that came with it the memory that was wanted.
 struct ReceivedMemory {

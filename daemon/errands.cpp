@@ -53,6 +53,8 @@ struct Errands::State {
 
   static void work(const std::shared_ptr<State>& state);
   void start_thread(const std::shared_ptr<State>& self);
+  bool begin_thread(const std::shared_ptr<State>& self);
+  void add(const std::shared_ptr<State>& self, const Key& key, Errand errand);
 };
 
 void Errands::State::work(const std::shared_ptr<State>& state) {
@@ -91,13 +93,31 @@ void Errands::State::work(const std::shared_ptr<State>& state) {
 
 void Errands::State::start_thread(const std::shared_ptr<State>& self) {
   if (idle_count >= ready.size() || thread_count >= thread_count_max) return;
+  // Otherwise those that are there go on with it; without any, the next errand or answer() tries again.
+  static_cast<void>(begin_thread(self));
+}
+
+bool Errands::State::begin_thread(const std::shared_ptr<State>& self) {
   const SignalsBlocked blocked;  // they are the first thread's business
   try {
     std::thread([self] { work(self); }).detach();
     ++thread_count;
+    return true;
   } catch (const std::system_error&) {
-    // Those that are there go on with it; without any, the next errand or answer() tries again.
+    return false;
   }
+}
+
+void Errands::State::add(const std::shared_ptr<State>& self, const Key& key, Errand errand) {
+  // For its thread, which may have no memory.
+  answers.reserve(answers.size() + errand_count + 1);
+  std::list<Key> place{key};
+  Queue& queue = queues[key];
+  queue.errands.push_back(std::move(errand));
+  ++errand_count;
+  if (queue.errands.size() == 1) ready.splice(ready.end(), place);
+  start_thread(self);
+  changed.notify_one();
 }
 
 Result<std::unique_ptr<Errands>> Errands::create(Dispatcher& dispatcher) {
@@ -123,16 +143,15 @@ Errands::~Errands() {
 void Errands::run(Lane lane, std::uint32_t uid, std::function<void()> errand,
                   std::function<void()> then) {
   const std::lock_guard lock(state_->mutex);
-  const State::Key key{uid, lane};
-  // For its thread, which may have no memory.
-  state_->answers.reserve(state_->answers.size() + state_->errand_count + 1);
-  std::list<State::Key> place{key};
-  State::Queue& queue = state_->queues[key];
-  queue.errands.push_back({std::move(errand), std::move(then)});
-  ++state_->errand_count;
-  if (queue.errands.size() == 1) state_->ready.splice(state_->ready.end(), place);
-  state_->start_thread(state_);
-  state_->changed.notify_one();
+  state_->add(state_, {uid, lane}, {std::move(errand), std::move(then)});
+}
+
+bool Errands::try_run(Lane lane, std::uint32_t uid, std::function<void()> errand,
+                      std::function<void()> then) {
+  const std::lock_guard lock(state_->mutex);
+  if (state_->thread_count == 0 && !state_->begin_thread(state_)) return false;
+  state_->add(state_, {uid, lane}, {std::move(errand), std::move(then)});
+  return true;
 }
 
 std::size_t Errands::waiting(Lane lane, std::uint32_t uid) const {

@@ -42,6 +42,10 @@ class Errands {
   /// Makes the call in another thread, then `then` (if there is one) in the loop. Neither may throw.
   void run(Lane lane, std::uint32_t uid, std::function<void()> errand,
            std::function<void()> then = {});
+  /// The same for what can be refused: false, and nothing was handed in, when there is no thread and none can be
+  /// had.
+  [[nodiscard]] bool try_run(Lane lane, std::uint32_t uid, std::function<void()> errand,
+                             std::function<void()> then);
   /// Errands of this lane and user that have not ended.
   std::size_t waiting(Lane lane, std::uint32_t uid) const;
 

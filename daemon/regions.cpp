@@ -18,6 +18,7 @@
 #include <cerrno>
 #include <charconv>
 #include <memory>
+#include <new>
 #include <string>
 #include <utility>
 
@@ -73,10 +74,6 @@ Result<void> clear_file(int fd, std::uint64_t offset, std::uint64_t bytes) noexc
   AGNOCAST_CRASH_POINT(B_clear);
   punch(fd, offset, bytes);
   return lengthen(fd, offset + bytes);
-}
-
-UniqueFd copy_of(const UniqueFd& fd) noexcept {
-  return UniqueFd(::fcntl(fd.get(), F_DUPFD_CLOEXEC, 0));
 }
 
 std::uint64_t memory_of(int fd) noexcept {
@@ -229,18 +226,20 @@ bool Regions::is_clear(ClientIndex client, const Extent& extent) const noexcept 
 void Regions::clear(ClientIndex client, std::uint32_t uid, const Extent& extent,
                     std::function<void()> then) {
   const ClientMemory& memory = of(client);
-  const auto result = std::make_shared<Result<void>>(
-      fail(Errc::os_failure, "no descriptor to clear an extent with", EMFILE));
-  errands_->run(
+  const auto result = std::make_shared<Result<void>>();
+  const bool runs = errands_->try_run(
       Errands::Lane::clearing, uid,
       [file = memory.region_writer, extent, result] {
-        use_in_own_table(copy_of(*file), [&](int fd) { *result = clear_file(fd, extent.offset, extent.bytes); });
+        use_in_own_table(file->get(), [&](int fd) {
+          *result = clear_file(fd, extent.offset, extent.bytes);
+        });
       },
       [this, client, region = memory.file, extent, result, then = std::move(then)] {
         ClientMemory& now = clients_[number(client)];
         if (now.file == region) now.cleared = Cleared{extent, *result};
         then();
       });
+  if (!runs) throw std::bad_alloc();
 }
 
 Result<void> Regions::renew(ClientIndex client, const Extent& extent, std::uint64_t backed_bytes) {
@@ -260,7 +259,7 @@ void Regions::discard(ClientIndex client, std::uint32_t uid, const Extent& exten
   if (errands_ == nullptr) return punch(file->get(), extent.offset, extent.bytes);
   errands_->run(Errands::Lane::clearing, uid,
                 [file, extent] {
-                  use_in_own_table(copy_of(*file),
+                  use_in_own_table(file->get(),
                                    [&](int fd) { punch(fd, extent.offset, extent.bytes); });
                 });
 }

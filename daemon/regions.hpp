@@ -91,7 +91,8 @@ class Regions {
     std::uint64_t offset = 0, bytes = 0;
     friend bool operator==(const Extent&, const Extent&) = default;
   };
-  /// Makes an extent as if never used, all zero, in an errand of this user; then calls `then`.
+  /// Makes an extent as if never used, all zero, in an errand of this user; then calls `then`. Throws
+  /// std::bad_alloc when there is no thread for it.
   void clear(ClientIndex client, std::uint32_t uid, const Extent& extent, std::function<void()> then);
   /// Whether clear() was the last that happened to it.
   bool is_clear(ClientIndex client, const Extent& extent) const noexcept;
