@@ -210,11 +210,15 @@ Result<void> Regions::adopt_client(ClientIndex client, std::uint64_t window_coun
 }
 
 Result<void> Regions::back(ClientIndex client, std::uint64_t offset, std::uint64_t bytes) {
-  std::byte* const at = of(client).region.base() + offset;
+  ClientMemory& memory = clients_[number(client)];
+  std::uint64_t& before = memory.backed_bytes[offset];
+  if (before >= bytes) return {};
+  std::byte* const at = memory.region.base() + offset;
   AGNOCAST_CRASH_POINT(B_back);
   if (auto backed = populate(at, bytes); !backed) return backed;
   // The pages stay where they are; the daemon's own view of them costs page tables.
   ::madvise(at, bytes, MADV_DONTNEED);
+  before = bytes;
   return {};
 }
 
@@ -250,11 +254,14 @@ Result<void> Regions::renew(ClientIndex client, const Extent& extent, std::uint6
                     ? cleared->result
                     : clear_file(memory.region_writer->get(), extent.offset, extent.bytes);
   if (!result) return result;
+  memory.backed_bytes.erase(extent.offset);
   return back(client, extent.offset, backed_bytes);
 }
 
 void Regions::discard(ClientIndex client, std::uint32_t uid, const Extent& extent) {
-  const SharedFd& file = of(client).region_writer;
+  ClientMemory& memory = clients_[number(client)];
+  memory.backed_bytes.erase(extent.offset);
+  const SharedFd& file = memory.region_writer;
   if (!file) return;
   if (errands_ == nullptr) return punch(file->get(), extent.offset, extent.bytes);
   errands_->run(Errands::Lane::clearing, uid,

@@ -38,6 +38,7 @@
 #include <map>
 #include <memory>
 #include <optional>
+#include <unordered_map>
 #include <vector>
 
 namespace agnocast::daemon {
@@ -84,7 +85,8 @@ class Regions {
   /// below waits for that: back() does not take the lock, clear() and discard() take it elsewhere. Without them
   /// (tests) renew() and discard() take it in place.
   void use(Errands& errands) noexcept { errands_ = &errands; }
-  /// Backs [offset, offset + bytes) of the region with memory. Errors: os_failure.
+  /// Backs the first `bytes` of the extent at `offset` with memory; free where that was done before. Errors:
+  /// os_failure.
   [[nodiscard]] Result<void> back(ClientIndex client, std::uint64_t offset, std::uint64_t bytes);
   /// A part of a region that one endpoint has.
   struct Extent {
@@ -144,6 +146,7 @@ class Regions {
     std::vector<SharedFd> window_readers;
     std::map<std::uint64_t, std::weak_ptr<SharedFd::element_type>> window_writers;  // on their way
     std::optional<Cleared> cleared;
+    std::unordered_map<std::uint64_t, std::uint64_t> backed_bytes;  // by the offset of the extent
   };
 
   explicit Regions(DescriptorStore& store) : store_(&store), clients_(abi::client_count_max) {}
