@@ -27,10 +27,39 @@ nlohmann::json json_of(const ProcessUse& use) {
           {"resident_bytes", use.resident_bytes}};
 }
 
-std::string test_name() {
-  const auto* const info = testing::UnitTest::GetInstance()->current_test_info();
-  return info == nullptr ? "" : std::string(info->test_suite_name()) + "." + info->name();
+std::string name_of(const testing::TestInfo& test) {
+  return std::string(test.test_suite_name()) + "." + test.name();
 }
+
+const char* table_path() { return std::getenv("AGNOCAST_ATTACK_TABLE"); }
+
+// One write of one line: tests that run side by side append to the same file.
+void append(const nlohmann::json& row) {
+  const std::string line = row.dump() + "\n";
+  const int file = ::open(table_path(), O_WRONLY | O_APPEND | O_CREAT | O_CLOEXEC, 0644);
+  EXPECT_EQ(::write(file, line.data(), line.size()), static_cast<ssize_t>(line.size())) << table_path();
+  ::close(file);
+}
+
+bool has_row = false;  // the test that is running
+
+class RowsWithoutFigures : public testing::EmptyTestEventListener {
+  void OnTestStart(const testing::TestInfo&) override { has_row = false; }
+  void OnTestEnd(const testing::TestInfo& test) override {
+    if (table_path() == nullptr || has_row) return;
+    const testing::TestResult& result = *test.result();
+    nlohmann::json row{{"test", name_of(test)},
+                       {"survived", result.Passed()},
+                       {"seconds", static_cast<double>(result.elapsed_time()) / 1e3}};
+    if (result.Skipped()) row["skipped"] = result.GetTestPartResult(result.total_part_count() - 1).message();
+    append(row);
+  }
+};
+
+[[maybe_unused]] const bool listens = [] {
+  testing::UnitTest::GetInstance()->listeners().Append(new RowsWithoutFigures);
+  return true;
+}();
 
 }  // namespace
 
@@ -66,12 +95,12 @@ AttackRow::AttackRow(pid_t daemon)
       begin_ns_(static_cast<std::int64_t>(monotonic_ns())) {}
 
 void AttackRow::write(pid_t daemon, const Victim& victim) {
-  const char* const path = std::getenv("AGNOCAST_ATTACK_TABLE");
-  if (path == nullptr || std::exchange(written_, true)) return;
+  const auto* const test = testing::UnitTest::GetInstance()->current_test_info();
+  if (table_path() == nullptr || test == nullptr || std::exchange(written_, true)) return;
   const ProcessUse after = use_of(daemon);
   const std::uint64_t cpu_before = daemon == before_pid_ ? before_.cpu_ns : 0;
   const nlohmann::json row{
-      {"test", test_name()},
+      {"test", name_of(*test)},
       {"survived", !testing::Test::HasFailure()},
       {"seconds", static_cast<double>(monotonic_ns() - static_cast<std::uint64_t>(begin_ns_)) / 1e9},
       {"victim",
@@ -83,11 +112,8 @@ void AttackRow::write(pid_t daemon, const Victim& victim) {
        {{"before", json_of(before_)},
         {"after", json_of(after)},
         {"cpu_seconds", static_cast<double>(after.cpu_ns - cpu_before) / 1e9}}}};
-  // One write of one line: tests that run side by side append to the same file.
-  const std::string line = row.dump() + "\n";
-  const int file = ::open(path, O_WRONLY | O_APPEND | O_CREAT | O_CLOEXEC, 0644);
-  EXPECT_EQ(::write(file, line.data(), line.size()), static_cast<ssize_t>(line.size())) << path;
-  ::close(file);
+  append(row);
+  has_row = true;
 }
 
 }  // namespace agnocast::test

@@ -4,11 +4,8 @@
 // scripts/attack-table prints.
 //
 // A Stage writes a row for its test by itself: figures of the daemon before the attack and after the
-// attackers have gone, and what the honest pair saw. A test without a Stage makes a row of its own:
-//
-//   AttackRow row(daemon.pid());   the daemon as it is before
-//   …
-//   row.write(daemon.pid(), {.messages = 1000, .largest_gap_ms = 12});
+// attackers have gone, and what the honest pair saw. A test of a program with this file that writes none gets one
+// at its end without figures, and a test that was skipped one that says why.
 //
 // Rows are appended, a line of JSON each, to the file that AGNOCAST_ATTACK_TABLE names; without it nothing
 // is written. The figures are for people: no test judges by them, for they depend on the machine.

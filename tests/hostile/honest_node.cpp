@@ -17,7 +17,8 @@
 //     collisions        → of how many collisions of addresses its publisher was told
 //     matched           → how many there are at the other end of what it has
 //     forget-gap        → ok      the largest gap between two messages is counted anew
-//     state             → published refused received wrong lost watched low high watch_lost gap
+//     state             → published refused received wrong lost watched low high watch_lost gap refusal
+//                         gap: the largest between two messages, received or published
 //     stop              → ok      publishes no more
 
 #include <base/clock.hpp>
@@ -87,7 +88,7 @@ class HonestNode {
         auto message = publisher_->borrow_loaned_message();
         fill(*message, number);
         const PublishResult result = publisher_->publish(std::move(message));
-        if (result) published_.store(number);
+        if (result) published_.store(number), note_gap();
         // One at a time is begun, so one may be copied for each time that the heap is asked to move.
         if (result && result.adopted_bytes != 0) ++copied;
         const auto moves = publisher_->get_heap_collision_status().total_count;
@@ -110,6 +111,7 @@ class HonestNode {
         message->data.resize(Bulk::bytes);
         if (const PublishResult result = bulk_->publish(std::move(message)); result) {
           ++published_;
+          note_gap();
         } else {
           ++refused_;
           refusal_.store(sentence_of(result.code));

@@ -211,6 +211,7 @@ TEST(HostileRetention, APublisherThatComesLaterHasItsSlots) {
   EXPECT_EQ(::kill(stage.daemon().pid(), SIGCONT), 0);
   EXPECT_EQ(refused, 0u);
   EXPECT_GE(published, last);
+  stage.victim_was(*late);
   EXPECT_EQ(late->ask("stop"), "ok");
   attacker.kill();
 }

@@ -134,7 +134,18 @@ void Stage::honest_lost_nothing() {
               static_cast<unsigned long long>(end.received),
               static_cast<unsigned long long>(end.lost),
               static_cast<unsigned long long>(end.refused), gap_ms);
-  row_->write(daemon_.pid(), {end.received, end.lost, end.refused, gap_ms});
+  row_->write(daemon_.pid(),
+              victim_.value_or(AttackRow::Victim{end.received, end.lost, end.refused, gap_ms}));
+}
+
+void Stage::victim_was(SteeredProcess& publisher) {
+  std::istringstream state(publisher.ask("state"));
+  std::uint64_t published = 0, refused = 0, ignored = 0, gap_ns = 0;
+  state >> published >> refused;
+  for (int i = 0; i < 7; ++i) state >> ignored;
+  state >> gap_ns;
+  EXPECT_FALSE(state.fail()) << "the victim does not answer: " << state.str();
+  victim_ = AttackRow::Victim{published, 0, refused, static_cast<double>(gap_ns) / 1e6};
 }
 
 void Attack::ready() { EXPECT_EQ(::write(ready_, "", 1), 1); }

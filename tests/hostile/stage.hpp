@@ -72,6 +72,9 @@ class Stage {
   void honest_is_served();
   /// Ends the stream; every message of it has arrived, once, in order, whole. The daemon runs.
   void honest_lost_nothing();
+  /// The attack was on this publisher, and not on the pair: the row of the table is about it, as it is now. The test
+  /// judges it.
+  void victim_was(SteeredProcess& publisher);
 
   struct State {
     std::uint64_t published = 0, refused = 0, received = 0, wrong = 0, lost = 0;
@@ -88,6 +91,7 @@ class Stage {
   DaemonProcess daemon_;
   std::unique_ptr<SteeredProcess> subscriber_, publisher_;
   std::unique_ptr<AttackRow> row_;
+  std::optional<AttackRow::Victim> victim_;
   std::uint64_t served_ = 0;
   bool judged_ = false;
 };
