@@ -8,6 +8,7 @@
 
 #include <tests/recovery/stage.hpp>
 
+#include <algorithm>
 #include <cstdio>
 #include <ostream>
 #include <string>
@@ -15,8 +16,9 @@
 namespace agnocast::sweep {
 namespace {
 
-// Commands. Publisher (child): p publish · g grow, then publish · x pass · a attach · d detach.
-// Subscriber and daemon (parent): j subscribe and link · t take · r release · z sleep · w wake · l
+// Commands. Publisher (child): p publish · g grow, then publish · x pass · a attach · d detach ·
+// e withdraw · i disregard · s serve again.
+// Subscriber and daemon (parent): j subscribe and link · t take · T take, and there is one · 0 take, and there is none · r release · z sleep · w wake · l
 // leave · u unlink, subscription over.
 struct Script {
   const char* name;
@@ -44,6 +46,13 @@ const Script scripts[] = {
      {{2, false, true, true, false}, {2, false, true, true, false}},
      "jappptrptrptrtrtrx"},
     {"lazy passes", {keep_last(1), keep_last(4), 2}, "japppptrtrpptrppptrtrx"},
+    {"withdrawn while it holds, then served again",
+     {keep_last(1), keep_last(3)},
+     "japppttepp0pprrxspTrpTrx"},
+    {"withdrawn asleep and unread, leaves", {keep_last(2), keep_last(2)}, "jappzepw0ludpjapTrx"},
+    {"withdrawn before it is mapped, disregarded, served again",
+     {keep_last(2), keep_last(2)},
+     "pjppeppippaspTrpTrx"},
     {"nobody there", {keep_last(2, true), keep_last(1)}, "pppppx"},
     {"member seen but not mapped yet", {keep_last(1), keep_last(2)}, "ppjpppaptrx"},
 };
@@ -76,6 +85,13 @@ bool run(const Script& script, std::uint64_t n, Totals& totals) {
         case 'd':
           publisher.detach(generation);
           return '+';
+        case 'e':  // it may not have been attached yet
+          return publisher.withdraw(std::max(generation, std::uint64_t{1})) ? '+' : '-';
+        case 'i':
+          publisher.disregard(std::max(generation, std::uint64_t{1}));
+          return '+';
+        case 's':
+          return publisher.serve_again(generation) ? '+' : '-';
         default:
           return '?';
       }
@@ -84,6 +100,7 @@ bool run(const Script& script, std::uint64_t n, Totals& totals) {
 
   auto subscriber = std::optional<SubscriberSide>(std::in_place, stage);
   std::uint64_t generation = 0, committed = 0, last = 0;
+  std::uint64_t served_from = 0;  // what came before was for others
   bool linked = false, leaving = false, in_flight = false, alive = true;
   const auto take = [&] {
     std::uint64_t number = 0;
@@ -102,7 +119,8 @@ bool run(const Script& script, std::uint64_t n, Totals& totals) {
     last = number;
     const std::uint64_t head =
         abi::sequence_of(stage.words().head().load(std::memory_order_acquire));
-    for (std::uint64_t q = before; q < before + (subscriber->lost() - lost); ++q) {
+    const std::uint64_t next = before + (subscriber->lost() - lost);
+    for (std::uint64_t q = std::max(before, served_from); q < next; ++q) {
       EXPECT_GE(head, q + script.setup.requested.depth)
           << "a message was lost with fewer than D newer ones";
     }
@@ -115,11 +133,20 @@ bool run(const Script& script, std::uint64_t n, Totals& totals) {
       case 'g':
       case 'x':
       case 'a':
-      case 'd': {
+      case 'd':
+      case 'e':
+      case 'i':
+      case 's': {
         const auto answer = child.command(*at);
         alive = answer.has_value();
         in_flight = !alive && (*at == 'p' || *at == 'g');
         if (alive && (*at == 'p' || *at == 'g') && *answer == '+') ++committed;
+        if (*at == 'e' || *at == 's') {
+          if (alive) {
+            EXPECT_EQ(*answer, '+') << *at;
+          }
+          served_from = abi::sequence_of(stage.words().head().load(std::memory_order_acquire)) + 1;
+        }
         break;
       }
       case 'j':
@@ -133,6 +160,12 @@ bool run(const Script& script, std::uint64_t n, Totals& totals) {
         break;
       case 't':
         take();
+        break;
+      case 'T':
+        EXPECT_TRUE(take());
+        break;
+      case '0':
+        EXPECT_FALSE(take());
         break;
       case 'r':
         EXPECT_TRUE(subscriber->release()) << "a held message changed";

@@ -192,6 +192,20 @@ class PublisherSide {
     core_.detach(0, generation);
     pass();
   }
+  /// Nothing more for the subscription; its holds no longer count; it is served as before.
+  bool withdraw(std::uint64_t generation) {
+    const bool withdrawn = core_.withdraw(0, generation, abi::Withdrawal::over_share);
+    pass();
+    return withdrawn;
+  }
+  void disregard(std::uint64_t generation) {
+    core_.disregard(0, generation);
+    pass();
+  }
+  bool serve_again(std::uint64_t generation) {
+    Environment environment{*this};
+    return core_.serve_again(0, generation, environment);
+  }
   std::uint64_t allocated_count() const { return core_.allocated_count(); }
   std::uint64_t rings() const { return rings_; }
 
