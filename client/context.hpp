@@ -267,6 +267,7 @@ class Context {
   void ask_for_window();
   bool add_window(Incoming& answer) noexcept;
   std::shared_ptr<Peer> use(KnownPeer& known);
+  PeerOwner owner_of(const abi::wire::Announcement& announcement) const noexcept;
   std::shared_ptr<Peer> peer_of(const abi::wire::Announcement& announcement,
                                 std::span<UniqueFd> fds, std::size_t& used);
   void say_unlinked(abi::wire::Kind kind, std::uint32_t topic, std::uint64_t index,

@@ -245,6 +245,11 @@ std::shared_ptr<Peer> Context::use(KnownPeer& known) {
           }};
 }
 
+PeerOwner Context::owner_of(const wire::Announcement& announcement) const noexcept {
+  return {announcement.uid, announcement.same_user != 0 ||
+                                is_self(announcement.client, announcement.client_generation)};
+}
+
 std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
                                        std::span<UniqueFd> fds, std::size_t& used) {
   used = 1 + announcement.window_count;
@@ -263,9 +268,8 @@ std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
       Result<SparseRegion> region =
           SparseRegion::make(UniqueFd(), std::uint64_t{1} << 30, Mapping::Access::read);
       if (!region || !region->open(0, abi::page_bytes, fds[0].get())) return nullptr;
-      const DescriptorShare::Owner owner{announcement.uid, announcement.same_user != 0};
       known.peer = std::make_unique<Peer>(announcement.client, announcement.client_generation,
-                                          owner, std::move(*region));
+                                          owner_of(announcement), std::move(*region));
     }
     found = peers_.emplace(key, std::move(known)).first;
   }
@@ -341,6 +345,7 @@ void Context::on_announce(Incoming& packet) {
   const auto fds = packet.packet.fds();
   std::shared_ptr<Peer> peer = peer_of(announcement, fds, used);
   const EndpointKey own{announcement.topic, announcement.own_index};
+  const PeerOwner owner = owner_of(announcement);
   bool linked = false;
   if (peer != nullptr && announcement.kind == Kind::publisher) {
     std::shared_ptr<SubscriptionEndpoint> subscription;
@@ -367,9 +372,9 @@ void Context::on_announce(Incoming& packet) {
     if (publisher != nullptr && publisher->identity().generation == announcement.own_generation) {
       const bool is_new = publisher->attach(
           {announcement.index, announcement.generation, announcement.extent, announcement.executor,
-           announcement.uid, announcement.quota},
+           owner, announcement.quota},
           peer, bell_among(fds, used, announcement.doorbell_count, peer->owner()));
-      if (is_new && shares_.is_out(announcement.uid, ReaderShares::Clock::now()))
+      if (is_new && !owner.is_own && shares_.is_out(owner.uid, ReaderShares::Clock::now()))
         publisher->withdraw({announcement.index, announcement.generation});
       linked = true;
     }
@@ -577,7 +582,7 @@ std::map<std::uint32_t, std::vector<KeptOfPublisher>> kept_by_users(
   std::map<std::uint32_t, std::vector<KeptOfPublisher>> users;
   std::vector<PublisherEndpoint::Reader> readers;
   for (const auto& publisher : publishers) {
-    publisher->list_readers(::geteuid(), readers);
+    publisher->list_foreign_readers(readers);
     std::map<std::uint32_t, std::vector<PublisherEndpoint::Core::MemberId>> by_user;
     for (const auto& reader : readers) by_user[reader.uid].push_back(reader.id);
     for (auto& [uid, ids] : by_user) {

@@ -13,6 +13,8 @@
 // Of this process, whatever memberships it has. Any thread.
 #pragma once
 
+#include <client/peer_owner.hpp>
+
 #include <atomic>
 #include <cstdint>
 #include <map>
@@ -23,11 +25,7 @@ namespace agnocast {
 
 class DescriptorShare {
  public:
-  /// Whose peers they are for, as the daemon says.
-  struct Owner {
-    std::uint32_t uid = 0;
-    bool is_own = false;  // this process's own user, in the same user namespace
-  };
+  using Owner = PeerOwner;
   static constexpr std::uint64_t foreign_user_divisor = 4, foreign_divisor = 2;
   /// Numbers that are left to the program, and to packets with descriptors that are closed again.
   static constexpr unsigned left_free = 16;

@@ -242,7 +242,7 @@ bool PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr
                   armed_offset(subscription.executor), executor, work);
     core_->limit_holds(subscription.index, subscription.quota);
     attached_.push_back({subscription.index, subscription.generation, subscription.extent, executor,
-                         std::move(peer), subscription.uid});
+                         std::move(peer), subscription.owner});
     core_->pass(work);
   });
   note_links();
@@ -314,13 +314,13 @@ void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) no
   if (was_matched) events_->ceased();
 }
 
-void PublisherEndpoint::list_readers(std::uint32_t own, std::vector<Reader>& readers) const {
+void PublisherEndpoint::list_foreign_readers(std::vector<Reader>& readers) const {
   readers.clear();
   readers.reserve(SharedMemory::subscription_capacity);  // not below the mutex
   const std::lock_guard lock(mutex_);
   for (const Attached& attached : attached_) {
-    if (attached.uid != own)
-      readers.push_back({{attached.index, attached.generation}, attached.uid});
+    if (!attached.owner.is_own)
+      readers.push_back({{attached.index, attached.generation}, attached.owner.uid});
   }
 }
 

@@ -18,6 +18,7 @@
 #include <client/endpoint_events.hpp>
 #include <client/library_thread.hpp>
 #include <client/peer.hpp>
+#include <client/peer_owner.hpp>
 #include <client/reader_shares.hpp>
 
 #include <array>
@@ -58,7 +59,7 @@ class PublisherEndpoint {
     std::uint64_t generation;
     std::uint64_t extent;
     std::uint64_t executor;  // in its process
-    std::uint32_t uid;       // of its process
+    PeerOwner owner;         // of its process
     std::uint64_t quota;     // messages of this publisher that it may hold
   };
   /// A subscription that this publisher serves no more: what the daemon is told.
@@ -133,8 +134,8 @@ class PublisherEndpoint {
     Core::MemberId id;
     std::uint32_t uid;
   };
-  /// The attached subscriptions of other users than `own`, instead of what is there. Allocates.
-  void list_readers(std::uint32_t own, std::vector<Reader>& readers) const;
+  /// The attached subscriptions of other users, instead of what is there. Allocates.
+  void list_foreign_readers(std::vector<Reader>& readers) const;
   /// See PublisherCore.
   std::uint64_t kept_bytes(std::span<const Core::MemberId> readers) const noexcept;
   /// Its user has more than its share.
@@ -208,7 +209,7 @@ class PublisherEndpoint {
     std::uint64_t extent;
     std::size_t executor;
     std::shared_ptr<Peer> peer;
-    std::uint32_t uid;
+    PeerOwner owner;
     bool matched = false;  // it was seen linked, and counted
   };
   /// Of a subscription that is withdrawn, or not attached.

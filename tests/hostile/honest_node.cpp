@@ -12,6 +12,7 @@
 //     watch TOPIC       → ok      takes what others publish there, looks at no byte of it, notes where it lay
 //     publish_bulk TOPIC → ok    a mebibyte every few milliseconds; only the newest one is kept for others
 //     publish_flat TOPIC → ok    a publisher of Flat, which says nothing
+//     enter-user-namespace → ok   ahead of all else: it is another user there than the daemon sees
 //     limit-addresses   → ok      this process can map no other one's region from now on
 //     create TOPIC      → ok      a publisher and a subscription more, and away with them
 //     collisions        → of how many collisions of addresses its publisher was told
@@ -26,6 +27,7 @@
 #include <tests/support/plain_node.hpp>
 
 #include <grp.h>
+#include <sched.h>
 #include <sys/mman.h>
 #include <sys/prctl.h>
 #include <sys/resource.h>
@@ -64,6 +66,8 @@ class HonestNode {
     if (what == "occupy") return occupy(topic, line);
     if (what == "watch") return watch(topic);
     if (what == "limit-addresses") return limit_addresses();
+    // Without a map its uid is the one that stands for all: 65534.
+    if (what == "enter-user-namespace") return ::unshare(CLONE_NEWUSER) == 0 ? "ok" : "no";
     if (what == "create") return create(topic);
     if (what == "publish_flat") return publish_flat(topic);
     if (what == "publish_bulk") return publish_bulk(topic);

@@ -97,6 +97,28 @@ TEST(HostileShare, WhoKeepsAHeapFullIsServedNoMore) {
   stage.honest_goes_on();
 }
 
+// In a user namespace the stranger's uid, as the daemon tells it, may be what geteuid() says here.
+TEST(HostileShare, AStrangerWithTheUidThatOneHasInsideANamespaceIsAStranger) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage({.quota = "held_messages = 400\nheap_bytes = 201326592\n"});
+  const auto victim = stage.another_honest_process();
+  if (victim->ask("enter-user-namespace") != "ok")
+    GTEST_SKIP() << "users may not make user namespaces here";
+  ASSERT_EQ(victim->ask(std::string("publish_bulk ") + bulk_topic), "ok");
+  ASSERT_TRUE(goes_on(*victim));
+  static_assert(hostile_uid == 65534, "the uid of a user namespace without a map");
+  Attacker attacker([&](Attack& attack) {
+    Hoarder hoarder(stage);
+    attack.ready();
+    while (attack.goes_on()) std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  });
+  ASSERT_TRUE(attacker.wait_until_ready());
+  ASSERT_TRUE(is_logged(stage, "reader withdrawn")) << stage.daemon().log();
+  ASSERT_TRUE(goes_on(*victim) || goes_on(*victim));
+  attacker.end();
+  stage.honest_goes_on();
+}
+
 TEST(HostileShare, WhoCannotBeMappedIsNotKeptForForEver) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage({.quota = "held_messages = 400\nheap_bytes = 201326592\n"});
