@@ -362,19 +362,25 @@ void Context::on_announce(Incoming& packet) {
            announcement.from_start != 0, announcement.quota},
           std::move(peer));
     }
-  } else if (peer != nullptr && announcement.kind == Kind::subscription) {
+  } else if (announcement.kind == Kind::subscription) {
     std::shared_ptr<PublisherEndpoint> publisher;
     {
       const std::lock_guard lock(endpoints_);
       if (const auto found = publishers_.find(own); found != publishers_.end())
         publisher = found->second;
     }
-    if (publisher != nullptr && publisher->identity().generation == announcement.own_generation) {
+    const auto now = ReaderShares::Clock::now();
+    if (publisher == nullptr || publisher->identity().generation != announcement.own_generation) {
+      // It is over.
+    } else if (peer == nullptr) {
+      publisher->note_unmapped({announcement.index, announcement.generation}, owner,
+                               unmapped_users_.has(owner, now), now);
+    } else {
       const bool is_new = publisher->attach(
           {announcement.index, announcement.generation, announcement.extent, announcement.executor,
            owner, announcement.quota},
           peer, bell_among(fds, used, announcement.doorbell_count, peer->owner()));
-      if (is_new && !owner.is_own && shares_.is_out(owner.uid, ReaderShares::Clock::now()))
+      if (is_new && !owner.is_own && shares_.is_out(owner.uid, now))
         publisher->withdraw({announcement.index, announcement.generation});
       linked = true;
     }
@@ -639,7 +645,7 @@ void Context::look_at_readers() {
   std::vector<PublisherEndpoint::Withdrawn> news;
   for (const auto& publisher : all) {
     news.clear();
-    publisher->look_at_readers(now, news);
+    publisher->look_at_readers(now, unmapped_users_, news);
     for (const PublisherEndpoint::Withdrawn& withdrawn : news) {
       wire::Withdrawn body{};
       body.topic = publisher->topic_index();

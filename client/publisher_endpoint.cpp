@@ -338,13 +338,28 @@ void PublisherEndpoint::withdraw(const Core::MemberId& reader) noexcept {
   });
 }
 
+void PublisherEndpoint::note_unmapped(const Member& member, PeerOwner owner, bool is_out,
+                                      ReaderShares::Clock::time_point now) {
+  if (is_attached(member.index, member.generation)) return;
+  Watched& watched = watched_[member.index];
+  if (watched.generation != member.generation) watched = {member.generation, now};
+  watched.owner = owner;
+  in_control_thread([&](Work& work) {
+    if (core_ == nullptr || moved_) return;
+    core_->pass(work);  // from here on it counts
+    if (is_out &&
+        core_->withdraw(member.index, member.generation, abi::Withdrawal::not_attached))
+      core_->pass(work);
+  });
+}
+
 bool PublisherEndpoint::may_be_served_again(abi::Withdrawal why, const Watched& member,
                                             ReaderShares::Clock::time_point now) noexcept {
   return why == abi::Withdrawal::not_attached ||
          (why == abi::Withdrawal::over_share && now - member.since >= ReaderShares::out_for);
 }
 
-void PublisherEndpoint::look_at_readers(ReaderShares::Clock::time_point now,
+void PublisherEndpoint::look_at_readers(ReaderShares::Clock::time_point now, UserBans& unmapped_users,
                                         std::vector<Withdrawn>& news) {
   std::map<std::uint64_t, Watched> watched;
   // What was seen at an earlier look goes on from there.
@@ -376,14 +391,17 @@ void PublisherEndpoint::look_at_readers(ReaderShares::Clock::time_point now,
   for (std::size_t i = 0; i < unmapped.size(); ++i) {
     const std::uint64_t index = unmapped[i].index, generation = unmapped[i].generation;
     Watched& member = watch(index, generation);
-    bool is_news = false;
+    const bool is_out = member.owner && unmapped_users.has(*member.owner, now);
+    bool is_news = false, was_waited_for = false;
     std::uint64_t bytes = 0;
     in_control_thread([&](Work& work) {
       abi::Withdrawal why = core_->withdrawal(index, generation);
       if (why == abi::Withdrawal::none) {
-        if (i >= unmapped_count || now - member.since < ReaderShares::patience_to_attach) return;
-        core_->withdraw(index, generation, abi::Withdrawal::not_attached);
+        if (i >= unmapped_count) return;
+        if (!is_out && now - member.since < ReaderShares::patience_to_attach) return;
+        if (!core_->withdraw(index, generation, abi::Withdrawal::not_attached)) return;  // it ended
         why = abi::Withdrawal::not_attached;
+        was_waited_for = !is_out;
       } else if (i >= unmapped_count && may_be_served_again(why, member, now) &&
                  core_->serve_again(index, generation, work)) {
         why = abi::Withdrawal::none;
@@ -397,6 +415,7 @@ void PublisherEndpoint::look_at_readers(ReaderShares::Clock::time_point now,
       member.why = why;
       member.since = now;
     });
+    if (was_waited_for && member.owner) unmapped_users.add(*member.owner, now);
     if (is_news) news.push_back({index, generation, member.why, bytes});
   }
   // For good, and nothing is left to look at.

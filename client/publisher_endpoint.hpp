@@ -20,6 +20,7 @@
 #include <client/peer.hpp>
 #include <client/peer_owner.hpp>
 #include <client/reader_shares.hpp>
+#include <client/user_bans.hpp>
 
 #include <array>
 #include <atomic>
@@ -28,6 +29,7 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -140,9 +142,15 @@ class PublisherEndpoint {
   std::uint64_t kept_bytes(std::span<const Core::MemberId> readers) const noexcept;
   /// Its user has more than its share.
   void withdraw(const Core::MemberId& reader) noexcept;
-  /// Who could not be mapped for long is not served; whoever was is served again; who was told long ago
-  /// that it is not served is disregarded. What there is to tell the daemon is added. Allocates.
-  void look_at_readers(ReaderShares::Clock::time_point now, std::vector<Withdrawn>& news);
+  /// A subscription that was announced and cannot be mapped. Its user has some seconds, or, if it `is_out`, none:
+  /// its former ones could not be mapped either. Allocates.
+  void note_unmapped(const Member& member, PeerOwner owner, bool is_out,
+                     ReaderShares::Clock::time_point now);
+  /// Who could not be mapped for long is not served, and its user is added to `unmapped`; whoever was is served
+  /// again; who was told long ago that it is not served is disregarded. What there is to tell the daemon is added.
+  /// Allocates.
+  void look_at_readers(ReaderShares::Clock::time_point now, UserBans& unmapped,
+                       std::vector<Withdrawn>& news);
   /// One pass, and everything that publishes have left to do.
   void run_errands() noexcept;
   /// Something outside the history is allocated: a pass may free it.
@@ -217,6 +225,7 @@ class PublisherEndpoint {
     std::uint64_t generation;
     ReaderShares::Clock::time_point since;
     abi::Withdrawal why = abi::Withdrawal::none;  // as far as the daemon was told
+    std::optional<PeerOwner> owner = {};          // of one that was announced and is not mapped
   };
   struct Work;
 

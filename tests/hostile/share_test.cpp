@@ -128,9 +128,18 @@ TEST(HostileShare, WhoCannotBeMappedIsNotKeptForForEver) {
   ASSERT_EQ(victim->ask("limit-addresses"), "ok");
   Attacker attacker([&](Attack& attack) {
     HostileNode node(stage.socket_path());
-    node.join(wire::Kind::subscription, bulk_topic, {1, false, true, false, false}, 1);
+    const auto join = [&] {
+      node.join(wire::Kind::subscription, bulk_topic, {1, false, true, false, false}, 1);
+    };
+    join();
     attack.ready();
-    while (attack.goes_on()) std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    while (attack.goes_on()) {
+      if (attack.word(0).exchange(0) != 0) {
+        join();
+        ++attack.word(1);
+      }
+      std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    }
   });
   ASSERT_TRUE(attacker.wait_until_ready());
   ASSERT_TRUE(eventually([&] { return progress_of(*victim).refused > 0; }))
@@ -140,6 +149,14 @@ TEST(HostileShare, WhoCannotBeMappedIsNotKeptForForEver) {
   const std::uint64_t refused = progress_of(*victim).refused;
   for (int i = 0; i < 4; ++i) ASSERT_TRUE(goes_on(*victim));
   EXPECT_EQ(progress_of(*victim).refused, refused);
+
+  // Its next ones cost nothing, one after the other.
+  for (std::uint64_t joined = 1; joined <= 4; ++joined) {
+    attacker.set_word(0, 1);
+    ASSERT_TRUE(eventually([&] { return attacker.word(1) == joined; }));
+    for (int i = 0; i < 4; ++i) ASSERT_TRUE(goes_on(*victim));
+    EXPECT_EQ(progress_of(*victim).refused, refused) << "of subscription " << joined + 1;
+  }
   attacker.end();
   stage.honest_goes_on();
 }
