@@ -286,8 +286,8 @@ void PublisherEndpoint::note_links() noexcept {
     const std::lock_guard lock(mutex_);
     if (moved_) return;
     for (Attached& attached : attached_) {
-      if (attached.matched || !is_linked(attached)) continue;
-      attached.matched = true;
+      if (attached.match != Match::awaited || !is_linked(attached)) continue;
+      attached.match = Match::counted;
       ++linked;
     }
   }
@@ -296,7 +296,7 @@ void PublisherEndpoint::note_links() noexcept {
 
 void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) noexcept {
   std::shared_ptr<Peer> let_go;
-  bool was_matched = false;
+  Match match = Match::ended;
   in_control_thread([&](Work& work) {
     const auto found =
         std::find_if(attached_.begin(), attached_.end(), [&](const Attached& attached) {
@@ -308,10 +308,13 @@ void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) no
     core_->detach(index, generation);
     if (--executors_[found->executor].users == 0) executors_[found->executor] = {};
     let_go = std::move(found->peer);
-    was_matched = found->matched;
+    match = found->match;
+    if (moved_ && match == Match::awaited) match = Match::ended;
     attached_.erase(found);
   });
-  if (was_matched) events_->ceased();
+  if (match == Match::ended) return;
+  if (match == Match::awaited) events_->gained();  // it came and went between two looks
+  events_->ceased();
 }
 
 void PublisherEndpoint::list_foreign_readers(std::vector<Reader>& readers) const {
@@ -430,7 +433,8 @@ void PublisherEndpoint::revoke() noexcept {
   std::ptrdiff_t matched = 0;
   {
     const std::lock_guard lock(mutex_);
-    for (Attached& attached : attached_) matched += std::exchange(attached.matched, false);
+    for (Attached& attached : attached_)
+      matched += std::exchange(attached.match, Match::ended) == Match::counted;
   }
   for (; matched > 0; --matched) events_->ceased();
 }
@@ -509,7 +513,7 @@ std::size_t PublisherEndpoint::linked_count() const noexcept {
 bool PublisherEndpoint::awaits_link() const noexcept {
   const std::lock_guard lock(mutex_);
   return std::any_of(attached_.begin(), attached_.end(),
-                     [](const Attached& attached) { return !attached.matched; });
+                     [](const Attached& attached) { return attached.match == Match::awaited; });
 }
 
 void PublisherEndpoint::destroy(void* message) noexcept {

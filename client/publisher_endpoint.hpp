@@ -211,6 +211,9 @@ class PublisherEndpoint {
     std::uint64_t owed = 0;  // sleep generation that the control thread shall ring; 0 = none
     std::byte* region = nullptr;
   };
+  /// Whether a subscription was counted as matched, which it is once: when it is seen linked, at the latest when it
+  /// is detached. Not any more when the membership is revoked, or the subscription is the heir's.
+  enum class Match : std::uint8_t { awaited, counted, ended };
   struct Attached {
     std::uint64_t index;
     std::uint64_t generation;
@@ -218,7 +221,7 @@ class PublisherEndpoint {
     std::size_t executor;
     std::shared_ptr<Peer> peer;
     PeerOwner owner;
-    bool matched = false;  // it was seen linked, and counted
+    Match match = Match::awaited;
   };
   /// Of a subscription that is withdrawn, or not attached.
   struct Watched {

@@ -133,6 +133,21 @@ TEST_F(Events, APublisherLearnsOfSubscriptionsThatComeLeaveAndDie) {
   EXPECT_EQ(publisher->get_matched_status().total_count, 2u);
 }
 
+TEST_F(Events, APublisherCountsEachSubscriptionAlsoOneThatIsGoneAtOnce) {
+  Node node(own("node"));
+  Told<MatchedInfo> told;
+  auto publisher = node.create_publisher<Number>(
+      own("topic"), 1,
+      PublisherOptions().matched_callback([&](MatchedInfo& info) { told.add(info); }));
+  constexpr std::uint64_t count = 240;
+  for (std::uint64_t i = 0; i < count; ++i) node.create_subscription<Number>(own("topic"), 1);
+  EXPECT_TRUE(eventually([&] { return publisher->get_matched_status().total_count == count; }))
+      << publisher->get_matched_status().total_count;
+  EXPECT_TRUE(eventually([&] { return publisher->get_matched_status().current_count == 0; }));
+  EXPECT_TRUE(eventually([&] { return told.sum(&MatchedInfo::total_count_change) == count; }));
+  EXPECT_EQ(told.sum(&MatchedInfo::current_count_change), 0);
+}
+
 struct Case {
   const char* offered;
   const char* requested;
