@@ -537,7 +537,7 @@ class PublisherCore {
       if (bits != 0) count += static_cast<std::uint64_t>(std::popcount(bits & allocated_[word]));
     }
     const std::uint64_t quota = std::min(member.quota, member.limit);
-    if (count > quota + 1 && holds_too_many(link, quota)) {
+    if (count > quota && holds_too_many(link, quota)) {
       member.withdrawn_at = head_sequence_;
       member.word = abi::pack_member(abi::generation_of(member.word), abi::MemberState::free);
       say_withdrawal(index, abi::Withdrawal::over_quota);
@@ -571,19 +571,29 @@ class PublisherCore {
     return kept;
   }
 
-  /// Not what one look finds: while it lasts, messages are released and others taken. Nothing is freed
-  /// between two looks of one pass, so a message found held in both was held all the time between
-  /// them, but for one whose hold bit a take had set for the slot's former message.
+  /// Not what one look finds: while it lasts, messages are released and others taken. Three looks decide, of which
+  /// only what all have found counts. An honest subscription takes one message after the other and none at its quota,
+  /// so it never has more bits at one moment. Were more of them set in all looks, a bit A would be clear between the
+  /// first two and be set by a take (T4) ahead of the third. That take begins below the quota: another bit B is clear
+  /// then, which the first look has found and the third will find. So takes have undone A and B, and set them again
+  /// later; what is released is not taken again. A take undoes its bit
+  ///   - at T5, for the slot's former message. Nothing is published or freed during a pass, so only the take does that
+  ///     that was under way when the pass began, and it is the first one of the pass;
+  ///   - at T6, and leaves its message unread. The next take is of that message, and later ones are of newer ones.
+  /// So A was undone at T6 and B at T5, as the other way round, or both at T6, the take that sets A would be of a
+  /// message behind that of B, which nobody would take any more. Then the take that sets B begins below the quota as
+  /// well, and a third bit has to be clear that is set again later: there is none.
   bool holds_too_many(const LinkWords<M>& link, std::uint64_t quota) const noexcept {
-    Mask both = allocated_;
-    for (int look = 0; look < 2; ++look) {
-      for (std::size_t word = 0; word < mask_words; ++word) {
-        if (both[word] != 0) both[word] &= link.hold(word).load(std::memory_order_acquire);
+    Mask all = allocated_;
+    for (int look = 0; look < 3; ++look) {
+      for (std::size_t word = 0; word < words_in_use(); ++word) {
+        if (all[word] != 0) all[word] &= link.hold(word).load(std::memory_order_acquire);
       }
     }
     std::uint64_t count = 0;
-    for (const std::uint64_t bits : both) count += static_cast<std::uint64_t>(std::popcount(bits));
-    return count > quota + 1;
+    for (std::size_t word = 0; word < words_in_use(); ++word)
+      count += static_cast<std::uint64_t>(std::popcount(all[word]));
+    return count > quota;
   }
 
   struct Unknown {

@@ -18,6 +18,7 @@
 #include <cstdint>
 #include <cstdio>
 #include <functional>
+#include <iterator>
 #include <memory>
 #include <random>
 #include <set>
@@ -367,12 +368,25 @@ TEST(DataplaneWithdrawing, TellsWhoHoldsMoreThanItsQuota) {
   EXPECT_FALSE(reader.take(pair.window));
 }
 
+TEST(DataplaneWithdrawing, GivesNoSlotBeyondTheQuota) {
+  Withdrawing pair(2);
+  pair.attach(1);
+  LinkCore<M> reader = pair.link(0);
+  ASSERT_TRUE(reader.link(true));
+  pair.line(0).hold(0).store(7);
+  for (int i = 0; i < 8; ++i)
+    ASSERT_TRUE(pair.publish()) << "all slots are held, one above the quota";
+  EXPECT_EQ(pair.core->withdrawal(0, 1), abi::Withdrawal::over_quota);
+}
+
 /// Shared memory whose publisher does something ahead of each load of whoever reads it by this policy.
 struct Interrupted : SharedMemory {
   static inline std::function<void()> before_load;
+  static inline const abi::SharedWord* loaded = nullptr;  // the one that is about to be
   struct Word {
     abi::SharedWord& word;
     std::uint64_t load(std::memory_order order) const {
+      loaded = &word;
       before_load();
       return word.load(order);
     }
@@ -437,6 +451,110 @@ TEST(Dataplane, HistoryThatIsBroughtWhileSomebodyLooksIsNoNews) {
     ASSERT_TRUE(news);
     EXPECT_EQ(news->sequence, Pair::first() + history + 1);
   }
+}
+
+// A look at its holds goes over several words, and it does not stand still meanwhile.
+TEST(Dataplane, AReaderAtItsQuotaIsNotTakenForOneAboveIt) {
+  constexpr std::uint64_t quota = 3, slots = 200;
+  std::uint64_t taken = 0;
+  for (std::uint64_t seed = 1; seed <= 20; ++seed) {
+    SCOPED_TRACE("seed " + std::to_string(seed));
+    std::mt19937_64 random(seed);
+    Pair pair;
+    pair.offered.depth = pair.requested.depth = 150;
+    journal::BoardSteps<M>(pair.topic()).add_subscription(
+        0, 1, {pair.requested, 1, extent, quota, 0});
+    Interrupted::before_load = [] {};
+    auto publisher = std::make_unique<PublisherCore<Interrupted>>(
+        PublisherCore<Interrupted>::Identity{{pair.board.base(), 0},
+                                             {pair.publisher.base(), extent},
+                                             0,
+                                             generation,
+                                             Pair::first(),
+                                             pair.offered,
+                                             slots,
+                                             0});
+    Freed environment;
+    publisher->attach(0, 1, pair.subscriber[0].base(), extent,
+                      offsetof(abi::ClientRegionHeader, executor), 0, environment);
+    LinkCore<M> reader = pair.link(0);
+    ASSERT_TRUE(reader.link(true));
+    NumberWindow window;
+    std::vector<std::uint64_t> held;
+    bool is_busy = false;
+    // The next one lies in another word, so that a look comes after what goes, and ahead of what comes.
+    Interrupted::before_load = [&] {
+      is_busy = reader.unread() >= (is_busy ? 10u : 140u);
+      if (!is_busy || random() % 2 == 0) return;
+      if (held.size() == quota) {
+        const auto one = held.begin() + static_cast<std::ptrdiff_t>(random() % held.size());
+        reader.release(*one);
+        held.erase(one);
+      }
+      for (std::uint64_t passed_over = random() % 50; passed_over > 0; --passed_over) {
+        if (const auto found = reader.take(window)) reader.release(found->slot);
+      }
+      if (const auto found = reader.take(window)) {
+        held.push_back(found->slot);
+        ++taken;
+      }
+    };
+    for (std::uint64_t number = 1; number <= 5000; ++number) {
+      const std::uint64_t address = window.base + number * 16;
+      environment.live.insert(address);
+      ASSERT_EQ(publisher->publish({address, 16, number}, environment), PublishOutcome::published);
+      ASSERT_EQ(publisher->withdrawal(0, 1), abi::Withdrawal::none) << "message " << number;
+    }
+  }
+  EXPECT_GT(taken, 1000u) << "the publisher has seen nothing move";
+}
+
+// The closest that an honest reader comes to it: it has one bit more than its quota in two looks of a pass.
+TEST(Dataplane, ABitThatATakeUndoesIsNotTakenForAHold) {
+  constexpr std::uint64_t quota = 2, slots = 200;
+  Pair pair;
+  pair.offered.depth = pair.requested.depth = 150;
+  journal::BoardSteps<M>(pair.topic()).add_subscription(0, 1,
+                                                        {pair.requested, 1, extent, quota, 0});
+  Interrupted::before_load = [] {};
+  auto publisher = std::make_unique<PublisherCore<Interrupted>>(
+      PublisherCore<Interrupted>::Identity{{pair.board.base(), 0},
+                                           {pair.publisher.base(), extent},
+                                           0,
+                                           generation,
+                                           Pair::first(),
+                                           pair.offered,
+                                           slots,
+                                           0});
+  Freed environment;
+  publisher->attach(0, 1, pair.subscriber[0].base(), extent,
+                    offsetof(abi::ClientRegionHeader, executor), 0, environment);
+  ASSERT_TRUE(pair.link(0).link(true));
+  for (std::uint64_t number = 1; number <= 140; ++number)
+    ASSERT_EQ(publisher->publish({number * 16, 16, number}, environment),
+              PublishOutcome::published);
+  // What is set when a word is loaded, a look at three words a line: messages a and b of the first word, c of the second,
+  // d of the third. A take had begun ahead of the pass, for what was in the place of c before.
+  constexpr std::uint64_t a = 2, b = 4, c = 8, d = 16;
+  const std::uint64_t history[][3] = {
+      {a | b, c, 0},  // a is released; the late take sets the bit of c
+      {b, c, d},      // which it undoes; d is taken
+      {b, c, d},      // b is released; c is taken
+      {0, c, d},
+      {0, c, d},
+  };
+  std::size_t visits = 0;
+  Interrupted::before_load = [&] {
+    for (std::size_t word = 0; word < 3; ++word) {
+      if (Interrupted::loaded != &pair.line(0).hold(word)) continue;
+      ASSERT_LT(visits / 3, std::size(history));
+      ASSERT_EQ(visits % 3, word);
+      pair.line(0).hold(word).store(history[visits++ / 3][word]);
+    }
+  };
+  publisher->pass(environment);
+  EXPECT_EQ(publisher->withdrawal(0, 1), abi::Withdrawal::none);
+  EXPECT_GT(visits, 3u) << "it had no doubt";
 }
 
 // However late, they take only what is there; who comes too late looks again.
