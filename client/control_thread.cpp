@@ -164,8 +164,8 @@ void Context::read_connection() {
 void Context::ask_again_later() noexcept {
   if (said_again_) return;
   const auto now = Reconnection::Clock::now();
-  again_pause_ = now - again_at_ > 2 * again_last ? again_first
-                                                  : std::min(2 * again_pause_, again_last);
+  again_pause_ =
+      now - again_at_ > 2 * again_last ? again_first : std::min(2 * again_pause_, again_last);
   said_again_ = again_at_ = now + again_pause_;
 }
 
@@ -285,8 +285,8 @@ std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
   const bool own = is_self(announcement.client, announcement.client_generation);
   Result<void> opened;
   if (!own) {
-    opened = known.peer->open(announcement.extent, bytes,
-                              fds.empty() ? UniqueFd() : std::move(fds[0]));
+    opened =
+        known.peer->open(announcement.extent, bytes, fds.empty() ? UniqueFd() : std::move(fds[0]));
   } else if (!is_here(announcement.kind, {announcement.topic, announcement.index})) {
     // Announced before the answer to its creation, which was asked again.
     opened = region_.open(announcement.extent, bytes);
@@ -380,7 +380,7 @@ void Context::on_announce(Incoming& packet) {
           {announcement.index, announcement.generation, announcement.extent, announcement.executor,
            owner, announcement.quota},
           peer, bell_among(fds, used, announcement.doorbell_count, peer->owner()));
-      if (is_new && !owner.is_own && shares_.is_out(owner.uid, now))
+      if (is_new && shares_.is_out(owner, now))
         publisher->withdraw({announcement.index, announcement.generation});
       linked = true;
     }
@@ -572,92 +572,6 @@ void Context::run_errands() {
   collect_peers();
   see_strangers_off();
   ask_for_window();
-}
-
-namespace {
-
-/// What one user's readers keep of one publisher's messages, and which of them.
-struct KeptOfPublisher {
-  std::shared_ptr<PublisherEndpoint> publisher;
-  std::vector<PublisherEndpoint::Core::MemberId> readers;
-  std::uint64_t bytes;
-};
-
-std::map<std::uint32_t, std::vector<KeptOfPublisher>> kept_by_users(
-    const std::vector<std::shared_ptr<PublisherEndpoint>>& publishers) {
-  std::map<std::uint32_t, std::vector<KeptOfPublisher>> users;
-  std::vector<PublisherEndpoint::Reader> readers;
-  for (const auto& publisher : publishers) {
-    publisher->list_foreign_readers(readers);
-    std::map<std::uint32_t, std::vector<PublisherEndpoint::Core::MemberId>> by_user;
-    for (const auto& reader : readers) by_user[reader.uid].push_back(reader.id);
-    for (auto& [uid, ids] : by_user) {
-      const std::uint64_t bytes = publisher->kept_bytes(ids);
-      if (bytes != 0) users[uid].push_back({publisher, std::move(ids), bytes});
-    }
-  }
-  return users;
-}
-
-/// From those that keep most first, until less than half of a user's share is left.
-void withdraw_largest(const std::vector<KeptOfPublisher>& kept, std::uint64_t heap_bytes) {
-  struct One {
-    std::uint64_t bytes;
-    PublisherEndpoint* publisher;
-    PublisherEndpoint::Core::MemberId reader;
-  };
-  std::vector<One> all;
-  for (const KeptOfPublisher& part : kept) {
-    for (const auto& reader : part.readers)
-      all.push_back({part.publisher->kept_bytes({&reader, 1}), part.publisher.get(), reader});
-  }
-  std::sort(all.begin(), all.end(), [](const One& a, const One& b) { return a.bytes > b.bytes; });
-  std::uint64_t left = 0;
-  for (const One& one : all) left += one.bytes;
-  for (const One& one : all) {
-    if (one.bytes == 0 || left < ReaderShares::one_user_of(heap_bytes) / 2) return;
-    one.publisher->withdraw(one.reader);
-    left -= one.bytes;
-  }
-}
-
-}  // namespace
-
-/// Once a second: who holds too much while the heap is full, and who cannot be attached.
-void Context::look_at_readers() {
-  const auto now = ReaderShares::Clock::now();
-  if (now - readers_looked_ < std::chrono::milliseconds{timer_last_ms}) return;
-  readers_looked_ = now;
-  const auto all = publishers();
-  const auto kept = kept_by_users(all);
-  std::vector<ReaderShares::Held> users;
-  for (const auto& [uid, parts] : kept) {
-    users.push_back({uid, 0});
-    for (const KeptOfPublisher& part : parts) users.back().bytes += part.bytes;
-  }
-  if (users.empty()) {
-    shares_.nobody_holds();
-  } else {
-    const Heap::Room room = heap_->room();
-    if (const auto uid = shares_.look(now, room.refused, room.bytes, users))
-      withdraw_largest(kept.at(*uid), room.bytes);
-  }
-  std::vector<PublisherEndpoint::Withdrawn> news;
-  for (const auto& publisher : all) {
-    news.clear();
-    publisher->look_at_readers(now, unmapped_users_, news);
-    for (const PublisherEndpoint::Withdrawn& withdrawn : news) {
-      wire::Withdrawn body{};
-      body.topic = publisher->topic_index();
-      body.why = static_cast<std::uint32_t>(withdrawn.why);
-      body.publisher = publisher->identity().index;
-      body.publisher_generation = publisher->identity().generation;
-      body.subscription = withdrawn.index;
-      body.subscription_generation = withdrawn.generation;
-      body.bytes = withdrawn.bytes;
-      connection_->post(Opcode::withdrawn, body);
-    }
-  }
 }
 
 void Context::collect_subscriptions() {

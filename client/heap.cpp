@@ -334,7 +334,9 @@ std::uint64_t Heap::used_bytes() const noexcept {
 Heap::Room Heap::room() const noexcept {
   agnocast_heaphook_usage usage{};
   hook_->usage(&usage);
-  return {usage.used_bytes, usage.refused_count};
+  const std::uint64_t windows = std::max<std::uint64_t>(usage.window_count, 1);
+  return {usage.used_bytes, usage.refused_count,
+          usage.length_bytes / windows * abi::window_count_max};
 }
 
 void Heap::pause() const noexcept {

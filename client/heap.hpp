@@ -59,6 +59,7 @@ class Heap {
   struct Room {
     std::uint64_t bytes;    // that were in use at one time: of a heap that refuses, all it can have
     std::uint64_t refused;  // allocations that found none, since ever
+    std::uint64_t bytes_max;  // in all windows that it may have, were each as long as those it has
   };
   Room room() const noexcept;
 

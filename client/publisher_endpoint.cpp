@@ -350,20 +350,18 @@ void PublisherEndpoint::note_unmapped(const Member& member, PeerOwner owner, boo
   in_control_thread([&](Work& work) {
     if (core_ == nullptr || moved_) return;
     core_->pass(work);  // from here on it counts
-    if (is_out &&
-        core_->withdraw(member.index, member.generation, abi::Withdrawal::not_attached))
+    if (is_out && core_->withdraw(member.index, member.generation, abi::Withdrawal::not_attached))
       core_->pass(work);
   });
 }
 
-bool PublisherEndpoint::may_be_served_again(abi::Withdrawal why, const Watched& member,
-                                            ReaderShares::Clock::time_point now) noexcept {
-  return why == abi::Withdrawal::not_attached ||
-         (why == abi::Withdrawal::over_share && now - member.since >= ReaderShares::out_for);
-}
-
-void PublisherEndpoint::look_at_readers(ReaderShares::Clock::time_point now, UserBans& unmapped_users,
+void PublisherEndpoint::look_at_readers(ReaderShares::Clock::time_point now,
+                                        const ReaderShares& shares, UserBans& unmapped_users,
                                         std::vector<Withdrawn>& news) {
+  const auto may_be_served_again = [&](abi::Withdrawal why, PeerOwner owner) {
+    return why == abi::Withdrawal::not_attached ||
+           (why == abi::Withdrawal::over_share && !shares.is_out(owner, now));
+  };
   std::map<std::uint64_t, Watched> watched;
   // What was seen at an earlier look goes on from there.
   const auto watch = [&](std::uint64_t index, std::uint64_t generation) -> Watched& {
@@ -372,7 +370,12 @@ void PublisherEndpoint::look_at_readers(ReaderShares::Clock::time_point now, Use
     return watched.emplace(index, is_known ? before->second : Watched{generation, now})
         .first->second;
   };
-  std::vector<Member> unmapped, attached;
+  struct Mapped {
+    Member id;
+    PeerOwner owner;
+  };
+  std::vector<Member> unmapped;
+  std::vector<Mapped> attached;
   unmapped.reserve(SharedMemory::subscription_capacity);  // not below the mutex
   attached.reserve(SharedMemory::subscription_capacity);
   {
@@ -386,11 +389,15 @@ void PublisherEndpoint::look_at_readers(ReaderShares::Clock::time_point now, Use
       const auto known = watched_.find(one.index);
       const bool is_told = known != watched_.end() && known->second.generation == one.generation &&
                            known->second.why == abi::Withdrawal::over_quota;
-      if (why != abi::Withdrawal::none && !is_told) attached.push_back({one.index, one.generation});
+      if (why != abi::Withdrawal::none && !is_told)
+        attached.push_back({{one.index, one.generation}, one.owner});
     }
   }
   const std::size_t unmapped_count = unmapped.size();
-  unmapped.insert(unmapped.end(), attached.begin(), attached.end());
+  for (const Mapped& one : attached) {
+    unmapped.push_back(one.id);
+    watch(one.id.index, one.id.generation).owner = one.owner;
+  }
   for (std::size_t i = 0; i < unmapped.size(); ++i) {
     const std::uint64_t index = unmapped[i].index, generation = unmapped[i].generation;
     Watched& member = watch(index, generation);
@@ -405,7 +412,7 @@ void PublisherEndpoint::look_at_readers(ReaderShares::Clock::time_point now, Use
         if (!core_->withdraw(index, generation, abi::Withdrawal::not_attached)) return;  // it ended
         why = abi::Withdrawal::not_attached;
         was_waited_for = !is_out;
-      } else if (i >= unmapped_count && may_be_served_again(why, member, now) &&
+      } else if (i >= unmapped_count && may_be_served_again(why, *member.owner) &&
                  core_->serve_again(index, generation, work)) {
         why = abi::Withdrawal::none;
       } else if (!core_->is_disregarded(index) && now - member.since >= ReaderShares::patience) {

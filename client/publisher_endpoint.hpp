@@ -149,8 +149,8 @@ class PublisherEndpoint {
   /// Who could not be mapped for long is not served, and its user is added to `unmapped`; whoever was is served
   /// again; who was told long ago that it is not served is disregarded. What there is to tell the daemon is added.
   /// Allocates.
-  void look_at_readers(ReaderShares::Clock::time_point now, UserBans& unmapped,
-                       std::vector<Withdrawn>& news);
+  void look_at_readers(ReaderShares::Clock::time_point now, const ReaderShares& shares,
+                       UserBans& unmapped, std::vector<Withdrawn>& news);
   /// One pass, and everything that publishes have left to do.
   void run_errands() noexcept;
   /// Something outside the history is allocated: a pass may free it.
@@ -228,7 +228,7 @@ class PublisherEndpoint {
     std::uint64_t generation;
     ReaderShares::Clock::time_point since;
     abi::Withdrawal why = abi::Withdrawal::none;  // as far as the daemon was told
-    std::optional<PeerOwner> owner = {};          // of one that was announced and is not mapped
+    std::optional<PeerOwner> owner = {};          // if it was announced
   };
   struct Work;
 
@@ -244,8 +244,6 @@ class PublisherEndpoint {
   void replace_bell(const Subscription& subscription, Bell bell) noexcept;
   bool is_linked(const Attached& attached) const noexcept;
   void note_links() noexcept;
-  static bool may_be_served_again(abi::Withdrawal why, const Watched& member,
-                                  ReaderShares::Clock::time_point now) noexcept;
   std::size_t linked_count() const noexcept;  // under the mutex
   std::vector<std::uint64_t> linked_lineages(bool living) const;
 

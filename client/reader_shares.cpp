@@ -3,43 +3,55 @@
 #include <client/reader_shares.hpp>
 
 #include <algorithm>
-#include <numeric>
 #include <utility>
 
 namespace agnocast {
 namespace {
 
 // So a publisher whose readers of all other users are at their limit has half of its heap.
-constexpr std::uint64_t all_users_of(std::uint64_t heap_bytes) noexcept { return heap_bytes / 2; }
+constexpr std::uint64_t share_of_all(std::uint64_t heap_bytes) noexcept { return heap_bytes / 2; }
+constexpr std::uint64_t share_of_one(std::uint64_t heap_bytes) noexcept { return heap_bytes / 4; }
+
+/// What each of these users may keep of so large a heap.
+std::uint64_t share_in(std::uint64_t heap_bytes, std::uint64_t together,
+                       std::span<const ReaderShares::Held> users) {
+  const std::uint64_t most = share_of_one(heap_bytes);
+  if (together <= share_of_all(heap_bytes)) return most;
+  std::vector<std::uint64_t> kept;
+  for (const ReaderShares::Held& user : users) kept.push_back(user.bytes);
+  std::sort(kept.begin(), kept.end());
+  std::uint64_t left = share_of_all(heap_bytes);
+  for (std::size_t i = 0; i < kept.size(); ++i) {
+    const std::uint64_t equal_part = left / (kept.size() - i);
+    if (kept[i] > equal_part) return std::min(most, equal_part);
+    left -= kept[i];
+  }
+  return most;
+}
 
 }  // namespace
 
-std::optional<std::uint32_t> ReaderShares::look(Clock::time_point now, std::uint64_t refused,
-                                                std::uint64_t heap_bytes,
-                                                std::span<const Held> users) {
-  const bool is_refused = std::exchange(refused_, refused) != refused;
-  const auto most = std::max_element(
-      users.begin(), users.end(), [](const Held& a, const Held& b) { return a.bytes < b.bytes; });
-  const std::uint64_t sum =
-      std::accumulate(users.begin(), users.end(), std::uint64_t{0},
-                      [](std::uint64_t before, const Held& held) { return before + held.bytes; });
-  if (most == users.end() || most->bytes == 0 ||
-      (most->bytes < one_user_of(heap_bytes) && sum < all_users_of(heap_bytes))) {
-    over_since_.reset();
-    return std::nullopt;
-  }
+std::vector<ReaderShares::Above> ReaderShares::look(Clock::time_point now, const Room& room,
+                                                    std::uint64_t together,
+                                                    std::span<const Held> users) {
   // A publisher may try rarely: between two refusals nothing says that there is room.
-  if (!is_refused) return std::nullopt;
-  if (!over_since_) over_since_ = now;
-  if (now - *over_since_ < patience) return std::nullopt;
-  over_since_.reset();
-  out_until_[most->uid] = now + out_for;
-  return most->uid;
-}
-
-bool ReaderShares::is_out(std::uint32_t uid, Clock::time_point now) const {
-  const auto found = out_until_.find(uid);
-  return found != out_until_.end() && now < found->second;
+  const bool is_refused = std::exchange(refused_, room.refused) != room.refused;
+  const bool is_beyond = together > share_of_all(room.may_become);
+  const std::uint64_t share = share_in(std::min(room.in_use, room.may_become), together, users);
+  std::vector<Above> above;
+  for (const Held& user : users) {
+    if (user.bytes > share) above.push_back({user.uid, share});
+  }
+  if (above.empty()) {
+    above_since_.reset();
+    return {};
+  }
+  if (!is_refused && !is_beyond) return {};
+  if (!above_since_) above_since_ = now;
+  if (now - *above_since_ < patience) return {};
+  above_since_.reset();
+  for (const Above& user : above) bans_.add({user.uid, false}, now);
+  return above;
 }
 
 }  // namespace agnocast

@@ -1,23 +1,30 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ReaderShares: what readers of other users may keep of this process's heap while it is full.
+// ReaderShares: what readers of other users may keep of this process's heap. Pure.
 //
-// How many messages others may hold is decided when they subscribe; how large those are nobody knows
-// then. When the heap refuses an allocation, one user's readers that keep a quarter of what is in use, or most
-// when those of all other users together keep half, have a few seconds. If the heap refuses another one
-// then and they still do, this process serves those of them no more that keep most
-// (PublisherCore::withdraw), and newcomers of that user for a while neither: they would begin anew.
-// A process's own user is in no share.
+// How many messages others may hold is decided when they subscribe; how large those are nobody knows then. So the
+// control thread looks once a second, in two cases:
+//   - the heap has refused an allocation: readers of all other users may keep half of what is in use;
+//   - it has not, but readers of other users keep half of what it may become. That counts as no more than a quarter
+//     of the machine's memory (client/machine_memory.hpp): a heap may usually become larger than that, and the
+//     system would kill somebody before the heap refuses anything. So the processes of eight publishers whose readers
+//     all keep what they may fill the memory, and one of them an eighth.
+// Of that half one user has half at most, and where it does not suffice, none more than an equal part: what those
+// leave who keep less is the others'. Users that are above have a few seconds. If they still are then, and the heap
+// has refused another allocation or is still beyond what it may become, this process serves no more, all in one look,
+// those of their readers that keep most (PublisherCore::withdraw), and newcomers of these users for a while neither
+// (UserBans): they would begin anew. A process's own user is in no share.
 //
-//   an allocation is refused, somebody is over the share → patience → another one is → withdrawn → patience
-//   → disregarded
+//   somebody is above → patience → is still → withdrawn → patience → disregarded
 #pragma once
+
+#include <client/user_bans.hpp>
 
 #include <chrono>
 #include <cstdint>
-#include <map>
 #include <optional>
 #include <span>
+#include <vector>
 
 namespace agnocast {
 
@@ -29,30 +36,34 @@ class ReaderShares {
   static constexpr std::chrono::seconds patience{5};
   /// Subscriptions that the daemon tells of late are served again; that is rare, and messages are lost.
   static constexpr std::chrono::seconds patience_to_attach{10};
-  static constexpr std::chrono::seconds out_for{60};
-  /// What one user's readers may keep of a full heap, however many publishers have it.
-  static constexpr std::uint64_t one_user_of(std::uint64_t heap_bytes) noexcept {
-    return heap_bytes / 4;
-  }
 
+  struct Room {
+    std::uint64_t refused;     // allocations that found no room, since ever
+    std::uint64_t in_use;      // bytes
+    std::uint64_t may_become;  // likewise, at most
+  };
   struct Held {
-    std::uint32_t uid;
+    std::uint32_t uid;    // not the process's own user
     std::uint64_t bytes;  // of messages that stay because of its readers
   };
-  /// Once a second or so. `refused`: allocations that found no room, since ever. The user from whose readers
-  /// to withdraw, if any. Allocates.
-  std::optional<std::uint32_t> look(Clock::time_point now, std::uint64_t refused,
-                                    std::uint64_t heap_bytes, std::span<const Held> users);
+  /// A user above its share, and what that is.
+  struct Above {
+    std::uint32_t uid;
+    std::uint64_t share;
+  };
+  /// Returns the users from whose readers to withdraw, which are banned from now on. Once a second or so. `together`:
+  /// bytes that all `users` keep; a message that several of them keep counts once. Allocates.
+  std::vector<Above> look(Clock::time_point now, const Room& room, std::uint64_t together,
+                          std::span<const Held> users);
   /// Instead of a look: nobody holds anything.
-  void nobody_holds() noexcept { over_since_.reset(); }
-  /// Newcomers of this user are withdrawn at once.
-  bool is_out(std::uint32_t uid, Clock::time_point now) const;
+  void nobody_holds() noexcept { above_since_.reset(); }
+  /// Newcomers of this user are withdrawn at once, and who was withdrawn is not served again.
+  bool is_out(PeerOwner owner, Clock::time_point now) const { return bans_.has(owner, now); }
 
  private:
   std::uint64_t refused_ = 0;
-  std::optional<Clock::time_point>
-      over_since_;  // the first refusal while somebody was over its share
-  std::map<std::uint32_t, Clock::time_point> out_until_;
+  std::optional<Clock::time_point> above_since_;  // the first time that it mattered
+  UserBans bans_;
 };
 
 }  // namespace agnocast

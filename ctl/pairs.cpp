@@ -29,7 +29,7 @@ const char* sentence_of(abi::Withdrawal why) noexcept {
     case abi::Withdrawal::over_quota:
       return "the publisher says that it held more messages than it may, and serves it no more";
     case abi::Withdrawal::over_share:
-      return "the publisher says that its user kept too much of a full heap, and serves it no more";
+      return "the publisher says that its user kept too much of the heap, and serves it no more";
     default:
       return "the publisher says that its process could not map it";
   }

@@ -108,7 +108,7 @@ void Broker::note_withdrawn(Peer& peer, const wire::Withdrawn& said) {
   if (said.why == static_cast<std::uint32_t>(abi::Withdrawal::over_quota))
     why = "it held more messages than it may";
   if (said.why == static_cast<std::uint32_t>(abi::Withdrawal::over_share))
-    why = "its user kept too much of a full heap";
+    why = "its user kept too much of the heap";
   note(LogLevel::warning, peer.session.identity().uid, "reader withdrawn",
        {{"topic", registry_.topic(publisher.topic).name},
         {"publisher_pid", peer.session.identity().pid},

@@ -9,7 +9,10 @@
 #include <tests/hostile/hostile_node.hpp>
 #include <tests/support/ctl.hpp>
 
+#include <memory>
 #include <sstream>
+#include <string>
+#include <vector>
 
 namespace agnocast::test {
 namespace {
@@ -20,13 +23,16 @@ constexpr std::uint64_t kept = 63;
 
 /// Holds everything that it may, of whatever comes.
 struct Hoarder {
-  explicit Hoarder(Stage& stage) : node(stage.socket_path()) { join(kept); }
-  void join(std::uint64_t quota) {
+  explicit Hoarder(Stage& stage, std::uint64_t quota = kept, std::uint64_t first_slot = 0)
+      : node(stage.socket_path()) {
+    join(quota, first_slot);
+  }
+  void join(std::uint64_t quota, std::uint64_t first_slot = 0) {
     made = node.join(wire::Kind::subscription, bulk_topic, {1, false, true, false, false}, quota);
     publisher = node.announced().body;
     line().cursor().store(publisher.first_sequence + 1);
     line().publisher_generation().store(publisher.generation);
-    line().hold(0).store((std::uint64_t{1} << quota) - 1);
+    line().hold(0).store(((std::uint64_t{1} << quota) - 1) << first_slot);
   }
   dataplane::LinkWords<SharedMemory> line() const { return node.line(made, publisher.index); }
 
@@ -78,8 +84,7 @@ TEST(HostileShare, WhoKeepsAHeapFullIsServedNoMore) {
   ASSERT_TRUE(eventually([&] { return progress_of(*victim).refused > 0; }))
       << "the heap was never full";
   ASSERT_TRUE(is_logged(stage, "reader withdrawn")) << stage.daemon().log();
-  EXPECT_NE(stage.daemon().log().find("its user kept too much of a full heap"),
-            std::string::npos);
+  EXPECT_NE(stage.daemon().log().find("its user kept too much of the heap"), std::string::npos);
   ASSERT_TRUE(goes_on(*victim) || goes_on(*victim))
       << "what is held by who is served no more still counts";
   const CtlResult doctor = run_ctl(stage.socket_path(), {"doctor"});
@@ -116,6 +121,58 @@ TEST(HostileShare, AStrangerWithTheUidThatOneHasInsideANamespaceIsAStranger) {
   ASSERT_TRUE(is_logged(stage, "reader withdrawn")) << stage.daemon().log();
   ASSERT_TRUE(goes_on(*victim) || goes_on(*victim));
   attacker.end();
+  stage.honest_goes_on();
+}
+
+// None of them keeps most of it, and each could come back while the others are out.
+TEST(HostileShare, ThoseWhoKeepAHeapFullTogetherAreServedNoMoreAtOnce) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage({.quota = "held_messages = 400\nheap_bytes = 201326592\n"});
+  const auto victim = stage.another_honest_process();
+  ASSERT_EQ(victim->ask(std::string("publish_bulk ") + bulk_topic), "ok");
+  ASSERT_TRUE(goes_on(*victim));
+  constexpr std::uint64_t third = kept / 3;
+  std::vector<std::unique_ptr<Attacker>> attackers;
+  for (const uid_t uid : {hostile_uid, third_uid, third_uid - 1}) {
+    attackers.push_back(std::make_unique<Attacker>(
+        [&, first_slot = attackers.size() * third](Attack& attack) {
+          Hoarder hoarder(stage, third, first_slot);
+          attack.ready();
+          while (attack.goes_on()) {
+            if (attack.word(0).exchange(0) != 0) {
+              hoarder.join(1);
+              attack.word(1).store(1);
+            }
+            std::this_thread::sleep_for(std::chrono::milliseconds(10));
+          }
+        },
+        uid));
+  }
+  for (const auto& attacker : attackers) ASSERT_TRUE(attacker->wait_until_ready());
+  ASSERT_TRUE(eventually([&] { return progress_of(*victim).refused > 0; }))
+      << "the heap was never full";
+  for (const auto& attacker : attackers) {
+    const std::string whose = "pid=" + std::to_string(attacker->pid());
+    EXPECT_TRUE(eventually([&] {
+      std::istringstream log(stage.daemon().log());
+      for (std::string line; std::getline(log, line);) {
+        if (line.find("reader withdrawn") != std::string::npos &&
+            line.find(' ' + whose + ' ') != std::string::npos)
+          return true;
+      }
+      return false;
+    })) << whose;
+  }
+  ASSERT_TRUE(goes_on(*victim) || goes_on(*victim));
+  const std::uint64_t refused = progress_of(*victim).refused;
+  for (const auto& attacker : attackers) {
+    attacker->set_word(0, 1);
+    ASSERT_TRUE(eventually([&] { return attacker->word(1) == 1; }));
+  }
+  for (int i = 0; i < 4; ++i) ASSERT_TRUE(goes_on(*victim));
+  EXPECT_EQ(progress_of(*victim).refused, refused);
+  // The newest first: it has inherited how the others are told to stop.
+  for (; !attackers.empty(); attackers.pop_back()) attackers.back()->end();
   stage.honest_goes_on();
 }
 

@@ -462,8 +462,8 @@ TEST(Dataplane, AReaderAtItsQuotaIsNotTakenForOneAboveIt) {
     std::mt19937_64 random(seed);
     Pair pair;
     pair.offered.depth = pair.requested.depth = 150;
-    journal::BoardSteps<M>(pair.topic()).add_subscription(
-        0, 1, {pair.requested, 1, extent, quota, 0});
+    journal::BoardSteps<M>(pair.topic())
+        .add_subscription(0, 1, {pair.requested, 1, extent, quota, 0});
     Interrupted::before_load = [] {};
     auto publisher = std::make_unique<PublisherCore<Interrupted>>(
         PublisherCore<Interrupted>::Identity{{pair.board.base(), 0},
@@ -514,8 +514,8 @@ TEST(Dataplane, ABitThatATakeUndoesIsNotTakenForAHold) {
   constexpr std::uint64_t quota = 2, slots = 200;
   Pair pair;
   pair.offered.depth = pair.requested.depth = 150;
-  journal::BoardSteps<M>(pair.topic()).add_subscription(0, 1,
-                                                        {pair.requested, 1, extent, quota, 0});
+  journal::BoardSteps<M>(pair.topic())
+      .add_subscription(0, 1, {pair.requested, 1, extent, quota, 0});
   Interrupted::before_load = [] {};
   auto publisher = std::make_unique<PublisherCore<Interrupted>>(
       PublisherCore<Interrupted>::Identity{{pair.board.base(), 0},
@@ -540,8 +540,7 @@ TEST(Dataplane, ABitThatATakeUndoesIsNotTakenForAHold) {
       {a | b, c, 0},  // a is released; the late take sets the bit of c
       {b, c, d},      // which it undoes; d is taken
       {b, c, d},      // b is released; c is taken
-      {0, c, d},
-      {0, c, d},
+      {0, c, d},     {0, c, d},
   };
   std::size_t visits = 0;
   Interrupted::before_load = [&] {

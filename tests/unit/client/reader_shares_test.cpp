@@ -4,6 +4,7 @@
 
 #include <gtest/gtest.h>
 
+#include <map>
 #include <vector>
 
 namespace agnocast {
@@ -11,59 +12,117 @@ namespace {
 
 using namespace std::chrono_literals;
 
+using Users = std::vector<ReaderShares::Held>;
+using Shares = std::map<std::uint32_t, std::uint64_t>;
+
 struct ReaderSharesTest : testing::Test {
   static constexpr std::uint64_t heap = 1000;
   ReaderShares shares;
   ReaderShares::Clock::time_point now{1h};
-  std::uint64_t refused = 0;
+  ReaderShares::Room room{0, heap, 8 * heap};
 
+  /// By uid, of whom to withdraw. No message is kept by two.
+  Shares look(const Users& users) {
+    std::uint64_t together = 0;
+    for (const auto& user : users) together += user.bytes;
+    Shares above;
+    for (const auto& one : shares.look(now, room, together, users)) above[one.uid] = one.share;
+    return above;
+  }
   /// A look a second for so long, in a heap that refuses each time.
-  std::optional<std::uint32_t> full_for(int seconds, const std::vector<ReaderShares::Held>& users) {
-    std::optional<std::uint32_t> whom;
-    for (int i = 0; i < seconds && !whom; ++i, now += 1s)
-      whom = shares.look(now, ++refused, heap, users);
+  Shares full_for(int seconds, const Users& users) {
+    Shares whom;
+    for (int i = 0; i < seconds && whom.empty(); ++i, now += 1s) {
+      ++room.refused;
+      whom = look(users);
+    }
     return whom;
   }
 };
 
 TEST_F(ReaderSharesTest, LeavesEverybodyAloneWhileThereIsRoom) {
-  for (int i = 0; i < 60; ++i, now += 1s)
-    EXPECT_FALSE(shares.look(now, refused, heap, std::vector<ReaderShares::Held>{{1, 900}}));
+  for (int i = 0; i < 60; ++i, now += 1s) EXPECT_EQ(look({{1, 900}}), Shares{});
 }
 
-TEST_F(ReaderSharesTest, WithdrawsFromWhoHoldsAQuarterOfAFullHeap) {
-  EXPECT_FALSE(full_for(60, {{1, 249}}));
-  EXPECT_FALSE(full_for(5, {{1, 250}, {2, 100}})) << "it has a few seconds";
-  EXPECT_EQ(full_for(1, {{1, 250}, {2, 100}}), 1u);
+TEST_F(ReaderSharesTest, WithdrawsFromWhoKeepsAQuarterOfAFullHeap) {
+  EXPECT_EQ(full_for(60, {{1, 250}}), Shares{});
+  EXPECT_EQ(full_for(5, {{1, 251}, {2, 100}}), Shares{}) << "it has a few seconds";
+  EXPECT_EQ(full_for(1, {{1, 251}, {2, 100}}), (Shares{{1, 250}}));
 }
 
-TEST_F(ReaderSharesTest, WithdrawsFromWhoHoldsMostWhereAllTogetherHoldHalf) {
-  EXPECT_FALSE(full_for(60, {{1, 160}, {2, 170}, {3, 169}}));
-  EXPECT_EQ(full_for(60, {{1, 160}, {2, 171}, {3, 169}}), 2u);
+TEST_F(ReaderSharesTest, WithdrawsInOneLookFromAllWhoKeepMoreThanTheirPartOfHalf) {
+  EXPECT_EQ(full_for(60, {{1, 160}, {2, 171}, {3, 169}}), Shares{});
+  EXPECT_EQ(full_for(60, {{1, 170}, {2, 171}, {3, 169}}), (Shares{{1, 166}, {2, 166}, {3, 166}}));
+}
+
+TEST_F(ReaderSharesTest, LeavesToOthersWhatSomeDoNotNeed) {
+  EXPECT_EQ(full_for(60, {{1, 100}, {2, 250}, {3, 1}, {4, 240}}), (Shares{{2, 199}, {4, 199}}));
+}
+
+TEST_F(ReaderSharesTest, CountsOnceWhatSeveralKeep) {
+  const Users users{{1, 200}, {2, 200}, {3, 200}};
+  for (int i = 0; i < 60; ++i, now += 1s) {
+    ++room.refused;
+    EXPECT_TRUE(shares.look(now, room, 200, users).empty());
+  }
 }
 
 TEST_F(ReaderSharesTest, WaitsForThoseThatTryRarely) {
-  const std::vector<ReaderShares::Held> users{{1, 500}};
-  EXPECT_FALSE(shares.look(now, ++refused, heap, users));
+  const Users users{{1, 500}};
+  ++room.refused;
+  EXPECT_EQ(look(users), Shares{});
   for (int i = 0; i < 60; ++i, now += 1s)
-    EXPECT_FALSE(shares.look(now, refused, heap, users)) << "nothing was refused since";
-  EXPECT_EQ(shares.look(now, ++refused, heap, users), 1u);
+    EXPECT_EQ(look(users), Shares{}) << "nothing was refused since";
+  ++room.refused;
+  EXPECT_EQ(look(users), (Shares{{1, 250}}));
 }
 
-TEST_F(ReaderSharesTest, BeginsAnewOnceNobodyIsOverItsShare) {
-  EXPECT_FALSE(full_for(5, {{1, 500}}));
-  EXPECT_FALSE(full_for(1, {{1, 5}}));
-  EXPECT_FALSE(full_for(5, {{1, 500}}));
-  EXPECT_EQ(full_for(1, {{1, 500}}), 1u);
+// The system would end a process before such a heap refuses anything.
+TEST_F(ReaderSharesTest, DoesNotWaitForARefusalWhereOthersKeepHalfOfWhatTheHeapMayBecome) {
+  room.may_become = 800;
+  for (int i = 0; i < 60; ++i, now += 1s) EXPECT_EQ(look({{1, 200}, {2, 200}}), Shares{});
+  const Users users{{1, 201}, {2, 200}, {3, 10}};
+  for (int i = 0; i < 5; ++i, now += 1s) EXPECT_EQ(look(users), Shares{});
+  EXPECT_EQ(look(users), (Shares{{1, 195}, {2, 195}}));
+}
+
+TEST_F(ReaderSharesTest, BeginsAnewOnceNobodyIsAboveItsShare) {
+  EXPECT_EQ(full_for(5, {{1, 500}}), Shares{});
+  EXPECT_EQ(full_for(1, {{1, 5}}), Shares{});
+  EXPECT_EQ(full_for(5, {{1, 500}}), Shares{});
+  EXPECT_EQ(full_for(1, {{1, 500}}), (Shares{{1, 250}}));
   shares.nobody_holds();
-  EXPECT_FALSE(full_for(5, {{1, 500}}));
+  EXPECT_EQ(full_for(5, {{1, 500}}), Shares{});
 }
 
-TEST_F(ReaderSharesTest, KeepsNewcomersOfThatUserOutForAWhile) {
-  ASSERT_EQ(full_for(60, {{1, 500}}), 1u);
-  EXPECT_TRUE(shares.is_out(1, now));
-  EXPECT_FALSE(shares.is_out(2, now));
-  EXPECT_FALSE(shares.is_out(1, now + ReaderShares::out_for));
+TEST_F(ReaderSharesTest, KeepsNewcomersOfThoseUsersOutForAWhile) {
+  ASSERT_EQ(full_for(60, {{1, 300}, {2, 300}}).size(), 2u);
+  for (const std::uint32_t uid : {1u, 2u}) {
+    EXPECT_TRUE(shares.is_out({uid, false}, now));
+    EXPECT_FALSE(shares.is_out({uid, true}, now)) << "in another user namespace";
+    EXPECT_FALSE(shares.is_out({uid, false}, now + UserBans::first));
+  }
+  EXPECT_FALSE(shares.is_out({3, false}, now));
+}
+
+// Each fills the heap alone as often as it is let in.
+TEST_F(ReaderSharesTest, IsSeldomFullHoweverManyTakeTurns) {
+  constexpr std::uint32_t users = 12;
+  int full = 0;
+  for (int second = 0; second < 4 * 3600; ++second, now += 1s) {
+    std::uint32_t uid = 1;
+    while (uid <= users && shares.is_out({uid, false}, now)) ++uid;
+    if (uid > users) {
+      shares.nobody_holds();
+      continue;
+    }
+    ++full;
+    ++room.refused;
+    (void)look({{uid, 900}});
+  }
+  // Of four hours: seven bans, 60 s to an hour, and then one an hour, after six seconds each.
+  EXPECT_LE(full, static_cast<int>(users) * 10 * 6);
+  EXPECT_GE(full, static_cast<int>(users) * 6);
 }
 
 }  // namespace

@@ -25,7 +25,8 @@ TEST(UserBans, EndAfterAWhile) {
 TEST(UserBans, AreLongerEachTimeUpToABound) {
   UserBans bans;
   UserBans::Clock::time_point now{1h};
-  for (std::chrono::seconds length = UserBans::first; length < 10 * UserBans::longest; length *= 2) {
+  for (std::chrono::seconds length = UserBans::first; length < 10 * UserBans::longest;
+       length *= 2) {
     const std::chrono::seconds bounded = std::min(length, UserBans::longest);
     bans.add(somebody, now);
     EXPECT_TRUE(bans.has(somebody, now + bounded - 1s));
