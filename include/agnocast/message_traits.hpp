@@ -5,8 +5,8 @@
 //
 //   described   rosidl messages: include <agnocast/rosidl.hpp> and nothing else.
 //               Residency is checked member by member.
-//   flat        trivially copyable classes: nothing to write for an aggregate, else a MessageTraits
-//               with a name. Nothing to check but the object itself.
+//   flat        trivially copyable classes: nothing to write for an aggregate whose members can be looked
+//               into, else a MessageTraits with a name. Nothing to check but the object itself.
 //   visited     any class with a MessageTraits that has for_each_pointer.
 //               Residency is checked by the visitor.
 //   opaque      any class with a MessageTraits that has only a name.
@@ -18,14 +18,25 @@
 #include <agnocast/type_identity.hpp>
 
 #include <any>
+#include <array>
+#include <bitset>
+#include <chrono>
+#include <complex>
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <initializer_list>
 #include <memory>
+#include <optional>
 #include <string_view>
+#include <tuple>
 #include <type_traits>
 #include <utility>
+#include <variant>
 #include <vector>
+#if __cplusplus >= 202002L
+#include <span>
+#endif
 
 namespace agnocast {
 
@@ -114,6 +125,12 @@ template <class C, class Traits>
 inline constexpr bool is_view<std::basic_string_view<C, Traits>> = true;
 template <class T>
 inline constexpr bool is_view<std::reference_wrapper<T>> = true;
+template <class T>
+inline constexpr bool is_view<std::initializer_list<T>> = true;
+#if __cplusplus >= 202002L
+template <class T, std::size_t Extent>
+inline constexpr bool is_view<std::span<T, Extent>> = true;
+#endif
 
 // Classes of the standard library that own or call something of this process.
 template <class T>
@@ -129,21 +146,58 @@ inline constexpr bool is_bound_to_process<std::unique_ptr<T, Deleter>> = true;
 template <>
 inline constexpr bool is_bound_to_process<std::any> = true;
 
+// Classes of the standard library with private members that have nothing but what their arguments say.
+template <class... T>
+struct Parts {
+  static constexpr bool are_known = true;
+};
+template <class T>
+struct PartsOf {
+  static constexpr bool are_known = false;
+};
+template <class T, std::size_t N>
+struct PartsOf<std::array<T, N>> : Parts<T> {};
+template <class T>
+struct PartsOf<std::optional<T>> : Parts<T> {};
+template <class... T>
+struct PartsOf<std::variant<T...>> : Parts<T...> {};
+template <class First, class Second>
+struct PartsOf<std::pair<First, Second>> : Parts<First, Second> {};
+template <class... T>
+struct PartsOf<std::tuple<T...>> : Parts<T...> {};
+template <class T>
+struct PartsOf<std::complex<T>> : Parts<T> {};
+template <class Rep, class Period>
+struct PartsOf<std::chrono::duration<Rep, Period>> : Parts<Rep> {};
+template <class Clock, class Duration>
+struct PartsOf<std::chrono::time_point<Clock, Duration>> : Parts<Duration> {};
+template <std::size_t N>
+struct PartsOf<std::bitset<N>> : Parts<> {};
+
 template <class T>
 inline constexpr bool is_vector = false;
 template <class T, class A>
 inline constexpr bool is_vector<std::vector<T, A>> = true;
 
-// By itself, or as what a vector has.
+template <class... T>
+constexpr bool is_one_elsewhere(Parts<T...>);
+
+// By itself, as what a vector has, or as a part of a class of the standard library.
 template <class T>
 constexpr bool is_elsewhere() {
   using U = std::remove_cv_t<T>;
   if constexpr (is_vector<U>) {
     return is_elsewhere<typename U::value_type>();
+  } else if constexpr (PartsOf<U>::are_known) {
+    return is_one_elsewhere(PartsOf<U>());
   } else {
     return std::is_pointer_v<U> || std::is_member_function_pointer_v<U> || is_view<U> ||
            is_bound_to_process<U>;
   }
+}
+template <class... T>
+constexpr bool is_one_elsewhere(Parts<T...>) {
+  return (is_elsewhere<T>() || ...);
 }
 
 // Members of aggregates, as far as C++17 shows them. An aggregate can be made from k times Any, which
@@ -177,9 +231,13 @@ template <std::size_t>
 using AnyAt = Any;
 template <class T, class Probe, class Before, class = void>
 inline constexpr bool can_follow = false;
+// A std::optional can be made from a probe by its constructor too; GCC warns that this is what it chooses.
+#pragma GCC diagnostic push
+#pragma GCC diagnostic ignored "-Wconversion"
 template <class T, class Probe, std::size_t... I>
 inline constexpr bool can_follow<T, Probe, std::index_sequence<I...>,
                                  std::void_t<decltype(T{AnyAt<I>{}..., Probe{}})>> = true;
+#pragma GCC diagnostic pop
 template <class T, class Before>
 constexpr bool is_reference_after() {
   return can_follow<T, Constant, Before> ||
@@ -206,6 +264,44 @@ constexpr bool has_member_elsewhere() {
     }
   } else {
     return false;
+  }
+}
+
+// Members that no probe can look into: unions, and classes with constructors, bases or private members. An
+// aggregate without a MessageTraits has nobody's word for what lies in them, so they must have their own.
+template <class T>
+constexpr bool is_unseen();
+struct Unseen {
+  template <class U, class = std::enable_if_t<is_unseen<U>()>>
+  operator U() const noexcept;
+};
+template <class... T>
+constexpr bool is_one_unseen(Parts<T...>) {
+  return (is_unseen<T>() || ...);
+}
+template <class T, std::size_t... K>
+constexpr bool has_unseen_among(std::index_sequence<K...>) {
+  return (can_follow<T, Unseen, std::make_index_sequence<K>> || ...);
+}
+template <class T>
+constexpr bool has_unseen_member() {
+  return has_unseen_among<T>(std::make_index_sequence<64>{});
+}
+template <class T>
+constexpr bool is_unseen() {
+  using U = std::remove_cv_t<T>;
+  if constexpr (PartsOf<U>::are_known) {
+    return is_one_unseen(PartsOf<U>());
+  } else if constexpr (std::is_union_v<U>) {
+    return !is_specialised<U>;
+  } else if constexpr (!std::is_class_v<U>) {
+    return is_elsewhere<U>();
+  } else if constexpr (is_specialised<U> || std::is_empty_v<U>) {
+    return false;
+  } else if constexpr (std::is_aggregate_v<U>) {
+    return has_member_elsewhere<U>() || has_unseen_member<U>();
+  } else {
+    return true;
   }
 }
 
@@ -293,6 +389,12 @@ constexpr bool require_message() {
         "agnocast: nobody can look into a class with constructors, bases or private "
         "members; specialise agnocast::MessageTraits with a name for it, and so state that "
         "it has no pointer, reference or view (see docs/messages.md)");
+    static_assert(
+        is_specialised<T> || !has_unseen_member<T>(),
+        "agnocast: nobody can look into a member of this message, which is a union or a class with "
+        "constructors, bases or private members; specialise agnocast::MessageTraits with a name for "
+        "that member's class, or for the message, and so state that it has no pointer, reference or "
+        "view (see docs/messages.md)");
     static_assert(is_specialised<T> || is_stable_spelling(spelled_name<T>()),
                   "agnocast: compilers spell the name of this type differently; give it a name by "
                   "MessageTraits");

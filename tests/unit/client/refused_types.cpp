@@ -13,13 +13,22 @@
 
 #include <any>
 #include <array>
+#include <bitset>
+#include <chrono>
+#include <complex>
+#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <memory>
 #include <optional>
 #include <string>
 #include <string_view>
+#include <system_error>
+#include <variant>
 #include <vector>
+#if __cplusplus >= 202002L
+#include <span>
+#endif
 
 namespace refused {
 
@@ -81,6 +90,49 @@ class PrivatePointer {
  private:
   [[maybe_unused]] const int* first = nullptr;
 };
+struct PrivateMember {
+  int a;
+  PrivatePointer p;
+};
+struct PrivateTwoLevelsDown {
+  std::optional<int> maybe;
+  char text[20];
+  struct {
+    std::array<PrivatePointer, 2> all;
+  } inner;
+};
+struct PrivateOrNothing {
+  std::variant<int, std::optional<PrivatePointer>> p;
+};
+struct PrivateBase : PrivatePointer {
+  int a;
+};
+struct UnionMember {
+  int a;
+  union {
+    long number;
+    const int* first;
+  };
+};
+struct ErrorCode {
+  std::error_code code;  // has a pointer to its category
+};
+struct ListMember {
+  int count;
+  std::initializer_list<int> numbers;
+};
+struct MaybePointer {
+  std::optional<const int*> first;
+};
+#if __cplusplus >= 202002L
+struct SpanMember {
+  int a;
+  std::span<const int> s;
+};
+struct ArrayOfSpans {
+  std::array<std::span<int, 4>, 2> all;
+};
+#endif
 struct WithConstructor {
   explicit WithConstructor(int value = 0) : number(value) {}
   int number;
@@ -113,6 +165,38 @@ struct Everything {
   std::vector<std::vector<std::string>> words;
   Constant constant;
   WithConstructor hidden;
+};
+// Trivially copyable, and nothing to write for it.
+struct Empty {};
+struct Base {
+  std::int64_t id;
+};
+struct Seen : Base {
+  std::optional<Inner> maybe;
+  std::variant<std::monostate, int, Inner> either;
+  std::chrono::nanoseconds age;
+  std::chrono::time_point<std::chrono::steady_clock, std::chrono::milliseconds> at;
+  std::complex<double> impedance;
+  std::array<std::complex<float>, 2> pair;
+  std::bitset<100> bits;
+  std::byte bytes[8];
+  WithConstructor named;  // by its own MessageTraits
+  std::optional<WithConstructor> perhaps;
+  Inner grid[2][2];
+  Number number;
+  int Inner::*member;
+  Empty empty;
+  bool yes : 1, no : 2;
+  const int constant;
+};
+// A MessageTraits of the message is a word for its members as well.
+struct PrivateByName {
+  int a;
+  PrivatePointer p;
+  union {
+    long number;
+    double real;
+  };
 };
 struct Declared;
 class HiddenCopy {
@@ -174,6 +258,8 @@ AGNOCAST_TEST_NAMED(VectorOfPointers)
 AGNOCAST_TEST_NAMED(Tree)
 AGNOCAST_TEST_NAMED(Constant)
 AGNOCAST_TEST_NAMED(Everything)
+AGNOCAST_TEST_NAMED(PrivateByName)
+AGNOCAST_TEST_NAMED(ListMember)
 #if !defined(CASE_with_constructor)
 AGNOCAST_TEST_NAMED(WithConstructor)
 #endif
@@ -252,6 +338,28 @@ bool all() {
   return describe<refused::ArrayOfViews>();
 #elif defined(CASE_vector_of_pointers)
   return describe<refused::VectorOfPointers>();
+#elif defined(CASE_private_member)
+  return describe<refused::PrivateMember>();
+#elif defined(CASE_private_two_levels_down)
+  return describe<refused::PrivateTwoLevelsDown>();
+#elif defined(CASE_private_or_nothing)
+  return describe<refused::PrivateOrNothing>();
+#elif defined(CASE_private_base)
+  return describe<refused::PrivateBase>();
+#elif defined(CASE_union_member)
+  return describe<refused::UnionMember>();
+#elif defined(CASE_error_code)
+  return describe<refused::ErrorCode>();
+#elif defined(CASE_list_member)
+  return describe<refused::ListMember>();
+#elif defined(CASE_maybe_pointer)
+  return describe<refused::MaybePointer>();
+#elif defined(CASE_span)
+  return describe<std::span<const int>>();
+#elif defined(CASE_span_member)
+  return describe<refused::SpanMember>();
+#elif defined(CASE_array_of_spans)
+  return describe<refused::ArrayOfSpans>();
 #elif defined(CASE_private_pointer)
   return describe<refused::PrivatePointer>();
 #elif defined(CASE_with_constructor)
@@ -269,7 +377,8 @@ bool all() {
 #else
   return describe<refused::Flat>() && describe<refused::Good>() && describe<refused::Box<long>>() &&
          describe<refused::Tree>() && describe<refused::Constant>() &&
-         describe<refused::Everything>() && describe<refused::WithConstructor>() &&
+         describe<refused::Everything>() && describe<refused::Seen>() &&
+         describe<refused::PrivateByName>() && describe<refused::WithConstructor>() &&
          describe<std_msgs::msg::String>();
 #endif
 }
