@@ -7,13 +7,17 @@
 //   then line by line on its standard input, each answered with one line:
 //     read TOPIC      → ok     a subscription to a stream of Numbered
 //     relay TOPIC     → ok     a subscription to std_msgs/msg/String, of which it makes checked copies
+//     forward TOPIC TO → ok    a typed one, whose checked copies it publishes on TO
 //     tell TOPIC TEXT → ok     a publisher of std_msgs/msg/String, of TEXT again and again; without one, of nothing
 //     matched         → how many subscriptions that has
 //     state           → read relayed refused strange      strange: texts in which there is anything but 'h'
 
+#include <agnocast/agnocast.hpp>
 #include <agnocast/relay.hpp>
 #include <tests/hostile/messages.hpp>
 #include <tests/support/plain_node.hpp>
+
+#include <std_msgs/msg/string.hpp>
 
 #include <grp.h>
 #include <unistd.h>
@@ -32,6 +36,8 @@ namespace agnocast::test {
 namespace {
 
 class RelayNode {
+  using Text = std_msgs::msg::String;
+
  public:
   std::string execute(std::istringstream& line) {
     std::string what, topic;
@@ -45,6 +51,14 @@ class RelayNode {
       rumor_ = create_generic_subscription(
           node_, topic, "std_msgs/msg/String", QoS(100),
           [this](const GenericMessage& message) { pass_on(message); });
+      return "ok";
+    }
+    if (what == "forward") {
+      std::string to;
+      line >> to;
+      forwarder_ = create_publisher<Text>(node_, to, QoS(10));
+      forwarded_ = create_subscription<Text>(
+          node_, topic, QoS(100), [this](const ipc_shared_ptr<const Text>& text) { forward(text); });
       return "ok";
     }
     if (what == "tell") {
@@ -69,6 +83,14 @@ class RelayNode {
       std::this_thread::sleep_for(std::chrono::milliseconds(2));
     }
   }
+  void forward(const ipc_shared_ptr<const Text>& message) {
+    auto copy = try_copy_checked(message);
+    if (!copy) {
+      ++refused_;
+    } else if (forwarder_->publish(std::move(*copy))) {
+      ++relayed_;
+    }
+  }
   void pass_on(const GenericMessage& message) {
     const auto copy = try_copy_checked(message);
     if (!copy) {
@@ -85,6 +107,8 @@ class RelayNode {
   Subscription<Numbered>::SharedPtr secret_;
   GenericSubscription::SharedPtr rumor_;
   GenericPublisher::SharedPtr publisher_;
+  Publisher<Text>::SharedPtr forwarder_;
+  Subscription<Text>::SharedPtr forwarded_;
 };
 
 bool become(uid_t uid) {

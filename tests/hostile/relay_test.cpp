@@ -3,7 +3,8 @@
 // Goal: a relay passes on nothing that lies outside the memory of the publisher whose message it was
 // handed, and does not crash by it. Method: a relay of the honest user reads a stream that a rule keeps from
 // others, and texts of anybody; a publisher of another user sends it texts that lie in the windows of the
-// stream, nowhere, or in both in turn while they are read. What a running bridge does of it: relay_bridge_test.cpp.
+// stream, nowhere, or in both in turn while they are read. One relay is generic; another is typed and publishes
+// what it reads, for a third process to judge. What a running bridge does of it: relay_bridge_test.cpp.
 
 #include <tests/hostile/rumors.hpp>
 
@@ -12,34 +13,73 @@
 namespace agnocast::test {
 namespace {
 
-TEST(HostileRelay, PassesOnNothingOfAnotherPublishersMemory) {
-  AGNOCAST_NEEDS_TWO_USERS();
-  Stage stage({.more = "[[access]]\ntopic = \"/secret\"\nsubscribe = [\"uid:" +
-                       std::to_string(honest_uid) + "\"]\n"});
-  const auto secretive = stage.another_honest_process();
-  SteeredProcess relay({AGNOCAST_RELAY_NODE, std::to_string(honest_uid)},
-                       {"AGNOCAST_SOCKET=" + stage.socket_path()});
-  ASSERT_EQ(relay.ask("read /secret"), "ok");
-  ASSERT_EQ(relay.ask("relay /rumor"), "ok");
-  ASSERT_EQ(secretive->ask("publish /secret"), "ok");
-  std::uint64_t read = 0, relayed = 0, refused = 0, strange = 0;
-  const auto look = [&] {
-    std::istringstream state(relay.ask("state"));
+/// A relay node of the honest user, and what it says of itself.
+class Relay {
+ public:
+  explicit Relay(const Stage& stage)
+      : node_({AGNOCAST_RELAY_NODE, std::to_string(honest_uid)},
+              {"AGNOCAST_SOCKET=" + stage.socket_path()}) {}
+  std::string ask(const std::string& what) { return node_.ask(what); }
+  /// False, and a failure, when it does not answer any more.
+  bool look() {
+    std::istringstream state(node_.ask("state"));
     state >> read >> relayed >> refused >> strange;
     EXPECT_FALSE(state.fail()) << "the relay does not answer: " << state.str();
     return !state.fail();
-  };
-  ASSERT_TRUE(eventually([&] { return look() && read > 0; }));
+  }
+  std::uint64_t read = 0, relayed = 0, refused = 0, strange = 0;
+
+ private:
+  SteeredProcess node_;
+};
+
+StageOptions with_a_secret() {
+  return {.more = "[[access]]\ntopic = \"/secret\"\nsubscribe = [\"uid:" +
+                  std::to_string(honest_uid) + "\"]\n"};
+}
+
+TEST(HostileRelay, PassesOnNothingOfAnotherPublishersMemory) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage(with_a_secret());
+  const auto secretive = stage.another_honest_process();
+  Relay relay(stage);
+  ASSERT_EQ(relay.ask("read /secret"), "ok");
+  ASSERT_EQ(relay.ask("relay /rumor"), "ok");
+  ASSERT_EQ(secretive->ask("publish /secret"), "ok");
+  ASSERT_TRUE(eventually([&] { return relay.look() && relay.read > 0; }));
   Attacker attacker([&](Attack& attack) { spread_rumors(stage.socket_path(), attack); });
   if (!attacker.wait_until_ready()) return attacker.end();
-  EXPECT_TRUE(eventually([&] { return !look() || (relayed >= 20 && refused >= 200); }))
-      << relayed << " relayed, " << refused << " refused";
-  EXPECT_EQ(strange, 0u) << "of " << relayed << " texts that were passed on";
+  EXPECT_TRUE(eventually(
+      [&] { return !relay.look() || (relay.relayed >= 20 && relay.refused >= 200); }))
+      << relay.relayed << " relayed, " << relay.refused << " refused";
+  EXPECT_EQ(relay.strange, 0u) << "of " << relay.relayed << " texts that were passed on";
   attacker.end();
-  const std::uint64_t before = read;
-  EXPECT_TRUE(eventually([&] { return !look() || read > before; })) << "it goes on";
-  std::printf("%llu texts relayed, %llu refused\n", static_cast<unsigned long long>(relayed),
-              static_cast<unsigned long long>(refused));
+  const std::uint64_t before = relay.read;
+  EXPECT_TRUE(eventually([&] { return !relay.look() || relay.read > before; })) << "it goes on";
+  std::printf("%llu texts relayed, %llu refused\n", static_cast<unsigned long long>(relay.relayed),
+              static_cast<unsigned long long>(relay.refused));
+}
+
+TEST(HostileRelay, ThatIsTypedPublishesNothingOfAnotherPublishersMemory) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage(with_a_secret());
+  const auto secretive = stage.another_honest_process();
+  Relay relay(stage), judge(stage);
+  ASSERT_EQ(judge.ask("relay /forwarded"), "ok");
+  ASSERT_EQ(relay.ask("read /secret"), "ok");
+  ASSERT_EQ(relay.ask("forward /rumor /forwarded"), "ok");
+  ASSERT_EQ(secretive->ask("publish /secret"), "ok");
+  ASSERT_TRUE(eventually([&] { return relay.look() && relay.read > 0; }));
+  Attacker attacker([&](Attack& attack) { spread_rumors(stage.socket_path(), attack); });
+  if (!attacker.wait_until_ready()) return attacker.end();
+  EXPECT_TRUE(eventually([&] {
+    return !relay.look() || !judge.look() || (judge.relayed >= 20 && relay.refused >= 200);
+  })) << judge.relayed << " relayed, " << relay.refused << " refused";
+  EXPECT_EQ(judge.strange, 0u) << "of " << judge.relayed << " texts that were published anew";
+  EXPECT_EQ(judge.refused, 0u) << "what the relay publishes is its own";
+  attacker.end();
+  const std::uint64_t before = relay.read;
+  EXPECT_TRUE(eventually([&] { return !relay.look() || relay.read > before; })) << "it goes on";
 }
 
 }  // namespace
