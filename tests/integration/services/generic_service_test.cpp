@@ -15,6 +15,8 @@
 
 #include <gmock/gmock.h>
 
+#include <array>
+#include <atomic>
 #include <chrono>
 #include <cstdlib>
 #include <future>
@@ -182,6 +184,69 @@ TEST_F(GenericServices, AdoptWhatWasBuiltElsewhere) {
       ASSERT_TRUE(is_ready_soon(sent));
       EXPECT_EQ(sent.get()->string_values, expected);
     }
+  }
+}
+
+// A request of one type that passes for one of another is read as that by the service. As a rule another client, or
+// service, is made at the address where one was.
+TEST_F(GenericServices, ARequestThatOutlivesItsClientIsOfNoOtherType) {
+  Node node("node");
+  std::atomic<int> asked{0};
+  auto service = create_generic_service(
+      node, "stale_requests", "test_msgs/srv/Arrays",
+      [&](const GenericMessage&, GenericLoan&) { ++asked; });
+  std::vector<GenericLoan> stale;
+  for (int round = 0; round < 20; ++round) {
+    {
+      auto client = create_generic_client(node, "others", "example_interfaces/srv/AddTwoInts");
+      stale.push_back(client->borrow_loaned_request());
+      EXPECT_TRUE(client->pause(stale.back().handle()));
+    }
+    auto client = create_generic_client(node, "stale_requests", "test_msgs/srv/Arrays");
+    ASSERT_TRUE(client->wait_for_service(patience));
+    for (GenericLoan& loan : stale) {
+      const auto sent = client->try_async_send_request(std::move(loan));
+      ASSERT_FALSE(sent) << round;
+      ASSERT_EQ(sent.error().code, Errc::loan_invalid);
+      ASSERT_FALSE(client->pause(loan.handle()));
+      ASSERT_TRUE(loan) << "the caller still has it";
+    }
+    auto sent = client->async_send_request(client->borrow_loaned_request());
+    ASSERT_TRUE(is_ready_soon(sent));
+    EXPECT_EQ(asked, round + 1);
+  }
+}
+
+TEST_F(GenericServices, AResponseThatOutlivesItsServiceIsOfNoOtherType) {
+  Node node("node");
+  std::vector<GenericLoan> stale;
+  auto client = create_generic_client(node, "stale_responses", "test_msgs/srv/Arrays");
+  for (int round = 0; round < 20; ++round) {
+    const auto ignore = [](GenericServiceRequest) {};
+    {
+      auto service =
+          create_generic_service(node, "others", "example_interfaces/srv/AddTwoInts", ignore);
+      stale.push_back(service->borrow_loaned_response());
+      EXPECT_TRUE(service->pause(stale.back()));
+    }
+    std::promise<GenericServiceRequest> asked;
+    auto service =
+        create_generic_service(node, "stale_responses", "test_msgs/srv/Arrays",
+                               [&](GenericServiceRequest request) { asked.set_value(request); });
+    ASSERT_TRUE(client->wait_for_service(patience));
+    auto sent = client->async_send_request(client->borrow_loaned_request());
+    auto arrived = asked.get_future();
+    ASSERT_TRUE(is_ready_soon(arrived));
+    const GenericServiceRequest request = arrived.get();
+    for (GenericLoan& loan : stale) {
+      ASSERT_EQ(service->send_response(request, std::move(loan)).code, Errc::loan_invalid) << round;
+      ASSERT_FALSE(service->pause(loan));
+      ASSERT_TRUE(loan) << "the caller still has it";
+    }
+    EXPECT_EQ(service->send_response(request, service->borrow_loaned_response()).code, Errc::ok)
+        << "the request can still be answered";
+    ASSERT_TRUE(is_ready_soon(sent));
+    EXPECT_TRUE(sent.get());
   }
 }
 
