@@ -27,7 +27,7 @@ bool read(const std::string& text, std::int64_t& number) {
 }  // namespace
 
 int main(int argc, char** argv) try {
-  example::init(argc, argv);
+  agnocast::init(argc, argv);
   const std::vector<std::string> words = agnocast::remove_ros_arguments(argc, argv);
   std::int64_t a = 0, b = 0;
   if (words.size() != 3 || !read(words[1], a) || !read(words[2], b)) {

@@ -12,7 +12,7 @@
 using example_interfaces::srv::AddTwoInts;
 
 int main(int argc, char** argv) try {
-  example::init(argc, argv);
+  agnocast::init(argc, argv);
   if (const auto words = agnocast::remove_ros_arguments(argc, argv); words.size() != 1) {
     const bool is_help = words.size() == 2 && words[1] == "--help";
     std::fputs("usage: add_two_ints_server [--ros-args -r FROM:=TO …]\n", is_help ? stdout : stderr);

@@ -48,15 +48,6 @@ inline constexpr std::uint64_t points_max = UINT32_MAX / (5 * sizeof(float));
   std::exit(0);
 }
 
-/// Takes the ROS arguments, for the nodes that are created later, and says which of them have no effect.
-inline void init(int argc, char** argv) {
-  agnocast::init(argc, argv);
-  const char* const slash = std::strrchr(argv[0], '/');
-  for (const std::string& argument : agnocast::ignored_ros_arguments(argc, argv)) {
-    std::fprintf(stderr, "%s: warning: %s: this argument has no effect\n", slash != nullptr ? slash + 1 : argv[0], argument.c_str());
-  }
-}
-
 /// ROS arguments are for the nodes that are created later. `extra`: options of this program beyond the common ones, for the usage line.
 inline Options parse(int argc, char** argv, const char* topic, const char* extra = "") {
   const char* const slash = std::strrchr(argv[0], '/');
@@ -67,7 +58,7 @@ inline Options parse(int argc, char** argv, const char* topic, const char* extra
   };
   Options options;
   options.topic = topic;
-  init(argc, argv);
+  agnocast::init(argc, argv);
   const std::vector<std::string> own = agnocast::remove_ros_arguments(argc, argv);
   for (std::size_t i = 1; i < own.size(); ++i) {
     const std::string& name = own[i];

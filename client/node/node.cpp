@@ -5,7 +5,10 @@
 #include <base/text.hpp>
 #include <client/node/arguments.hpp>
 
+#include <cstdio>
 #include <iterator>
+#include <mutex>
+#include <set>
 #include <utility>
 
 namespace agnocast {
@@ -17,6 +20,21 @@ Arguments parse_or_throw(const std::vector<std::string>& arguments) {
   return std::move(*parsed);
 }
 
+// A user who starts a program with a parameter file expects it to obey, and its author may not know that
+// it does not: an error would keep launch files from starting it, and silence would leave both in the dark.
+void warn_of(const Arguments& arguments) {
+  static std::mutex mutex;
+  static std::set<std::string>* const said = new std::set<std::string>;  // init() may be called at exit
+  std::string program = arguments.others.empty() ? std::string() : arguments.others.front();
+  program.erase(0, program.rfind('/') + 1);
+  const std::lock_guard lock(mutex);
+  for (const std::string& argument : arguments.ignored) {
+    if (!said->insert(argument).second) continue;
+    std::fprintf(stderr, "%s: warning: %s: this argument has no effect\n", program.c_str(),
+                 argument.c_str());
+  }
+}
+
 void require(const std::optional<NameProblem>& problem, const char* what, const std::string& name) {
   if (!problem) return;
   const std::string text = std::string(what) + " " + in_quotes(name) + ": " + problem->text();
@@ -25,8 +43,10 @@ void require(const std::optional<NameProblem>& problem, const char* what, const 
 
 }  // namespace
 
-void init(int argc, char const* const* argv) {
-  set_global_arguments(parse_or_throw({argv, argv + argc}));
+void init(int argc, char const* const* argv, const InitOptions& options) {
+  Arguments arguments = parse_or_throw({argv, argv + argc});
+  if (options.warns_of_ignored_arguments()) warn_of(arguments);
+  set_global_arguments(std::move(arguments));
 }
 
 std::vector<std::string> remove_ros_arguments(int argc, char const* const* argv) {

@@ -21,15 +21,28 @@
 
 namespace agnocast {
 
+/// Options of init(), with setters.
+class InitOptions {
+ public:
+  /// False: init() writes nothing, and the program tells its user itself what ignored_ros_arguments()
+  /// returns.
+  InitOptions& warn_of_ignored_arguments(bool wanted) noexcept { return warns_ = wanted, *this; }
+  bool warns_of_ignored_arguments() const noexcept { return warns_; }
+
+ private:
+  bool warns_ = true;
+};
+
 /// Takes the ROS arguments of the command line (`--ros-args … --`) for all nodes that are created
-/// later; the last call counts. Optional. It installs no signal handler. Throws Error:
-/// invalid_argument, invalid_name.
-AGNOCAST_PUBLIC void init(int argc, char const* const* argv);
+/// later; the last call counts. Optional. It installs no signal handler. For each argument that has
+/// no effect (ignored_ros_arguments) it writes a line to standard error, once in the life of the
+/// process; the library writes nothing else anywhere. Throws Error: invalid_argument, invalid_name.
+AGNOCAST_PUBLIC void init(int argc, char const* const* argv, const InitOptions& options = {});
 /// The arguments without those for ROS; the program's name stays the first. Throws as init().
 [[nodiscard]] AGNOCAST_PUBLIC std::vector<std::string> remove_ros_arguments(
     int argc, char const* const* argv);
 /// The arguments for ROS that agnocast accepts and that have no effect (parameters, enclaves, log options), each with its
-/// value: {"-p rate:=10"}. The library prints nothing: a program says them to its user. Throws as init().
+/// value: {"-p rate:=10"}. Writes nothing. Throws as init().
 [[nodiscard]] AGNOCAST_PUBLIC std::vector<std::string> ignored_ros_arguments(
     int argc, char const* const* argv);
 

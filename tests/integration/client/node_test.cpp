@@ -129,6 +129,23 @@ TEST_F(Nodes, ListTheArgumentsThatHaveNoEffect) {
   EXPECT_THAT(Node("node").ignored_arguments(), testing::IsEmpty());
 }
 
+TEST_F(Nodes, SayOnceWhichArgumentsHaveNoEffect) {
+  const char* const line[] = {"/opt/bin/program", "--ros-args", "-p", "said_once:=1",
+                              "--params-file",    "/said.yaml", "-r", "points:=/all"};
+  const auto written_by = [&](int argc, const InitOptions& options) {
+    testing::internal::CaptureStderr();
+    init(argc, line, options);
+    return testing::internal::GetCapturedStderr();
+  };
+  EXPECT_EQ(written_by(6, InitOptions().warn_of_ignored_arguments(false)), "");
+  EXPECT_EQ(written_by(4, InitOptions()),
+            "program: warning: -p said_once:=1: this argument has no effect\n");
+  EXPECT_EQ(written_by(8, InitOptions()),
+            "program: warning: --params-file /said.yaml: this argument has no effect\n");
+  EXPECT_EQ(written_by(8, InitOptions()), "");
+  EXPECT_EQ(written_by(0, InitOptions()), "");
+}
+
 TEST_F(Nodes, RefuseWrongArguments) {
   const auto with = [](std::vector<std::string> arguments) {
     return error_of([&] { Node node("node", NodeOptions().arguments(arguments)); });
