@@ -5,9 +5,13 @@
 
 #include "support.hpp"
 
+#include <algorithm>
+#include <csetjmp>
+#include <csignal>
 #include <cstdlib>
 #include <cstring>
 #include <functional>
+#include <iterator>
 #include <memory>
 #include <string>
 #include <thread>
@@ -244,6 +248,64 @@ HOOKED_TEST(HookLifetime, LoadingWhileThreadsAllocateNeverDeadlocks) {
   }
   stop = true;
   for (std::thread& thread : threads) thread.join();
+}
+
+// A block in the window, and before it memory of the caller's that is zero.
+struct BehindZeros {
+  static constexpr std::size_t bytes = 1024;
+  char* blocks[8];
+  char* block = nullptr;
+
+  BehindZeros() {
+    hook().enter();
+    for (char*& each : blocks) each = static_cast<char*>(malloc(bytes));
+    hook().leave();
+    for (char* const each : blocks) {
+      if (std::find(std::begin(blocks), std::end(blocks), each - bytes) != std::end(blocks)) block = each;
+    }
+    if (block != nullptr) memset(block - bytes, 0, bytes);
+  }
+  ~BehindZeros() {
+    for (char* const each : blocks) free(each);
+  }
+  BehindZeros(const BehindZeros&) = delete;
+  BehindZeros& operator=(const BehindZeros&) = delete;
+};
+
+sigjmp_buf after_abort;
+
+// docs/heaphook.md says which calls of such a library are safe, and how the others end.
+HOOKED_TEST(HookLifetime, ALibraryThatIsBoundDeeplyHasAMallocOfItsOwn) {
+  WindowFile file(256 * MiB);
+  attach(file);
+  const std::string path = std::string(AGNOCAST_TEST_PROGRAMS) + "/libhook_test_deep.so";
+  void* const module = dlopen(path.c_str(), RTLD_NOW | RTLD_LOCAL | RTLD_DEEPBIND);
+  ASSERT_NE(module, nullptr) << dlerror();
+  const auto allocate = reinterpret_cast<void* (*)(std::size_t)>(dlsym(module, "deep_allocate"));
+  const auto release = reinterpret_cast<void (*)(void*)>(dlsym(module, "deep_release"));
+  ASSERT_NE(allocate, nullptr);
+  ASSERT_NE(release, nullptr);
+
+  hook().enter();
+  void* const its_own = allocate(1000);
+  hook().leave();
+  EXPECT_FALSE(is_shared(its_own));
+  free(its_own);
+  release(malloc(1000));
+
+  // libc believes what lies before the block: with zeros there it sees that the block is not its own.
+  const BehindZeros shared;
+  ASSERT_NE(shared.block, nullptr);
+  ASSERT_TRUE(is_shared(shared.block));
+  signal(SIGABRT, [](int) { siglongjmp(after_abort, 1); });
+  testing::internal::CaptureStderr();
+  if (sigsetjmp(after_abort, 1) == 0) {
+    release(shared.block);
+    ADD_FAILURE() << "libc takes it";
+  }
+  signal(SIGABRT, SIG_DFL);
+  EXPECT_NE(testing::internal::GetCapturedStderr().find("free(): invalid pointer"), std::string::npos);
+  EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
 }
 
 HOOKED_TEST(HookLifetime, TheHookItselfCannotBeUnloaded) {
