@@ -43,11 +43,13 @@ start bridge "$build/bridge/agnocast-bridge"
 # Ours → ROS 2.
 start talker "$build/examples/talker" --rate 10
 shows /talker ros2 node list --no-daemon
-# The writer is in DDS while somebody there reads.
-start echo ros2 topic echo /chatter std_msgs/msg/String
+# While nobody reads it: its writer is announced.
+shows "/chatter [std_msgs/msg/String]" ros2 topic list --no-daemon -t
 shows "/chatter: std_msgs/msg/String" ros2 node info --no-daemon /talker
 shows "Node name: talker" ros2 topic info --no-daemon -v /chatter
-shows "data:" ros2 topic echo --no-daemon --once /chatter std_msgs/msg/String
+# Readers that find the type in DDS. hz runs until it is told to end, and Python would keep what it prints until then.
+shows "data:" ros2 topic echo --no-daemon --once /chatter
+shows "average rate:" env PYTHONUNBUFFERED=1 timeout -s INT 8 ros2 topic hz /chatter
 
 # ROS 2 → ours.
 # Itself: ros2 run would leave it behind.
