@@ -8,6 +8,9 @@
 // same addresses to two owners: then the second is not mapped here, because what lies there is in use.
 #pragma once
 
+#include <agnocast/residency.hpp>
+
+#include <atomic>
 #include <cstdint>
 #include <mutex>
 #include <vector>
@@ -27,24 +30,37 @@ class AddressUsers {
   /// Of this process; immortal.
   static AddressUsers& instance() noexcept;
 
-  /// One more user of [base, base + bytes). False when something else lies in a part of it, or there is
-  /// no memory to note it.
-  [[nodiscard]] bool enter(std::uint64_t base, std::uint64_t bytes, const File& file) noexcept;
+  static constexpr std::uint64_t own = 0;
+  /// One more user of [base, base + bytes). `group`: another process's window, and the base of the first window
+  /// of its group; or `own`. False when something else lies in a part of it, or there is no memory to note it.
+  [[nodiscard]] bool enter(std::uint64_t base, std::uint64_t bytes, const File& file,
+                           std::uint64_t group) noexcept;
   /// So much of it is mapped now, from its base.
   void mapped(std::uint64_t base, std::uint64_t bytes) noexcept;
   /// One user less. The last one's mappings are covered with the reservation.
   void leave(std::uint64_t base) noexcept;
+
+  /// False: no window of another process was ever here.
+  bool may_be_of_another(std::uint64_t address) const noexcept {
+    return address >= lowest_.load(std::memory_order_relaxed) &&
+           address < highest_.load(std::memory_order_relaxed);
+  }
+  /// What is mapped of the group that `address` is in; empty where it is in no window of another process.
+  WindowSet group_of_another(std::uint64_t address) noexcept;
 
  private:
   struct Range {
     std::uint64_t base;
     std::uint64_t bytes;
     File file;
+    std::uint64_t group;
     std::uint64_t users;
     std::uint64_t mapped;
   };
   std::mutex mutex_;
   std::vector<Range> ranges_;
+  // Around all windows of others that there were. They only grow, so a look without the lock is as good.
+  std::atomic<std::uint64_t> lowest_{~std::uint64_t{0}}, highest_{0};
 };
 
 }  // namespace agnocast

@@ -141,7 +141,8 @@ void remember(std::uint64_t window, std::uint64_t base, std::uint64_t length, st
   attached.first[window] = first;
   // For as long as the process lives: whatever else a daemon gives there is not mapped here.
   [[maybe_unused]] const bool entered =
-      AddressUsers::instance().enter(base, length, AddressUsers::file_of(write_fd.get()));
+      AddressUsers::instance().enter(base, length, AddressUsers::file_of(write_fd.get()),
+                                     AddressUsers::own);
   attached.write_fd[window] = write_fd.release();
 }
 

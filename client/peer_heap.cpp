@@ -41,7 +41,8 @@ Result<void> PeerHeap::append(const Announced& window, UniqueFd fd, DescriptorSh
   if (window.number < count) {
     Window& known = windows_[window.number];
     if (!fd || !known.lacks_file.load(std::memory_order_relaxed) || window.base != known.base ||
-        !AddressUsers::instance().enter(known.base, known.length, AddressUsers::file_of(fd.get())))
+        !AddressUsers::instance().enter(known.base, known.length, AddressUsers::file_of(fd.get()),
+                                        windows_[known.first].base))
       return {};
     known.fd = std::move(fd);
     known.counted = std::move(counted);
@@ -53,8 +54,10 @@ Result<void> PeerHeap::append(const Announced& window, UniqueFd fd, DescriptorSh
       window.base + window.length < window.base) {
     return fail(Errc::invalid_argument, "a heap window that cannot be");
   }
+  const std::uint64_t group =
+      window.first == window.number ? window.base : windows_[window.first].base;
   if (fd && !AddressUsers::instance().enter(window.base, window.length,
-                                            AddressUsers::file_of(fd.get()))) {
+                                            AddressUsers::file_of(fd.get()), group)) {
     fd.reset();
     is_blocked = true;
   }

@@ -4,6 +4,7 @@
 
 #include <agnocast/message_windows.hpp>
 #include <agnocast/subscription.hpp>
+#include <client/address_users.hpp>
 #include <client/context.hpp>
 #include <client/forked_child.hpp>
 #include <client/qos_words.hpp>
@@ -50,6 +51,14 @@ WindowSet windows_of(const Block* block) noexcept {
   if (block == nullptr || block->end != end_block) return {};
   const auto& received = static_cast<const ReceivedBlock*>(block)->received;
   return received.link->peer().heap().group_of(received.taken.address);
+}
+
+WindowSet windows_of_another(const void* object) noexcept {
+  const auto address = reinterpret_cast<std::uintptr_t>(object);
+  AddressUsers& users = AddressUsers::instance();
+  // In a forked child somebody may have its lock for ever.
+  if (!users.may_be_of_another(address) || is_forked_child()) return {};
+  return users.group_of_another(address);
 }
 
 }  // namespace detail

@@ -37,10 +37,6 @@ using MessageMember = detail::RosMember;
 
 namespace detail {
 
-inline const RosMembers& nested_members(const RosMember& member) noexcept {
-  return *static_cast<const RosMembers*>(member.members_->data);
-}
-
 /// alignof the struct that rosidl generated for `members`.
 inline std::uint32_t ros_alignment(const RosMembers& members) noexcept {
   namespace ros = rosidl_typesupport_introspection_cpp;

@@ -8,6 +8,7 @@
 #include <agnocast/events.hpp>
 #include <agnocast/ipc_shared_ptr.hpp>
 #include <agnocast/message_type.hpp>
+#include <agnocast/message_windows.hpp>
 #include <agnocast/node_like.hpp>
 #include <agnocast/qos.hpp>
 #include <agnocast/residency.hpp>
@@ -37,7 +38,7 @@ class PublisherOptions : public detail::EventOptions<PublisherOptions> {};
 /// Otherwise the caller still has it.
 struct PublishResult {
   /// ok, no_slot, would_block, heap_exhausted, window_exhausted, loan_invalid, user_code_threw,
-  /// shut_down (in a forked child), switched_off, revoked
+  /// protocol_violation, shut_down (in a forked child), switched_off, revoked
   Errc code = Errc::ok;
   std::uint64_t adopted_bytes =
       0;  ///< bytes outside the shared heap that had to be copied in; 0 = true zero-copy
@@ -356,11 +357,15 @@ class LendingPublisher : public PublisherBase, public Lender<T, Code> {
   };
   template <class Object>
   Copied copy_in(const Object& message) noexcept {
+    return copy_in(this->code(), message);
+  }
+  template <class CopyCode, class Object>
+  Copied copy_in(const CopyCode& code, const Object& message) noexcept {
     UntypedPublisher& publisher = untyped();
     if (const Errc state = publisher.state(); state != Errc::ok) return {nullptr, 0, state};
     publisher.make_room();
     auto copy = copy_into_heap(
-        this->code(), message, [&] { return publisher.has_more_room(); }, publisher.type(),
+        code, message, [&] { return publisher.has_more_room(); }, publisher.type(),
         publisher.heap());
     if (!copy) {
       publisher.count_adoption(tl::unexpected<Failure>(copy.error()));
@@ -379,6 +384,21 @@ class LendingPublisher : public PublisherBase, public Lender<T, Code> {
   ipc_shared_ptr<T> lend() {
     untyped().make_room();
     return Lender<T, Code>::lend();
+  }
+};
+
+/// Copies messages of a publisher that may lie, of a type with a table. `is_whole` becomes false of one that leads
+/// out of `windows`; the copy is then of no use.
+template <class T>
+struct CheckedCode : TypedCode<T> {
+  static constexpr bool copy_may_throw = true;
+  const WindowSet& windows;
+  bool& is_whole;
+  CheckedCode(const WindowSet& within, bool& whole) noexcept : windows(within), is_whole(whole) {}
+  typename TypedCode<T>::Owner copy(const T& original) const {
+    auto made = this->make();
+    is_whole = MessageTraits<T>::copy_checked(original, *made, windows);
+    return made;
   }
 };
 
@@ -409,11 +429,12 @@ class Publisher : public detail::LendingPublisher<T, detail::TypedCode<T>> {
   }
 
   using Base::publish;
-  /// Publishes a copy, which is made in the shared heap: for code that has a message of its own.
-  /// `adopted_bytes` is all of it; a loan or a std::unique_ptr costs less. Errors as of the others, but
-  /// for loan_invalid.
+  /// Publishes a copy, which is made in the shared heap: for code that has a message of its own, or passes on
+  /// one that it has received. `adopted_bytes` is all of it; a loan or a std::unique_ptr costs less. Errors as
+  /// of the others, but for loan_invalid; and protocol_violation: a received message of rosidl's leads out of
+  /// the memory of its publisher (docs/messages.md, Forwarding).
   PublishResult publish(const T& message) noexcept {
-    return this->publish_copy(this->copy_in(message));
+    return this->publish_copy(copy_of(message));
   }
   using Base::try_publish;
   [[nodiscard]] PublishResult try_publish(const T& message) noexcept { return publish(message); }
@@ -421,7 +442,7 @@ class Publisher : public detail::LendingPublisher<T, detail::TypedCode<T>> {
   template <class Rep, class Period>
   PublishResult publish_for(const T& message, std::chrono::duration<Rep, Period> timeout) noexcept {
     detail::Patience patience(timeout);
-    auto copy = this->copy_in(message);
+    auto copy = copy_of(message);
     for (;;) {
       const PublishResult result = this->publish_copy(std::move(copy));
       if (result.code != Errc::would_block || !patience.wait()) return result;
@@ -432,6 +453,20 @@ class Publisher : public detail::LendingPublisher<T, detail::TypedCode<T>> {
   PublishResult publish_for(Message&& message,
                             std::chrono::duration<Rep, Period> timeout) noexcept {
     return Base::publish_for(std::forward<Message>(message), timeout);
+  }
+
+ private:
+  auto copy_of(const T& message) noexcept {
+    if constexpr (detail::is_described<T>) {
+      const WindowSet windows = detail::windows_of_another(&message);
+      if (windows.count() != 0) [[unlikely]] {
+        bool is_whole = true;
+        auto copy = this->copy_in(detail::CheckedCode<T>(windows, is_whole), message);
+        if (!is_whole) copy = {nullptr, 0, Errc::protocol_violation};
+        return copy;
+      }
+    }
+    return this->copy_in(message);
   }
 };
 

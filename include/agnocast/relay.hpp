@@ -14,6 +14,7 @@
 //   publisher->publish(std::move(*copy));
 #pragma once
 
+#include <agnocast/checked_copy.hpp>
 #include <agnocast/generic.hpp>
 #include <agnocast/message_traits.hpp>
 #include <agnocast/message_windows.hpp>
@@ -21,175 +22,14 @@
 #include <agnocast/result.hpp>
 
 #include <cstddef>
-#include <cstdint>
-#include <cstring>
-#include <limits>
 #include <memory>
-#include <new>
-#include <string>
 #include <type_traits>
-#include <utility>
-#include <vector>
 
 namespace agnocast {
 
 inline WindowSet windows_of(const GenericMessage& message) noexcept {
   return windows_of(message.handle());
 }
-
-/// A string, std::vector or vector<bool> of another process as it was at one moment: its own bytes, copied
-/// once. What it points to has still to be looked at. A string that is short points into the original.
-template <class T>
-class Snapshot {
- public:
-  explicit Snapshot(const void* original) noexcept {
-    std::memcpy(bytes_, original, sizeof(T));
-  }
-  const T& operator*() const noexcept { return *std::launder(reinterpret_cast<const T*>(bytes_)); }
-  const T* operator->() const noexcept { return &**this; }
-
- private:
-  alignas(T) std::byte bytes_[sizeof(T)];
-};
-
-/// What one message may lead to: each byte inside its windows, and no more bytes altogether than a message
-/// can have there, as no byte of an honest one is two strings' or sequences'. So the work for a message
-/// is bounded, however it refers to itself.
-class MessageBounds {
- public:
-  /// No message is passed on that has more: CDR counts with 32 bits.
-  static constexpr std::uint64_t bytes_max = std::numeric_limits<std::uint32_t>::max();
-
-  explicit MessageBounds(const WindowSet& windows) noexcept : windows_(windows) {
-    for (std::size_t i = 0; i < windows.count(); ++i) left_ += windows[i].end - windows[i].begin;
-    if (left_ > bytes_max) left_ = bytes_max;
-  }
-  /// Whether `count` elements of `bytes` each lie there. Counts them.
-  bool take(const void* first, std::size_t count, std::size_t bytes = 1) noexcept {
-    if (count == 0) return true;
-    if (bytes != 0 && count > left_ / bytes) return false;
-    if (!windows_.contains(first, count * bytes)) return false;
-    left_ -= count * bytes;
-    return true;
-  }
-
- private:
-  WindowSet windows_;
-  std::uint64_t left_ = 0;
-};
-
-namespace detail {
-
-/// Where a std::vector of anything but bool keeps its elements, and where a vector<bool> its words.
-struct VectorEnds {
-  const std::byte* begin;
-  const std::byte* end;
-  const std::byte* end_of_storage;
-};
-static_assert(sizeof(VectorEnds) == sizeof(std::vector<int>));
-
-/// Whether the bits can be copied. Beside where they lie, what size() and copying compute with has to be what a
-/// vector can have: it begins with the first bit of a word, and ends within one.
-inline bool take_bits(MessageBounds& bounds, const std::vector<bool>& bits) noexcept {
-  // libstdc++'s iterator; with another library it is not known where the bits lie, and this does not compile.
-  const auto begin = bits.begin(), end = bits.end();
-  constexpr unsigned bits_of_word = sizeof(*begin._M_p) * 8;
-  if (begin._M_offset != 0 || end._M_offset >= bits_of_word || end._M_p < begin._M_p) return false;
-  const auto words = static_cast<std::size_t>(end._M_p - begin._M_p) + (end._M_offset != 0 ? 1 : 0);
-  return bounds.take(begin._M_p, words, sizeof(*begin._M_p));
-}
-/// Whether the letters lie in the object itself, as few do, which was looked at with what contains it, or in
-/// its publisher's memory.
-template <class Text>
-bool take_text(MessageBounds& bounds, const Text& text, const void* original) noexcept {
-  constexpr std::size_t letter = sizeof(typename Text::value_type);
-  const auto at = reinterpret_cast<std::uintptr_t>(text.data()) -
-                  reinterpret_cast<std::uintptr_t>(original);
-  if (at < sizeof(Text) && text.size() <= (sizeof(Text) - at) / letter) return true;
-  return bounds.take(text.data(), text.size(), letter);
-}
-
-/// copy_by_table() of a message of somebody who may lie.
-class CheckedCopy {
- public:
-  explicit CheckedCopy(const WindowSet& windows) noexcept : bounds_(windows) {}
-
-  bool message(const RosMembers& members, const std::byte* from, std::byte* to) {
-    for (std::uint32_t i = 0; i < members.member_count_; ++i) {
-      const RosMember& member = members.members_[i];
-      if (!this->member(member, from + member.offset_, to + member.offset_)) return false;
-    }
-    return true;
-  }
-  bool take(const void* first, std::size_t bytes) noexcept { return bounds_.take(first, bytes); }
-
- private:
-  static std::size_t stride_of(const RosMember& member) {
-    namespace ros = rosidl_typesupport_introspection_cpp;
-    return member.type_id_ == ros::ROS_TYPE_MESSAGE ? nested_members(member).size_of_
-                                                    : ros_element_layout(member.type_id_).bytes;
-  }
-  bool member(const RosMember& member, const std::byte* from, std::byte* to) {
-    namespace ros = rosidl_typesupport_introspection_cpp;
-    if (!member.is_array_) return elements(member, from, to, 1);
-    if (member.array_size_ != 0 && !member.is_upper_bound_)
-      return elements(member, from, to, member.array_size_);
-    if (member.type_id_ == ros::ROS_TYPE_BOOLEAN) return bits(member, from, to);
-    const Snapshot<VectorEnds> ends(from);
-    const std::size_t stride = stride_of(member);
-    if (ends->end < ends->begin) return false;
-    const auto bytes = static_cast<std::size_t>(ends->end - ends->begin);
-    const std::size_t count = bytes / stride;
-    if (bytes % stride != 0 || is_above(count, member) || !bounds_.take(ends->begin, bytes))
-      return false;
-    member.resize_function(to, count);
-    return count == 0 || elements(member, ends->begin,
-                                  static_cast<std::byte*>(member.get_function(to, 0)), count);
-  }
-  static bool is_above(std::size_t count, const RosMember& member) noexcept {
-    return member.is_upper_bound_ && count > member.array_size_;
-  }
-  bool bits(const RosMember& member, const std::byte* from, std::byte* to) {
-    const Snapshot<std::vector<bool>> source(from);
-    if (!take_bits(bounds_, *source) || is_above(source->size(), member)) return false;
-    *reinterpret_cast<std::vector<bool>*>(to) = *source;
-    return true;
-  }
-  bool elements(const RosMember& member, const std::byte* from, std::byte* to, std::size_t count) {
-    namespace ros = rosidl_typesupport_introspection_cpp;
-    const std::size_t stride = stride_of(member);
-    for (std::size_t i = 0; i < count; ++i, from += stride, to += stride) {
-      switch (member.type_id_) {
-        case ros::ROS_TYPE_MESSAGE:
-          if (!message(nested_members(member), from, to)) return false;
-          break;
-        case ros::ROS_TYPE_STRING:
-          if (!text<std::string>(member, from, to)) return false;
-          break;
-        case ros::ROS_TYPE_WSTRING:
-          if (!text<std::u16string>(member, from, to)) return false;
-          break;
-        default:
-          std::memcpy(to, from, count * stride);
-          return true;
-      }
-    }
-    return true;
-  }
-  template <class Text>
-  bool text(const RosMember& member, const std::byte* from, std::byte* to) {
-    const Snapshot<Text> source(from);
-    const std::size_t size = source->size();
-    if (member.string_upper_bound_ != 0 && size > member.string_upper_bound_) return false;
-    if (!take_text(bounds_, *source, from)) return false;
-    reinterpret_cast<Text*>(to)->assign(source->data(), size);
-    return true;
-  }
-
-  MessageBounds bounds_;
-};
-
-}  // namespace detail
 
 /// A copy in this process's own memory of a message that was received, each byte of it its publisher's.
 /// Errors: protocol_violation (something of it lies elsewhere, or is larger than its type allows),
@@ -219,18 +59,15 @@ template <class T>
                 "checked; a relay needs a type that rosidl generated, or a trivially copyable one");
   if (!message || message.block()->lender != 0)
     return fail(Errc::invalid_argument, "there is no message to copy");
-  detail::CheckedCopy copy(windows_of(message));
-  bool is_whole = copy.take(message.get(), sizeof(Message));
+  const WindowSet windows = windows_of(message);
   std::unique_ptr<Message> made;
+  bool is_whole = false;
   if constexpr (detail::is_described<Message>) {
-    const void* const table = MessageTraits<Message>::table();
-    if (table == nullptr) return fail(Errc::invalid_argument, "there is no message to copy");
     made = std::make_unique<Message>();
-    is_whole = is_whole && copy.message(*static_cast<const MessageMembers*>(table),
-                                        reinterpret_cast<const std::byte*>(message.get()),
-                                        reinterpret_cast<std::byte*>(made.get()));
-  } else if (is_whole) {
-    made = std::make_unique<Message>(*message);
+    is_whole = MessageTraits<Message>::copy_checked(*message, *made, windows);
+  } else {
+    is_whole = windows.contains(message.get(), sizeof(Message));
+    if (is_whole) made = std::make_unique<Message>(*message);
   }
   if (!is_whole)
     return fail(Errc::protocol_violation, "a message that leads out of its publisher's memory");

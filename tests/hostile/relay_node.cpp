@@ -7,7 +7,8 @@
 //   then line by line on its standard input, each answered with one line:
 //     read TOPIC      → ok     a subscription to a stream of Numbered
 //     relay TOPIC     → ok     a subscription to std_msgs/msg/String, of which it makes checked copies
-//     forward TOPIC TO → ok    a typed one, whose checked copies it publishes on TO
+//     forward TOPIC TO → ok    a typed one, whose messages it publishes on TO
+//     forward_checked TOPIC TO → ok    the same of checked copies
 //     tell TOPIC TEXT → ok     a publisher of std_msgs/msg/String, of TEXT again and again; without one, of nothing
 //     matched         → how many subscriptions that has
 //     state           → read relayed refused strange      strange: texts in which there is anything but 'h'
@@ -53,12 +54,15 @@ class RelayNode {
           [this](const GenericMessage& message) { pass_on(message); });
       return "ok";
     }
-    if (what == "forward") {
+    if (what == "forward" || what == "forward_checked") {
       std::string to;
       line >> to;
+      const bool checked = what == "forward_checked";
       forwarder_ = create_publisher<Text>(node_, to, QoS(10));
       forwarded_ = create_subscription<Text>(
-          node_, topic, QoS(100), [this](const ipc_shared_ptr<const Text>& text) { forward(text); });
+          node_, topic, QoS(100), [this, checked](const ipc_shared_ptr<const Text>& text) {
+            checked ? forward_checked(text) : forward(text);
+          });
       return "ok";
     }
     if (what == "tell") {
@@ -84,6 +88,11 @@ class RelayNode {
     }
   }
   void forward(const ipc_shared_ptr<const Text>& message) {
+    const PublishResult result = forwarder_->publish(*message);
+    if (result) ++relayed_;
+    if (result.code == Errc::protocol_violation) ++refused_;
+  }
+  void forward_checked(const ipc_shared_ptr<const Text>& message) {
     auto copy = try_copy_checked(message);
     if (!copy) {
       ++refused_;

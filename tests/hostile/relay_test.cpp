@@ -4,7 +4,7 @@
 // handed, and does not crash by it. Method: a relay of the honest user reads a stream that a rule keeps from
 // others, and texts of anybody; a publisher of another user sends it texts that lie in the windows of the
 // stream, nowhere, or in both in turn while they are read. One relay is generic; another is typed and publishes
-// what it reads, for a third process to judge. What a running bridge does of it: relay_bridge_test.cpp.
+// what it reads, as it is or a checked copy, for a third process to judge. What a running bridge does of it: relay_bridge_test.cpp.
 
 #include <tests/hostile/rumors.hpp>
 
@@ -60,14 +60,16 @@ TEST(HostileRelay, PassesOnNothingOfAnotherPublishersMemory) {
               static_cast<unsigned long long>(relay.refused));
 }
 
-TEST(HostileRelay, ThatIsTypedPublishesNothingOfAnotherPublishersMemory) {
+class HostileTypedRelay : public testing::TestWithParam<const char*> {};
+
+TEST_P(HostileTypedRelay, PublishesNothingOfAnotherPublishersMemory) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage(with_a_secret());
   const auto secretive = stage.another_honest_process();
   Relay relay(stage), judge(stage);
   ASSERT_EQ(judge.ask("relay /forwarded"), "ok");
   ASSERT_EQ(relay.ask("read /secret"), "ok");
-  ASSERT_EQ(relay.ask("forward /rumor /forwarded"), "ok");
+  ASSERT_EQ(relay.ask(std::string(GetParam()) + " /rumor /forwarded"), "ok");
   ASSERT_EQ(secretive->ask("publish /secret"), "ok");
   ASSERT_TRUE(eventually([&] { return relay.look() && relay.read > 0; }));
   Attacker attacker([&](Attack& attack) { spread_rumors(stage.socket_path(), attack); });
@@ -81,6 +83,9 @@ TEST(HostileRelay, ThatIsTypedPublishesNothingOfAnotherPublishersMemory) {
   const std::uint64_t before = relay.read;
   EXPECT_TRUE(eventually([&] { return !relay.look() || relay.read > before; })) << "it goes on";
 }
+
+INSTANTIATE_TEST_SUITE_P(Each, HostileTypedRelay, testing::Values("forward", "forward_checked"),
+                         [](const auto& test) { return std::string(test.param); });
 
 }  // namespace
 }  // namespace agnocast::test

@@ -7,6 +7,7 @@
 #include <base/kept_fd.hpp>
 #include <base/mapping.hpp>
 #include <base/memfd.hpp>
+#include <client/address_users.hpp>
 #include <client/peer_heap.hpp>
 #include <tests/support/aligned_region.hpp>
 
@@ -134,6 +135,36 @@ TEST_F(PeerHeapTest, WhatIsInUseOfAWindowCanBeRead) {
   EXPECT_EQ(place_of(0, window_bytes - 64), Place::readable);
   EXPECT_EQ(place_of(0, window_bytes - 63), Place::outside);
   EXPECT_EQ(*reinterpret_cast<const char*>(base_of(0) + window_bytes - 1), 0);
+}
+
+// What publish asks about a message that it is given.
+TEST_F(PeerHeapTest, AnAddressAloneTellsTheOpenWindowsOfItsGroup) {
+  AddressUsers& users = AddressUsers::instance();
+  show(0, abi::page_bytes);  // a group by itself, and one of two windows
+  show(1, 2 * abi::page_bytes);
+  show(2, 3 * abi::page_bytes);
+  add(0, 0);
+  add(1, 1);
+  add(2, 1);
+  EXPECT_EQ(users.group_of_another(base_of(1)).count(), 0u) << "nothing is open";
+  heap_.open();
+  for (const std::uint64_t window : {1u, 2u}) {
+    EXPECT_TRUE(users.may_be_of_another(base_of(window)));
+    const WindowSet group = users.group_of_another(base_of(window) + 100);
+    ASSERT_EQ(group.count(), 2u);
+    EXPECT_EQ(group[0].begin, base_of(1));
+    EXPECT_EQ(group[0].end, base_of(1) + 2 * abi::page_bytes);
+    EXPECT_EQ(group[1].begin, base_of(2));
+    EXPECT_EQ(group[1].end, base_of(2) + 3 * abi::page_bytes);
+  }
+  EXPECT_EQ(users.group_of_another(base_of(0)).count(), 1u);
+  EXPECT_EQ(users.group_of_another(base_of(3)).count(), 0u);
+  EXPECT_EQ(users.group_of_another(0).count(), 0u);
+  EXPECT_FALSE(users.may_be_of_another(0));
+  ASSERT_TRUE(users.enter(base_of(4), window_bytes, {}, AddressUsers::own));
+  users.mapped(base_of(4), abi::page_bytes);
+  EXPECT_EQ(users.group_of_another(base_of(4)).count(), 0u) << "this process's own";
+  users.leave(base_of(4));
 }
 
 TEST_F(PeerHeapTest, AMessageIsAwaitedThatMayPointIntoAWindowThatWasNotAnnouncedYet) {
