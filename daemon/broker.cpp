@@ -224,9 +224,9 @@ void Broker::accept(PacketSocket socket) {
   const bool may_carry = !refuses_descriptors(socket.fd());
   if (may_carry) refuse_descriptors(socket.fd());
   const PeerId id = ++last_peer_;
-  used.queued->bytes_max = options_.config.quota.queued_bytes;
-  auto peer = std::make_unique<Peer>(
-      Peer{id, Session(std::move(socket), std::move(*identity), used.queued)});
+  used.kept->bytes_max = options_.config.quota.queued_bytes;
+  auto peer =
+      std::make_unique<Peer>(Peer{id, Session(std::move(socket), std::move(*identity), used.kept)});
   peer->session.set_may_carry(may_carry);
   const auto connection = dispatcher_.add(peer->session.socket().fd(), EPOLLIN,
                                           [this, id](std::uint32_t) { wait_for_turn(id, false); });
@@ -514,8 +514,8 @@ void Broker::end_old_output(std::uint64_t now) {
 void Broker::give_memory_back() {
   constexpr std::uint64_t worth_it = std::uint64_t{8} << 20;
   for (auto& [uid, used] : connections_) {
-    gives_back_ |= used.queued->peak >= worth_it && used.queued->bytes < used.queued->peak / 4;
-    if (used.queued->bytes < used.queued->peak / 4) used.queued->peak = used.queued->bytes;
+    gives_back_ |= used.kept->peak >= worth_it && used.kept->bytes < used.kept->peak / 4;
+    if (used.kept->bytes < used.kept->peak / 4) used.kept->peak = used.kept->bytes;
   }
   if (std::exchange(gives_back_, false)) ::malloc_trim(0);
 }
@@ -742,7 +742,7 @@ void Broker::drop(PeerId id) {
     --user->second.detached;
   }
   if (user->second.clients + user->second.observers == 0) {
-    gives_back_ |= user->second.queued->peak >= std::uint64_t{8} << 20;
+    gives_back_ |= user->second.kept->peak >= std::uint64_t{8} << 20;
     connections_.erase(user);
   }
   if (peer.session.role() == Role::observer) --observer_count_;
@@ -868,6 +868,11 @@ void Broker::send(ClientIndex client, Outgoing packet) {
 
 void Broker::reply(Peer& peer, std::span<const std::byte> packet, std::vector<SharedFd> fds) {
   reply(peer, Outgoing{{packet.begin(), packet.end()}, std::move(fds), {}});
+}
+
+void Broker::begin_anew(ClientIndex client, std::string_view why) {
+  Peer* const peer = by_client_[number(client)];
+  if (peer != nullptr && !peer->session.closed()) end_output(*peer, why);
 }
 
 void Broker::reply(Peer& peer, Outgoing packet) {

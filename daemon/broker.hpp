@@ -122,7 +122,7 @@ class Broker final : private Post {
     std::uint64_t observers = 0;
     std::uint64_t detached = 0;  // of the clients: processes without a connection
     std::uint64_t look_due_ns = 0;  // before that no process of this user is looked at
-    std::shared_ptr<QueuedOfUser> queued = std::make_shared<QueuedOfUser>();
+    std::shared_ptr<KeptForUser> kept = std::make_shared<KeptForUser>();
   };
   /// Answers at length of one user; outlives its connections.
   struct Answers {
@@ -135,6 +135,7 @@ class Broker final : private Post {
   std::uint64_t user_namespace_of(ClientIndex client) override;
   using Post::send;
   void send(ClientIndex client, Outgoing packet) override;
+  void begin_anew(ClientIndex client, std::string_view why) override;
 
   void accept_some();
   /// Nobody is accepted until the next look around: there is no descriptor.

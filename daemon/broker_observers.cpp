@@ -266,7 +266,7 @@ DumpFacts Broker::facts() const {
     DumpFacts::User& user = facts.users[uid];
     user.connections = used.clients;
     user.observers = used.observers;
-    user.queued_bytes = used.queued->bytes;
+    user.queued_bytes = used.kept->bytes;
     daemon.connections += used.clients;
     daemon.observers += used.observers;
   }

@@ -296,6 +296,13 @@ void Membership::say_done(ClientIndex client, const wire::Reference& reference) 
   post_.send(client, packet_of(answer), {});
 }
 
+bool Membership::may_judge(ClientIndex client, const Announced& subject, std::uint64_t seen) {
+  if (!post_.session_of(client)->announcements().may_be_void(subject, seen)) return true;
+  post_.begin_anew(
+      client, "what was announced to the processes of its user is more than the daemon remembers");
+  return false;
+}
+
 Result<void> Membership::unlinked(ClientIndex client, const wire::Unlinked& statement) {
   Session* const session = post_.session_of(client);
   AGNOCAST_CHECK(session != nullptr);
@@ -308,7 +315,8 @@ Result<void> Membership::unlinked(ClientIndex client, const wire::Unlinked& stat
         registry_.client(owner).generation != statement.generation)
       return {};  // late: it is over
     // Who is not told everything yet is asked again when it is.
-    if (tells(client) || session->announcements().is_void(region_of(owner), statement.seen))
+    if (tells(client) || session->announcements().is_void(region_of(owner), statement.seen) ||
+        !may_judge(client, region_of(owner), statement.seen))
       return {};
     for (const EndpointRef& ref : registry_.endpoints_of(owner)) {
       if (registry_.told_of(ref).contains(number(client)))
@@ -322,7 +330,8 @@ Result<void> Membership::unlinked(ClientIndex client, const wire::Unlinked& stat
   const EndpointRef ref{statement.kind, static_cast<TopicIndex>(statement.topic),
                         static_cast<std::uint32_t>(statement.index)};
   if (!registry_.is_used(ref) || registry_.generation_of(ref) != statement.generation ||
-      session->announcements().is_void(subject_of(ref), statement.seen))
+      session->announcements().is_void(subject_of(ref), statement.seen) ||
+      !may_judge(client, subject_of(ref), statement.seen))
     return {};
   session->announcements().forget(subject_of(ref));
   let_go(ref, client);

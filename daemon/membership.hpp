@@ -19,13 +19,14 @@
 #include <daemon/requests.hpp>
 #include <daemon/session.hpp>
 
-#include <compare>
+#include <bitset>
 #include <cstdint>
 #include <functional>
 #include <map>
 #include <set>
 #include <span>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -42,6 +43,8 @@ class Post {
   void send(ClientIndex client, std::span<const std::byte> packet, std::vector<SharedFd> fds) {
     send(client, Outgoing{{packet.begin(), packet.end()}, std::move(fds), {}});
   }
+  /// Ends the connection of a process. It comes back, and is told everything once more.
+  virtual void begin_anew(ClientIndex client, std::string_view why) = 0;
 };
 
 template <class Body>
@@ -79,9 +82,10 @@ class Membership {
   [[nodiscard]] Result<void> unlinked(ClientIndex client, const wire::Unlinked& statement);
   /// Tells every process that has the region of `owner` about its newest window.
   void announce_window(ClientIndex owner);
-  /// Announcements that went without doorbells because no descriptor was left: they are made again.
+  /// Announcements that went without doorbells because no descriptor was left: they are made again, by
+  /// announce_renewed().
   bool has_waiting() const noexcept { return !waiting_.empty(); }
-  void announce_waiting();
+  void announce_waiting() { renewed_.merge(waiting_); }
   /// The bells of an executor are others now: publishers are told of its subscriptions once more, a part of
   /// them with each announce_renewed().
   void renewed(ClientIndex client, std::uint64_t executor);
@@ -139,13 +143,6 @@ class Membership {
   void answer_creation(const EndpointRef& ref, std::uint64_t request);
   Session* tell(const EndpointRef& ref, ClientIndex to);
   void announce(const EndpointRef& ref, ClientIndex to, Outgoing packet);
-  /// A subscription that a publisher is told of.
-  struct Attachment {
-    TopicIndex topic{};
-    std::uint32_t publisher = 0, subscription = 0;
-    std::uint64_t publisher_generation = 0, subscription_generation = 0;
-    friend auto operator<=>(const Attachment&, const Attachment&) = default;
-  };
   /// What a process does not know yet on its connection, in this order.
   struct ToTell {
     std::map<std::uint64_t, EndpointRef> own;        // endpoints, by generation
@@ -153,7 +150,8 @@ class Membership {
     std::set<TopicIndex> topics;                     // what is over there
     std::uint32_t next_region = 0;                   // what it has of others
   };
-  void add_doorbells(Outgoing& packet, const Attachment& attachment, bool same_user);
+  void add_doorbells(Outgoing& packet, const EndpointRef& ref, std::uint64_t generation,
+                     bool same_user);
   bool is_to_know(const PublisherRecord& own, const SubscriptionRecord& other) const;
   void announce_to_owner(const EndpointRef& ref);
   /// Has a process a publisher that still looks at this subscription?
@@ -167,6 +165,7 @@ class Membership {
   void notice_mismatches(const EndpointRef& ref, bool to_all = true);
   std::string type_mismatch_text(ClientIndex client, TopicIndex topic,
                                  const CreateRequest& request) const;
+  [[nodiscard]] bool may_judge(ClientIndex client, const Announced& subject, std::uint64_t seen);
   void notice_types(ClientIndex client, TopicIndex topic, const std::string& text);
   void kick(TopicIndex topic, std::uint32_t publisher);
   void kick_publishers_of(const EndpointRef& subscription);
@@ -196,13 +195,15 @@ class Membership {
   Regions& regions_;
   Doorbells& doorbells_;
   Post& post_;
-  // Whose wrong types the members of a topic have been told about; once is enough.
-  std::set<std::pair<std::uint32_t, std::uint32_t>> type_notices_;
+  // By client: the topics whose members have been told of its wrong types; once is enough. 512 bytes of each
+  // process, 1 MiB of all.
+  std::map<std::uint32_t, std::bitset<abi::topic_count_max>> type_notices_;
   // By client: what it could not be told because it had no connection. The first ones are enough.
   static constexpr std::size_t missed_notices_max = 64;
   std::map<std::uint32_t, std::vector<wire::Notice>> missed_notices_;
-  std::set<Attachment> waiting_;
-  std::map<std::uint64_t, EndpointRef> renewed_;  // subscriptions by generation
+  // Subscriptions by generation: whose publishers are to be told of them once more, as soon as there is a
+  // descriptor, and now. Not a pair each: most of a topic's publishers lack the same bells.
+  std::map<std::uint64_t, EndpointRef> waiting_, renewed_;
   std::map<ClientIndex, ToTell> to_tell_;
   GivenUp given_up_;
 };

@@ -90,46 +90,34 @@ void Membership::announce_subscription(TopicIndex topic, std::uint32_t index,
   packet.quota = registry_.hold_quota(subscription, member);
   const bool same_user = are_of_one_user(subscription.client, member.client);
   packet.same_user = same_user ? 1 : 0;
-  const Attachment attachment{topic, publisher, index, member.generation, subscription.generation};
   const auto bytes = packet_of(packet);
   announce({Kind::subscription, topic, index}, member.client,
            {{bytes.begin(), bytes.end()},
             {regions_.region_reader(subscription.client)},
-            [=, this](Outgoing& out) { add_doorbells(out, attachment, same_user); }});
+            [=, this, generation = subscription.generation](Outgoing& out) {
+              add_doorbells(out, {Kind::subscription, topic, index}, generation, same_user);
+            }});
 }
 
 // It may be over by now: whoever has drained its last publisher there has let go of what it never read
 // about. Then its place may be another's, of another user perhaps, and that one's bells are not for it.
-void Membership::add_doorbells(Outgoing& packet, const Attachment& attachment, bool same_user) {
-  if (!registry_.is_used({Kind::subscription, attachment.topic, attachment.subscription})) return;
-  const SubscriptionRecord& subscription =
-      registry_.subscription(attachment.topic, attachment.subscription);
-  if (subscription.generation != attachment.subscription_generation ||
+void Membership::add_doorbells(Outgoing& packet, const EndpointRef& ref, std::uint64_t generation,
+                               bool same_user) {
+  if (!registry_.is_used(ref)) return;
+  const SubscriptionRecord& subscription = registry_.subscription(ref.topic, ref.index);
+  if (subscription.generation != generation ||
       (subscription.state != EndpointState::active && subscription.state != EndpointState::leaving))
     return;
   const auto bells =
       doorbells_.for_publisher(subscription.client, subscription.executor, same_user);
   if (!bells) {
-    waiting_.insert(attachment);
+    waiting_.emplace(generation, ref);
     return;
   }
   packet.fds.insert(packet.fds.end(), bells->begin(), bells->end());
   const auto count = static_cast<std::uint32_t>(bells->size());
   std::memcpy(packet.bytes.data() + offsetof(wire::Announcement, doorbell_count), &count,
               sizeof count);
-}
-
-void Membership::announce_waiting() {
-  for (const Attachment& again : std::exchange(waiting_, {})) {
-    if (!registry_.is_used({Kind::publisher, again.topic, again.publisher}) ||
-        !registry_.is_used({Kind::subscription, again.topic, again.subscription}))
-      continue;
-    const PublisherRecord& own = registry_.publisher(again.topic, again.publisher);
-    const SubscriptionRecord& other = registry_.subscription(again.topic, again.subscription);
-    if (own.generation == again.publisher_generation &&
-        other.generation == again.subscription_generation && is_to_know(own, other))
-      announce_subscription(again.topic, again.subscription, again.publisher);
-  }
 }
 
 void Membership::renewed(ClientIndex client, std::uint64_t executor) {
@@ -404,7 +392,9 @@ std::string Membership::type_mismatch_text(ClientIndex client, TopicIndex topic,
 }
 
 void Membership::notice_types(ClientIndex client, TopicIndex topic, const std::string& text) {
-  if (!type_notices_.insert({number(client), number(topic)}).second) return;
+  auto told = type_notices_[number(client)][number(topic)];
+  if (told) return;
+  told = true;
   registry_.for_each_publisher(topic, [&](std::uint32_t i, const PublisherRecord& record) {
     if (record.state == EndpointState::active)
       notice({Kind::publisher, topic, i}, Errc::type_mismatch, text);

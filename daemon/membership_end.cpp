@@ -257,7 +257,7 @@ void Membership::discard(ClientIndex owner, std::uint64_t extent, std::uint64_t 
 void Membership::settle_topic(TopicIndex topic) {
   if (registry_.topic(topic).state != TopicState::used || !registry_.topic_is_empty(topic)) return;
   registry_.free_topic(topic);
-  std::erase_if(type_notices_, [&](const auto& entry) { return entry.second == number(topic); });
+  for (auto& [client, topics] : type_notices_) topics.reset(number(topic));
 }
 
 void Membership::settle_client(ClientIndex client) {
@@ -270,7 +270,7 @@ void Membership::forget_client(ClientIndex client) {
   registry_.client_forgotten(client);
   missed_notices_.erase(number(client));
   to_tell_.erase(client);
-  std::erase_if(type_notices_, [&](const auto& entry) { return entry.first == number(client); });
+  type_notices_.erase(number(client));
 }
 
 // drained() has two halves: its own record, and one for each thing that its process has let go of

@@ -33,6 +33,7 @@
 #include <optional>
 #include <span>
 #include <tuple>
+#include <unordered_map>
 #include <utility>
 #include <vector>
 
@@ -48,43 +49,132 @@ struct Announced {
   }
 };
 
-/// In which packet of one connection each thing was announced last.
+/// What the daemon keeps for all processes of one user.
+struct KeptForUser {
+  std::uint64_t bytes = 0;               // of packets that wait
+  std::uint64_t peak = 0;                // since somebody has last looked
+  std::uint64_t bytes_max = UINT64_MAX;  // [quota] queued_bytes
+  std::uint64_t book_bytes = 0;          // of the books below
+};
+
+/// What one book of a session costs, as a part of what all books of its user cost.
+class BookBytes {
+ public:
+  // As much as packets that wait by default: two million announcements. A user who has more than this pays with
+  // connections that begin anew, and nobody else does, so the number has no key.
+  static constexpr std::uint64_t of_user_max = std::uint64_t{96} << 20;
+  // Of each book, whatever the others of its user cost: 1,536 processes of one user (its default quota) with
+  // two books each have 96 MiB of this.
+  static constexpr std::uint64_t own_max = std::uint64_t{32} << 10;
+
+  explicit BookBytes(std::shared_ptr<KeptForUser> user) : user_(std::move(user)) {}
+  BookBytes(BookBytes&& other) noexcept
+      : user_(std::move(other.user_)), own_(std::exchange(other.own_, 0)) {}
+  BookBytes& operator=(BookBytes&& other) noexcept {
+    std::swap(user_, other.user_);
+    std::swap(own_, other.own_);
+    return *this;
+  }
+  ~BookBytes() { set(0); }
+
+  bool has_room_for(std::uint64_t more) const noexcept {
+    return own_ + more <= own_max || user_->book_bytes + more <= of_user_max;
+  }
+  void set(std::uint64_t own) noexcept {
+    if (user_) user_->book_bytes += own - own_;
+    own_ = own;
+  }
+
+ private:
+  std::shared_ptr<KeptForUser> user_;
+  std::uint64_t own_ = 0;
+};
+
+/// In which packet of one connection each thing was announced last. Where there is no room for more, the older
+/// half of it is forgotten. A statement that was made before what was forgotten cannot be judged any more: its
+/// process is told everything again, on a new connection.
 class AnnouncementNumbers {
  public:
-  void announced(const Announced& subject, std::uint64_t packet) { last_[subject] = packet; }
+  // A node of 24 bytes with what malloc adds, and its part of the buckets.
+  static constexpr std::uint64_t entry_bytes = 48;
+
+  explicit AnnouncementNumbers(std::shared_ptr<KeptForUser> user) : bytes_(std::move(user)) {}
+
+  void announced(const Announced& subject, std::uint64_t packet) {
+    const auto known = last_.find(key_of(subject));
+    if (known != last_.end()) {
+      known->second = packet;
+      return;
+    }
+    if (!bytes_.has_room_for(entry_bytes)) forget_older_half();
+    last_.emplace(key_of(subject), packet);
+    bytes_.set(last_.size() * entry_bytes);
+  }
   /// A statement made after `seen` packets is void when the subject was announced in a later one.
   bool is_void(const Announced& subject, std::uint64_t seen) const {
-    const auto found = last_.find(subject);
+    const auto found = last_.find(key_of(subject));
     return found != last_.end() && found->second > seen;
   }
-  void forget(const Announced& subject) { last_.erase(subject); }
+  /// The subject may have been announced in a later packet, and that was forgotten.
+  bool may_be_void(const Announced& subject, std::uint64_t seen) const {
+    return seen < forgotten_ && !last_.contains(key_of(subject));
+  }
+  void forget(const Announced& subject) {
+    last_.erase(key_of(subject));
+    bytes_.set(last_.size() * entry_bytes);
+  }
   std::size_t size() const noexcept { return last_.size(); }
 
  private:
-  std::map<Announced, std::uint64_t> last_;
+  static std::uint64_t key_of(const Announced& subject) noexcept {
+    static_assert(abi::client_count_max <= 1 << 16 && abi::subscription_count_max <= 1 << 16);
+    return std::uint64_t{static_cast<std::uint32_t>(subject.kind)} << 48 |
+           std::uint64_t{subject.topic} << 16 | subject.index;
+  }
+  void forget_older_half() {
+    if (last_.empty()) return;
+    std::vector<std::uint64_t> numbers;
+    numbers.reserve(last_.size());
+    for (const auto& [key, packet] : last_) numbers.push_back(packet);
+    const auto middle = numbers.begin() + static_cast<std::ptrdiff_t>(numbers.size() / 2);
+    std::nth_element(numbers.begin(), middle, numbers.end());
+    forgotten_ = *middle;
+    std::erase_if(last_, [&](const auto& entry) { return entry.second <= forgotten_; });
+  }
+
+  std::unordered_map<std::uint64_t, std::uint64_t> last_;
+  std::uint64_t forgotten_ = 0;  // the latest packet of which something was forgotten
+  BookBytes bytes_;
 };
 
 /// Of which collisions a process was told on one connection. A reader that comes back again and again
 /// has nothing new to say to its publishers.
 class CollisionsTold {
  public:
-  // Pairs of endpoints. Whoever has more is told of some twice, and costs the daemon 2 MB.
+  // Pairs of endpoints. A process that has more is told of some twice, and costs the daemon 2 MB.
   static constexpr std::size_t count_max = 16 * 1024;
+  // A node, with what malloc adds.
+  static constexpr std::uint64_t entry_bytes = 128;
   struct Collision {
     std::uint64_t own_generation = 0, other_generation = 0, window = 0;
     bool moves = false;
     friend bool operator==(const Collision&, const Collision&) = default;
   };
+  explicit CollisionsTold(std::shared_ptr<KeptForUser> user) : bytes_(std::move(user)) {}
+
   /// Whether this is news about the endpoint of the process and the other one.
   bool tell(const Announced& own, const Announced& other, const Collision& what) {
-    if (told_.size() >= count_max && !told_.contains({own, other})) told_.clear();
+    const bool is_full = told_.size() >= count_max || !bytes_.has_room_for(entry_bytes);
+    if (is_full && !told_.contains({own, other})) told_.clear();
     Collision& before = told_[{own, other}];
+    bytes_.set(told_.size() * entry_bytes);
     return std::exchange(before, what) != what;
   }
   std::size_t size() const noexcept { return told_.size(); }
 
  private:
   std::map<std::pair<Announced, Announced>, Collision> told_;
+  BookBytes bytes_;
 };
 
 struct Outgoing {
@@ -97,17 +187,10 @@ struct Outgoing {
   std::uint64_t cost_bytes = 0;  // of the session, as long as it waits
 };
 
-/// What waits for all processes of one user.
-struct QueuedOfUser {
-  std::uint64_t bytes = 0;
-  std::uint64_t peak = 0;             // since somebody has last looked
-  std::uint64_t bytes_max = UINT64_MAX;  // [quota] queued_bytes
-};
-
-/// A session's part of that. It goes with the session.
+/// What waits for one session, as a part of what waits for its user. It goes with the session.
 class QueuedBytes {
  public:
-  explicit QueuedBytes(std::shared_ptr<QueuedOfUser> user) : user_(std::move(user)) {}
+  explicit QueuedBytes(std::shared_ptr<KeptForUser> user) : user_(std::move(user)) {}
   QueuedBytes(QueuedBytes&& other) noexcept
       : user_(std::move(other.user_)), own_(std::exchange(other.own_, 0)) {}
   QueuedBytes& operator=(QueuedBytes&& other) noexcept {
@@ -127,10 +210,10 @@ class QueuedBytes {
     if (user_) user_->bytes -= bytes;
   }
   std::uint64_t own() const noexcept { return own_; }
-  const QueuedOfUser& user() const noexcept { return *user_; }
+  const KeptForUser& user() const noexcept { return *user_; }
 
  private:
-  std::shared_ptr<QueuedOfUser> user_;
+  std::shared_ptr<KeptForUser> user_;
   std::uint64_t own_ = 0;
 };
 
@@ -142,8 +225,12 @@ class Session {
   static constexpr std::size_t queue_count_max = 16 * 1024;
 
   Session(PacketSocket socket, PeerIdentity identity,
-          std::shared_ptr<QueuedOfUser> user = std::make_shared<QueuedOfUser>())
-      : socket_(std::move(socket)), identity_(std::move(identity)), queued_(std::move(user)) {}
+          std::shared_ptr<KeptForUser> user = std::make_shared<KeptForUser>())
+      : socket_(std::move(socket)),
+        identity_(std::move(identity)),
+        queued_(user),
+        announcements_(user),
+        collisions_(std::move(user)) {}
 
   const PacketSocket& socket() const noexcept { return socket_; }
   PeerIdentity& identity() noexcept { return identity_; }

@@ -15,11 +15,26 @@
 namespace agnocast::test {
 
 struct DaemonCore {
-  class NobodyIsConnected final : public daemon::Post {
+  /// Nobody is connected but those for whom a test makes a session; what they are told is counted there.
+  class Connections final : public daemon::Post {
    public:
-    daemon::Session* session_of(daemon::ClientIndex) override { return nullptr; }
+    using daemon::Post::send;
+    daemon::Session* session_of(daemon::ClientIndex client) override {
+      const auto found = sessions.find(client);
+      return found == sessions.end() ? nullptr : &found->second;
+    }
     std::uint64_t user_namespace_of(daemon::ClientIndex) override { return 0; }
-    void send(daemon::ClientIndex, daemon::Outgoing) override {}
+    void send(daemon::ClientIndex client, daemon::Outgoing packet) override {
+      daemon::Session* const session = session_of(client);
+      if (session == nullptr) return;
+      session->push(std::move(packet));
+      session->drop_output();
+    }
+    void begin_anew(daemon::ClientIndex client, std::string_view) override {
+      sessions.erase(client);
+    }
+
+    std::map<daemon::ClientIndex, daemon::Session> sessions;
   };
 
   explicit DaemonCore(const daemon::Capacity& capacity = {})
@@ -62,7 +77,7 @@ struct DaemonCore {
   daemon::DescriptorStore store;
   daemon::Regions regions;
   daemon::Registry registry;
-  NobodyIsConnected post;
+  Connections post;
   daemon::Doorbells doorbells;
   daemon::Membership membership;
   std::uint64_t last_request = 0;

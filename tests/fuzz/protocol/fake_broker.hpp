@@ -55,6 +55,7 @@ class FakeBroker final : public Post {
   Session* session_of(ClientIndex client) override;
   std::uint64_t user_namespace_of(ClientIndex) override { return 1; }
   void send(ClientIndex client, Outgoing packet) override;
+  void begin_anew(ClientIndex, std::string_view) override {}  // nobody here is told so much
 
  private:
   Process* process_of(ClientIndex client);

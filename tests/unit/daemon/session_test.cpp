@@ -1,11 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: what a session remembers of what its process was told says so, and has a bound. Method: the books
-// alone, without a socket.
+// alone, without a socket, and with the membership that asks them.
 
 #include <daemon/session.hpp>
+#include <tests/support/daemon_core.hpp>
 
 #include <gtest/gtest.h>
+
+#include <memory>
+#include <string>
+#include <vector>
 
 namespace agnocast::daemon {
 namespace {
@@ -16,7 +21,7 @@ constexpr Announced publisher{Kind::publisher, 1, 2};
 constexpr Announced subscription(std::uint64_t index) { return {Kind::subscription, 1, index}; }
 
 TEST(CollisionsTold, IsNewsOnceForEachPairAndWhenSomethingOfItIsAnother) {
-  CollisionsTold told;
+  CollisionsTold told(std::make_shared<KeptForUser>());
   const CollisionsTold::Collision what{10, 20, 0, true};
   EXPECT_TRUE(told.tell(publisher, subscription(0), what));
   EXPECT_FALSE(told.tell(publisher, subscription(0), what));
@@ -31,13 +36,110 @@ TEST(CollisionsTold, IsNewsOnceForEachPairAndWhenSomethingOfItIsAnother) {
 }
 
 TEST(CollisionsTold, HasABoundHoweverManyPairsCollide) {
-  CollisionsTold told;
+  CollisionsTold told(std::make_shared<KeptForUser>());
   const CollisionsTold::Collision what{10, 20, 0, true};
   for (std::uint64_t i = 0; i < 3 * CollisionsTold::count_max; ++i) {
     EXPECT_TRUE(told.tell(publisher, subscription(i), what));
     EXPECT_FALSE(told.tell(publisher, subscription(i), what)) << "just told";
     ASSERT_LE(told.size(), CollisionsTold::count_max);
   }
+}
+
+TEST(CollisionsTold, OfOneUserHasABoundTogether) {
+  const auto user = std::make_shared<KeptForUser>(), other = std::make_shared<KeptForUser>();
+  const CollisionsTold::Collision what{10, 20, 0, true};
+  std::vector<CollisionsTold> sessions;
+  for (std::uint64_t s = 0; s < 100; ++s) {
+    CollisionsTold& told = sessions.emplace_back(user);
+    for (std::uint64_t i = 0; i < CollisionsTold::count_max; ++i)
+      EXPECT_TRUE(told.tell(publisher, subscription(i), what));
+    ASSERT_LE(user->book_bytes, BookBytes::of_user_max + (s + 1) * BookBytes::own_max);
+  }
+  CollisionsTold of_another(other);
+  EXPECT_TRUE(of_another.tell(publisher, subscription(0), what));
+  for (std::uint64_t i = 1; i < CollisionsTold::count_max; ++i)
+    EXPECT_TRUE(of_another.tell(publisher, subscription(i), what));
+  EXPECT_FALSE(of_another.tell(publisher, subscription(0), what))
+      << "another user has room of its own";
+  sessions.clear();
+  EXPECT_EQ(user->book_bytes, 0u);
+}
+
+TEST(AnnouncementNumbers, AreExactAsLongAsThereIsRoom) {
+  AnnouncementNumbers book(std::make_shared<KeptForUser>());
+  book.announced(subscription(0), 10);
+  book.announced(publisher, 12);
+  EXPECT_TRUE(book.is_void(subscription(0), 9));
+  EXPECT_FALSE(book.is_void(subscription(0), 10));
+  book.announced(subscription(0), 20);
+  EXPECT_TRUE(book.is_void(subscription(0), 19));
+  EXPECT_FALSE(book.is_void(publisher, 12));
+  book.forget(subscription(0));
+  EXPECT_FALSE(book.is_void(subscription(0), 0));
+  EXPECT_FALSE(book.may_be_void(subscription(0), 0)) << "the process itself has let go of it";
+  EXPECT_EQ(book.size(), 1u);
+}
+
+TEST(AnnouncementNumbers, OfOneUserHaveABoundTogetherAndSayWhatTheyCannotJudge) {
+  const auto user = std::make_shared<KeptForUser>();
+  constexpr std::uint64_t own_count = BookBytes::own_max / AnnouncementNumbers::entry_bytes;
+  AnnouncementNumbers first(user), second(user);
+  std::uint64_t packet = 0;
+  const auto subject = [](std::uint64_t i) {
+    return Announced{Kind::subscription, static_cast<std::uint32_t>(i >> 9), i & 511};
+  };
+  for (std::uint64_t i = 0;
+       user->book_bytes + AnnouncementNumbers::entry_bytes <= BookBytes::of_user_max; ++i)
+    first.announced(subject(i), ++packet);
+  for (std::uint64_t i = 0; i < own_count; ++i) second.announced(subject(i), i + 1);
+  EXPECT_EQ(second.size(), own_count) << "its own";
+  EXPECT_TRUE(second.is_void(subject(0), 0));
+
+  second.announced(subject(own_count), own_count + 1);
+  EXPECT_LE(user->book_bytes, BookBytes::of_user_max + BookBytes::own_max);
+  EXPECT_LT(second.size(), own_count);
+  EXPECT_TRUE(second.may_be_void(subject(0), 0));
+  EXPECT_FALSE(second.may_be_void(subject(0), own_count))
+      << "its process has read all that was forgotten";
+  EXPECT_FALSE(second.may_be_void(subject(own_count), 0));
+  EXPECT_TRUE(second.is_void(subject(own_count), 0)) << "the newer half is exact";
+  EXPECT_TRUE(second.is_void(subject(own_count - 1), own_count - 1));
+  EXPECT_EQ(first.size(), packet) << "of another session nothing is forgotten";
+}
+
+// The place of what a process has let go of must not stay taken because its statement could not be judged.
+TEST(AnnouncementNumbers, LetAProcessBeginAnewWhoseStatementTheyCannotJudge) {
+  test::DaemonCore core;
+  const auto user = std::make_shared<KeptForUser>();
+  user->book_bytes = BookBytes::of_user_max;  // its other processes
+  const ClientIndex reader = core.process(1), writer = core.process(2);
+  const auto connect = [&] {
+    core.post.sessions.try_emplace(reader, PacketSocket(), PeerIdentity(), user);
+  };
+  connect();
+  std::vector<EndpointRef> publishers;
+  for (std::uint64_t i = 0; i <= BookBytes::own_max / AnnouncementNumbers::entry_bytes; ++i) {
+    const std::string topic = "/topic" + std::to_string(i / 200);
+    if (i % 200 == 0) core.create(reader, Kind::subscription, topic);
+    publishers.push_back(core.create(writer, Kind::publisher, topic));
+  }
+  const auto says_unlinked = [&](const EndpointRef& ref, std::uint64_t seen) {
+    wire::Unlinked statement{};
+    statement.kind = ref.kind;
+    statement.topic = number(ref.topic);
+    statement.index = ref.index;
+    statement.generation = core.registry.generation_of(ref);
+    statement.seen = seen;
+    EXPECT_TRUE(core.membership.unlinked(reader, statement));
+    return !core.registry.told_of(ref).contains(number(reader));
+  };
+  const auto has_read = [&] { return core.post.session_of(reader)->packet_count(); };
+  EXPECT_TRUE(says_unlinked(publishers[0], has_read())) << "it has read all that was forgotten";
+  ASSERT_NE(core.post.session_of(reader), nullptr);
+  EXPECT_FALSE(says_unlinked(publishers[1], 5));
+  ASSERT_EQ(core.post.session_of(reader), nullptr) << "it is to come back";
+  connect();
+  EXPECT_TRUE(says_unlinked(publishers[1], has_read()));
 }
 
 }  // namespace
