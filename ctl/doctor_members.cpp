@@ -26,13 +26,11 @@ constexpr std::uint64_t publisher_lock_bytes = 26 * mebibyte;
 // Of addresses, what the next process costs with which messages are exchanged.
 constexpr std::uint64_t peer_address_bytes = 1024 * mebibyte;
 
-std::string who(const Process& process) {
-  return escaped(process.name) + " (pid " + std::to_string(process.facts.pid) + ")";
-}
 std::string node_of(const Endpoint& endpoint) { return escaped(node_name_of(endpoint)); }
+std::string who(const Process& process) { return words_of(process); }
 std::string who(const System& system, const Endpoint& endpoint) {
-  const Process* const process = system.process_of(endpoint);
-  return node_of(endpoint) + (process == nullptr ? "" : " of " + who(*process));
+  const std::string process = process_words_of(system, endpoint);
+  return node_of(endpoint) + (process.empty() ? "" : " of " + process);
 }
 
 // One in a PID namespace that the daemon does not see has the number 0, and to kill that means everybody here.

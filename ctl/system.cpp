@@ -80,6 +80,16 @@ const Process* System::process_of(const Endpoint& endpoint) const {
   return found == processes.end() || !found->second.owns(endpoint) ? nullptr : &found->second;
 }
 
+std::string words_of(const Process& process) {
+  return escaped(process.name) + " (pid " + std::to_string(process.facts.pid) + ", uid " +
+         std::to_string(process.facts.uid) + ")";
+}
+
+std::string process_words_of(const System& system, const Endpoint& endpoint) {
+  const Process* const process = system.process_of(endpoint);
+  return process == nullptr ? "" : words_of(*process);
+}
+
 bool System::is_silent(const Endpoint& subscription) const {
   const Process* const process = process_of(subscription);
   return process != nullptr && !subscription.is_publisher() &&

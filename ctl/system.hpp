@@ -82,6 +82,11 @@ struct System {
   bool is_still_there(const Topic& topic, const Endpoint& endpoint) const;
 };
 
+/// "lidar (pid 812, uid 1000)".
+std::string words_of(const Process& process);
+/// The same of the process of an endpoint; empty when the daemon's dump names none.
+std::string process_words_of(const System& system, const Endpoint& endpoint);
+
 /// Is it held by SIGSTOP or a debugger? Such a process may stand in the middle of anything for any
 /// time. False as well when it cannot be known.
 bool is_stopped(const wire::DumpProcess& process);

@@ -221,9 +221,7 @@ void print_endpoint(const System& system, const Topic& topic, const Endpoint& en
   console.line("  Liveliness: AUTOMATIC");
   console.line("  Liveliness lease duration: Infinite");
   if (const Process* const process = system.process_of(endpoint); process != nullptr)
-    console.line("Process: " + escaped(process->name) + " (pid " +
-                 std::to_string(process->facts.pid) + ", uid " +
-                 std::to_string(process->facts.uid) + ")");
+    console.line("Process: " + words_of(*process));
   if (endpoint.state() != abi::MemberState::active)
     console.line(std::string("State: ") + meaning_of(endpoint.state()));
   if (endpoint.is_publisher()) {
@@ -250,15 +248,18 @@ void print_side(const System& system, const Topic& topic, const char* heading,
 void print_pairs(const System& system, const Topic& topic, Console& console) {
   const std::vector<Pair> pairs = pairs_of(system, topic);
   if (pairs.empty()) return;
-  const auto name_of = [](const Endpoint& endpoint) {
-    return escaped(endpoint.node_namespace == "/"
-                       ? '/' + endpoint.node_name
-                       : endpoint.node_namespace + '/' + endpoint.node_name);
+  // Where the answer is no, somebody will want to know whose process it is.
+  const auto name_of = [&](const Pair& pair, const Endpoint& endpoint) {
+    const std::string node = escaped(endpoint.node_namespace == "/"
+                                         ? '/' + endpoint.node_name
+                                         : endpoint.node_namespace + '/' + endpoint.node_name);
+    const std::string process = process_words_of(system, endpoint);
+    return is_zero_copy(pair.state) || process.empty() ? node : node + " of " + process;
   };
   console.line("Is it zero-copy?");
   for (const Pair& pair : pairs)
-    console.line("  " + name_of(*pair.publisher) + " -> " + name_of(*pair.subscription) + ": " +
-                 answer_of(pair));
+    console.line("  " + name_of(pair, *pair.publisher) + " -> " +
+                 name_of(pair, *pair.subscription) + ": " + answer_of(pair));
 }
 
 }  // namespace

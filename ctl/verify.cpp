@@ -1,10 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // verify: every invariant of the running system. Several looks, each at a moment of its own; broken
-// is what every look found, in the same place with the same words.
+// is what every look found, in the same place with the same words. Subscriptions that are served no more or
+// that nobody can ring are named as well; they break nothing, and change no exit status.
 
+#include <base/text.hpp>
 #include <ctl/audit.hpp>
 #include <ctl/commands.hpp>
+#include <ctl/pairs.hpp>
 #include <ctl/system.hpp>
 
 #include <algorithm>
@@ -12,6 +15,8 @@
 #include <iterator>
 #include <string>
 #include <thread>
+#include <utility>
+#include <vector>
 
 namespace agnocast::ctl {
 namespace {
@@ -31,8 +36,40 @@ const char* name_of(journal::Invariant invariant) noexcept {
   return names[static_cast<std::uint8_t>(invariant)];
 }
 
+/// A subscription that gets less than others although no invariant is broken.
+struct Exception {
+  std::string topic;
+  const char* kind;  // for programs
+  wire::DumpProcess process;
+  std::string process_name, why;
+};
+
+std::vector<Exception> exceptions_of(const System& system) {
+  std::vector<Exception> found;
+  const auto add = [&](const Topic& topic, const Endpoint& subscription, const char* kind,
+                       std::string why) {
+    if (const Process* const process = system.process_of(subscription); process != nullptr)
+      found.push_back({topic.name, kind, process->facts, process->name, std::move(why)});
+  };
+  for (const auto& [index, topic] : system.topics) {
+    for (const Pair& pair : pairs_of(system, topic)) {
+      if (pair.state != PairState::withdrawn) continue;
+      const std::string publisher = process_words_of(system, *pair.publisher);
+      add(topic, *pair.subscription, word_of(pair.state),
+          publisher.empty() ? pair.why : pair.why + ": " + publisher);
+    }
+    for (const Endpoint& subscription : topic.subscriptions) {
+      if (subscription.state() == abi::MemberState::active && system.is_silent(subscription))
+        add(topic, subscription, "mute",
+            "nobody can ring it, it hears of messages only when it looks");
+    }
+  }
+  return found;
+}
+
 struct Verdict {
   Audit last;
+  std::vector<Exception> exceptions;  // of the last look
   std::set<Finding> broken;
   std::size_t looks = 0;
   std::uint64_t processes = 0, topics = 0;
@@ -44,6 +81,7 @@ Outcome<Verdict> look_until_sure(Observer& observer) {
     auto system = observer.look();
     if (!system) return tl::unexpected(system.error());
     verdict.last = audit(*system, observer.region_bytes());
+    verdict.exceptions = exceptions_of(*system);
     verdict.processes = system->processes.size();
     verdict.topics = system->topics.size();
     if (verdict.looks == 0) {
@@ -66,6 +104,14 @@ Object object_of(const Verdict& verdict) {
                       {"sentence", journal::sentence_of(finding.invariant)},
                       {"words", words}});
   }
+  Object exceptions = Object::array();
+  for (const Exception& exception : verdict.exceptions)
+    exceptions.push_back({{"topic", exception.topic},
+                          {"kind", exception.kind},
+                          {"process", exception.process_name},
+                          {"pid", exception.process.pid},
+                          {"uid", exception.process.uid},
+                          {"reason", exception.why}});
   return {{"schema", "agnocast.verify/1"},
           {"holds", verdict.broken.empty()},
           {"looks", verdict.looks},
@@ -74,7 +120,8 @@ Object object_of(const Verdict& verdict) {
           {"queues", verdict.last.queues},
           {"queues_in_motion", verdict.last.in_motion.size()},
           {"links", verdict.last.links},
-          {"broken", broken}};
+          {"broken", broken},
+          {"not_broken_but", exceptions}};
 }
 
 void print(const Verdict& verdict, Console& console) {
@@ -84,6 +131,12 @@ void print(const Verdict& verdict, Console& console) {
     console.line("broken: " + finding.where + ": " + name_of(finding.invariant) + ": " +
                  journal::sentence_of(finding.invariant) + " (" + words.substr(1) + ")");
   }
+  for (const Exception& exception : verdict.exceptions)
+    console.line("not broken, but: " + escaped(exception.topic) + ": subscription of " +
+                 escaped(exception.process_name) + " (pid " +
+                 std::to_string(exception.process.pid) + ", uid " +
+                 std::to_string(exception.process.uid) + "): " + exception.kind + ": " +
+                 exception.why);
   std::string checked = counted(verdict.processes, "process", "processes") + ", " +
                         counted(verdict.topics, "topic") + ", " +
                         counted(verdict.last.queues, "queue") + " at rest, ";

@@ -46,9 +46,23 @@ TEST(HostileMute, ASubscriptionThatNobodyCanRingKeepsNoPublisherFromItsSlots) {
   });
   ASSERT_TRUE(attacker.wait_until_ready());
   honest_publishes(stage, more_than_slots);
-  EXPECT_THAT(run_ctl(stage.socket_path(), {"doctor", "-j"}).out,
-              testing::HasSubstr("(pid " + std::to_string(attacker.pid()) +
-                                 ") hears of messages of " + stream_topic));
+  const std::string process =
+      "(pid " + std::to_string(attacker.pid()) + ", uid " + std::to_string(hostile_uid) + ")";
+  const auto ctl = [&](const std::vector<std::string>& words) {
+    const CtlResult result = run_ctl(stage.socket_path(), words);
+    return result.out + result.err;
+  };
+  EXPECT_THAT(ctl({"doctor", "-j"}),
+              testing::HasSubstr(process + " hears of messages of " + stream_topic));
+  const std::string mute = "nobody can ring it, it hears of messages only when it looks";
+  const std::string info = ctl({"topic", "info", "-v", stream_topic});
+  EXPECT_THAT(info, testing::HasSubstr(process));
+  EXPECT_THAT(info, testing::HasSubstr("Bell: nobody can ring it"));
+  EXPECT_THAT(ctl({"verify"}), testing::HasSubstr(std::string("not broken, but: ") + stream_topic));
+  EXPECT_THAT(ctl({"verify"}), testing::HasSubstr(process + ": mute: " + mute));
+  EXPECT_EQ(run_ctl(stage.socket_path(), {"verify"}).status, 0);
+  EXPECT_THAT(ctl({"verify", "--json"}),
+              testing::HasSubstr("\"uid\":" + std::to_string(hostile_uid)));
   attacker.end();
   stage.honest_goes_on();
 }

@@ -160,19 +160,23 @@ TEST_F(CtlLook, AnswersOfEachPairWhetherItIsZeroCopyAndWhyNot) {
   EXPECT_EQ(states(), (std::vector<std::string>{"joining", "incompatible_qos"}));
   b.link(s, p, 0, 0);
   EXPECT_EQ(states(), (std::vector<std::string>{"zero_copy", "incompatible_qos"}));
+  const std::string process = " of wire_client (pid " + std::to_string(::getpid()) + ", uid " +
+                              std::to_string(::geteuid()) + ")";
   EXPECT_THAT(
       out({"topic", "info", "-v", "/points"}),
-      HasSubstr(
-          "Is it zero-copy?\n  /lidar -> /viewer: yes\n  /weak -> /viewer: no, incompatible_qos: "
-          "the publisher is best_effort, the subscription asks for reliable\n"));
+      HasSubstr("Is it zero-copy?\n  /lidar -> /viewer: yes\n  /weak" + process + " -> /viewer" +
+                process +
+                ": no, incompatible_qos: the publisher is best_effort, the subscription asks "
+                "for reliable\n"));
   auto& endpoint = *reinterpret_cast<abi::PublisherEndpoint*>(a.region.base() + p.extent);
   a.commit(p, 3);
   endpoint.adopted_messages.store(2);
   endpoint.adopted_bytes.store(2048);
   EXPECT_THAT(
       out({"topic", "info", "-v", "/points"}),
-      HasSubstr("/lidar -> /viewer: no, adopted: 2 of 3 messages were built outside the shared "
-                "heap, 2.0 KiB of them copied into it by publish\n"));
+      HasSubstr("/lidar" + process + " -> /viewer" + process +
+                ": no, adopted: 2 of 3 messages were built outside the shared heap, 2.0 KiB "
+                "of them copied into it by publish\n"));
   const dataplane::SubscriptionWords<SharedMemory> counters{b.region.base(), s.extent};
   counters.counter(offsetof(abi::SubscriptionCounters, unreachable)).store(4);
   EXPECT_EQ(states()[0], "unreachable");

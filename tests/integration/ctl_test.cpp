@@ -165,7 +165,11 @@ TEST(Ctl, TellsOfATopicWhatRos2TellsAndWhatItCost) {
                 pid + ", uid " + std::to_string(::geteuid()) +
                 ")\nLinked: 1 publisher\nHeld: 2 messages, at most 4 of each publisher\n"
                 "Unread: 2 messages\nLost: 9 messages, 1 malformed\n\n"
-                "Is it zero-copy?\n  /ns/talker -> /listener: no, adopted: 2 of 6 messages were "
+                "Is it zero-copy?\n  /ns/talker of wire_client (pid " +
+                pid + ", uid " + std::to_string(::geteuid()) +
+                ") -> /listener of wire_client (pid " + pid + ", uid " +
+                std::to_string(::geteuid()) +
+                "): no, adopted: 2 of 6 messages were "
                 "built outside the "
                 "shared heap, 12.1 KiB of them copied into it by publish\n");
   const auto json = run_ctl(daemon.socket_path(), {"topic", "info", "/points", "-j"}).json();

@@ -67,8 +67,8 @@ TEST_F(DoctorMembers, SaysWhoIsStopped) {
   ASSERT_TRUE(soon([&] { return !doctor_.look().all.empty(); }));
   const Findings findings = doctor_.look();
   const std::string pid = std::to_string(member.pid());
-  ASSERT_THAT(findings.all,
-              ElementsAre("process-stopped: wire_client (pid " + pid + ") is stopped"));
+  ASSERT_THAT(findings.all, ElementsAre("process-stopped: wire_client (pid " + pid + ", uid " +
+                                        std::to_string(::geteuid()) + ") is stopped"));
   EXPECT_EQ(findings.remedies[0], "kill -CONT " + pid);
   const Remedy remedy(findings.remedies[0]);
   EXPECT_TRUE(is_well());
@@ -124,8 +124,8 @@ TEST_F(DoctorMembers, SaysWhoKeepsTheMemoryOfTheDead) {
   const Findings findings = doctor_.look();
   ASSERT_THAT(findings.ids(), ElementsAre("dead-kept"));
   EXPECT_THAT(findings.all[0],
-              HasSubstr("/viewer of wire_client (pid " + std::to_string(holder.pid()) +
-                        ") holds 1 message of /points"));
+              HasSubstr("/viewer of wire_client (pid " + std::to_string(holder.pid()) + ", uid " +
+                        std::to_string(::geteuid()) + ") holds 1 message of /points"));
   const Remedy remedy(first_part(findings.remedies[0]));
   EXPECT_EQ(holder.wait(), -SIGTERM);
   EXPECT_TRUE(is_well());
@@ -211,7 +211,8 @@ TEST_F(DoctorMembers, SaysWhichQualitiesDoNotMatch) {
   a.publisher("/points", best_effort, "/lidar");
   b.subscription("/points", reliable, "/viewer");
   const Findings findings = doctor_.look();
-  const std::string process = " of wire_client (pid " + std::to_string(::getpid()) + ")";
+  const std::string process = " of wire_client (pid " + std::to_string(::getpid()) + ", uid " +
+                              std::to_string(::geteuid()) + ")";
   ASSERT_THAT(findings.all,
               ElementsAre("qos-mismatch: /points: /lidar" + process + " -> /viewer" + process +
                           ": the publisher is best_effort, the subscription asks for reliable"));
@@ -331,9 +332,10 @@ TEST_F(DoctorMembers, SaysWhoCannotBeRung) {
   ASSERT_TRUE(soon([&] { return !doctor_.look().all.empty(); }));
   const Findings findings = doctor_.look();
   ASSERT_THAT(findings.ids(), ElementsAre("no-bell"));
-  EXPECT_THAT(findings.all[0],
-              HasSubstr("/viewer of wire_client (pid " + std::to_string(reader.pid()) +
-                        ") hears of messages of /points only when it looks"));
+  EXPECT_THAT(
+      findings.all[0],
+      HasSubstr("/viewer of wire_client (pid " + std::to_string(reader.pid()) + ", uid " +
+                std::to_string(::geteuid()) + ") hears of messages of /points only when it looks"));
   EXPECT_THAT(run_ctl(socket(), {"topic", "info", "-v", "/points"}).out,
               HasSubstr("Bell: nobody can ring it"));
   const Remedy remedy(first_part(findings.remedies[0]));
