@@ -5,6 +5,7 @@
 #include <base/clock.hpp>
 #include <base/closing.hpp>
 #include <base/packet_socket.hpp>
+#include <base/socket_file.hpp>
 #include <base/socket_path.hpp>
 #include <base/unix_address.hpp>
 
@@ -97,8 +98,14 @@ StatusSocket::Failure failure(const std::string& what) {
 tl::expected<std::unique_ptr<StatusSocket>, StatusSocket::Failure> StatusSocket::take(
     const std::string& path) {
   std::unique_ptr<StatusSocket> made(new StatusSocket);
-  made->lock_.reset(::open((path + ".lock").c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600));
-  if (!made->lock_) return tl::unexpected(failure(path + ".lock"));
+  auto lock = open_lock_file(path + ".lock");
+  if (!lock && lock.error().code == Errc::permission_denied)
+    return tl::unexpected(Failure{false, path + ".lock: " + lock.error().what});
+  if (!lock) {
+    errno = lock.error().os_errno;
+    return tl::unexpected(failure(path + ".lock"));
+  }
+  made->lock_ = std::move(*lock);
   if (::flock(made->lock_.get(), LOCK_EX | LOCK_NB) != 0)
     return tl::unexpected(errno == EWOULDBLOCK ? Failure{true, path + ".lock is locked"}
                                                : failure("flock"));
@@ -114,7 +121,7 @@ tl::expected<void, StatusSocket::Failure> StatusSocket::listen(
   socket_.reset(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
   stop_.reset(::eventfd(0, EFD_CLOEXEC));
   if (!socket_ || !stop_ || ::bind(socket_.get(), address->get(), UnixAddress::size()) != 0 ||
-      ::chmod(path_.c_str(), 0660) != 0 || ::listen(socket_.get(), SOMAXCONN) != 0)
+      !set_mode_of_socket(path_, 0660) || ::listen(socket_.get(), SOMAXCONN) != 0)
     return tl::unexpected(failure(path_));
   refuse_descriptors(socket_.get());
   answer_ = std::move(answer);

@@ -4,6 +4,7 @@
 
 #include <base/closing.hpp>
 #include <base/daemon_socket.hpp>
+#include <base/socket_file.hpp>
 #include <base/unix_address.hpp>
 
 #include <dirent.h>
@@ -113,19 +114,6 @@ tl::expected<void, Complaint> make_bells(const std::string& directory) {
     return complain(Errc::os_failure, "cannot use directory " + directory + ": " + reason(errno));
   clear_bells(directory);
   return {};
-}
-
-/// chmod follows links, and not every kernel knows an fchmodat that does not. The entry itself is
-/// opened, and reached through that.
-bool set_mode_of_socket(const std::string& path, mode_t mode) noexcept {
-  const UniqueFd entry(::open(path.c_str(), O_PATH | O_NOFOLLOW | O_CLOEXEC));
-  struct stat file {};
-  if (!entry || ::fstat(entry.get(), &file) != 0) return false;
-  if (!S_ISSOCK(file.st_mode) || file.st_uid != ::geteuid()) {
-    errno = EPERM;
-    return false;
-  }
-  return ::chmod(("/proc/self/fd/" + std::to_string(entry.get())).c_str(), mode) == 0;
 }
 
 tl::expected<void, Complaint> clear_socket(const std::string& path) {
@@ -248,10 +236,17 @@ tl::expected<Listener, Complaint> Listener::open(const ListenerOptions& options,
 /// `base`: of the names in the runtime directory.
 tl::expected<void, Complaint> Listener::lock(const std::string& base, const std::string& path) {
   const std::string lock_path = std::string(base).append(lock_suffix);
-  lock_.reset(::open(lock_path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600));
-  if (!lock_)
-    return complain(errno == EACCES || errno == EPERM ? Errc::permission_denied : Errc::os_failure,
-                    "cannot write in directory " + parent_of(lock_path) + ": " + reason(errno));
+  // Where a directory is for everybody (sticky), the name may have been another user's first.
+  auto opened = open_lock_file(lock_path);
+  if (!opened && opened.error().code == Errc::permission_denied)
+    return complain(Errc::permission_denied,
+                    "cannot use " + lock_path + ": " + opened.error().what);
+  if (!opened) {
+    const int error = opened.error().os_errno;
+    return complain(error == EACCES || error == EPERM ? Errc::permission_denied : Errc::os_failure,
+                    "cannot write in directory " + parent_of(lock_path) + ": " + reason(error));
+  }
+  lock_ = std::move(*opened);
   if (::flock(lock_.get(), LOCK_EX | LOCK_NB) == 0) return {};
   if (errno == EWOULDBLOCK)
     return complain(Errc::already_running, "another agnocastd is running at " + path);

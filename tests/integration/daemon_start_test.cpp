@@ -160,6 +160,58 @@ TEST(DaemonStart, SaysThatADirectoryCannotBeUsed) {
                                     ": Permission denied");
 }
 
+// /tmp and the like: everybody may make names there, and nobody may remove another user's.
+TEST(DaemonStart, UsesAndChangesNothingThatAnotherUserPutThereFirst) {
+  if (::geteuid() != 0) GTEST_SKIP() << "needs root";
+  const auto content = [](const std::string& path) {
+    std::string text;
+    std::getline(std::ifstream(path), text);
+    return text;
+  };
+  Directory directory;
+  ::chmod(directory.path().c_str(), 01777);
+  const std::string socket = directory / "agnocastd.sock", lock = socket + ".lock";
+  const auto refusal = [&] {
+    const Ended ended = run_daemon({"--socket", socket});
+    EXPECT_EQ(ended.status, 1);
+    EXPECT_FALSE(exists(socket));
+    return ended.err.substr(0, ended.err.find('\n'));
+  };
+  write_file(directory / "precious", "1234567");
+  ASSERT_EQ(::symlink("precious", lock.c_str()), 0);
+  EXPECT_EQ(refusal(), "agnocastd: cannot use " + lock + ": it is a symbolic link");
+  EXPECT_EQ(content(directory / "precious"), "1234567");
+  ASSERT_EQ(::unlink(lock.c_str()), 0);
+
+  write_file(lock, "another's");
+  ASSERT_EQ(::chown(lock.c_str(), other_uid, other_uid), 0);
+  const std::string refused = refusal();
+  // The kernel may refuse before (fs.protected_regular).
+  EXPECT_TRUE(refused == "agnocastd: cannot use " + lock + ": it is not a file of this user" ||
+              refused == "agnocastd: cannot write in directory " + directory.path() +
+                             ": Permission denied")
+      << refused;
+  EXPECT_EQ(content(lock), "another's");
+  ASSERT_EQ(::unlink(lock.c_str()), 0);
+
+  const std::string bells = socket + ".bells";
+  std::filesystem::create_directory(directory / "kept");
+  write_file(directory / "kept/file", "");
+  ASSERT_EQ(::symlink("kept", bells.c_str()), 0);
+  EXPECT_EQ(refusal(), "agnocastd: cannot use " + bells + ": it is not a directory of this user");
+  EXPECT_TRUE(exists(directory / "kept/file"));
+  ASSERT_EQ(::unlink(bells.c_str()), 0);
+
+  std::filesystem::create_directory(directory / "another");
+  ASSERT_EQ(::chown((directory / "another").c_str(), other_uid, other_uid), 0);
+  const Ended owned = run_daemon({"--socket", directory / "another/agnocastd.sock"});
+  EXPECT_EQ(owned.status, 1);
+  EXPECT_EQ(owned.err.substr(0, owned.err.find('\n')),
+            "agnocastd: cannot use directory " + (directory / "another") + ": user " +
+                std::to_string(other_uid) + " owns it and could replace the socket");
+  EXPECT_TRUE(std::filesystem::is_empty(directory / "another"));
+}
+
 TEST(DaemonStart, RefusesPathsThatDoNotFitIntoAnAddress) {
   Directory directory;
   const Ended ended = run_daemon({"--socket", directory / (std::string(120, 'x') + ".sock")});
