@@ -169,14 +169,15 @@ void Context::ask_again_later() noexcept {
   said_again_ = again_at_ = now + again_pause_;
 }
 
-/// Members that are mute because there were too many get bells when others have left.
+/// Members that are mute, or not mapped, because there were too many get bells and are mapped when others have left.
 void Context::look_for_bells() noexcept {
   const auto now = Reconnection::Clock::now();
   if (said_again_ || now < bells_looked_ + again_first || now < bells_asked_ + again_last ||
       reconnection_.state() != Reconnection::State::connected)
     return;
   bells_looked_ = now;
-  if (!DescriptorShare::instance().has_more()) return;
+  const bool has_descriptors = DescriptorShare::instance().has_more();
+  if (!MappingShare::instance().has_more() && !has_descriptors) return;
   bells_asked_ = now;
   said_again_ = now;
 }
@@ -270,6 +271,8 @@ std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
       if (!region || !region->open(0, abi::page_bytes, fds[0].get())) return nullptr;
       known.peer = std::make_unique<Peer>(announcement.client, announcement.client_generation,
                                           owner_of(announcement), std::move(*region));
+      // Its first page, at offset 0.
+      if (!known.peer->count_mappings(0)) return nullptr;
     }
     found = peers_.emplace(key, std::move(known)).first;
   }
@@ -309,6 +312,8 @@ Result<void> Context::add_window_of(KnownPeer& known, const PeerHeap::Announced&
     added = heap.add_own(window);
   } else if (!arena_->has(window.base, window.length)) {
     added = heap.add_blocked(window);
+  } else if (!known.peer->count_mappings(Peer::part_of_window(window.number))) {
+    added = heap.add_without_file(window);
   } else if (auto counted = DescriptorShare::instance().take(known.peer->owner(), 1)) {
     added = heap.add(window, std::move(fd), std::move(counted));
   } else {

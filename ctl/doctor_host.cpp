@@ -217,7 +217,7 @@ constexpr Check table[] = {
      "echo 'w /sys/kernel/mm/transparent_hugepage/shmem_enabled - - - - advise' | sudo tee /etc/tmpfiles.d/agnocast.conf "
      "&& sudo systemd-tmpfiles --create /etc/tmpfiles.d/agnocast.conf", huge_pages},
     {"mapping-limit", "no process is at the bound of its mappings", failed, daemon,
-     "each process with which messages are exchanged costs about ten mappings; without any left they are lost",
+     "each process with which messages are exchanged costs about ten mappings; without any left they are lost. Those of one other user get a quarter, those of all others half",
      "sudo sysctl -w vm.max_map_count=COUNT", mappings},
 };
 // clang-format on

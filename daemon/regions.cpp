@@ -4,6 +4,7 @@
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/closing.hpp>
+#include <base/map_count.hpp>
 #include <base/memfd.hpp>
 #include <base/populate.hpp>
 #include <base/step.hpp>
@@ -16,7 +17,6 @@
 
 #include <algorithm>
 #include <cerrno>
-#include <charconv>
 #include <memory>
 #include <new>
 #include <string>
@@ -50,16 +50,6 @@ std::string file_of(int fd) {
 // Of the daemon's own: libraries, stacks, blocks that malloc maps one by one, board and tables. Some
 // hundred; where there are fewer than this left, it is malloc that fails next.
 constexpr std::uint64_t mappings_kept = 2048;
-
-// vm.max_map_count; what it is by default where it cannot be read.
-std::uint64_t read_map_count_max() noexcept {
-  const UniqueFd file(::open("/proc/sys/vm/max_map_count", O_RDONLY | O_CLOEXEC));
-  char text[24];
-  const ssize_t bytes = file ? ::read(file.get(), text, sizeof text) : -1;
-  std::uint64_t count = 65'530;
-  if (bytes > 0) std::from_chars(text, text + bytes, count);
-  return count;
-}
 
 // More than this is not freed between two requests: 16 MiB take a millisecond or two.
 constexpr std::uint64_t freed_at_once_bytes = 16 << 20;

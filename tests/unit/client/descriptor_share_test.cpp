@@ -4,14 +4,19 @@
 // numbers are nobody's.
 // Method: the share of this very process, under limits that the test sets.
 
+#include <base/map_count.hpp>
+#include <base/memfd.hpp>
 #include <base/unique_fd.hpp>
 #include <client/descriptor_share.hpp>
+#include <client/peer.hpp>
 
 #include <fcntl.h>
 #include <gtest/gtest.h>
 #include <sys/resource.h>
 #include <unistd.h>
 
+#include <memory>
+#include <utility>
 #include <vector>
 
 namespace agnocast {
@@ -54,6 +59,34 @@ TEST_F(Share, IsAQuarterForOneUserAndHalfForAll) {
   // Nobody counts processes of one's own user.
   EXPECT_TRUE(share_.take({4, true}, 2));
   EXPECT_EQ(take_all({4, true}, parts), 2 * limit - limit / 2);
+}
+
+TEST_F(Share, IsOfMappingsToo) {
+  const std::uint64_t quarter = read_map_count_max() / 4, region_bytes = 16 * abi::page_bytes;
+  MappingShare& mappings = MappingShare::instance();
+  const UniqueFd region = make_memfd("region", region_bytes).value();
+  const auto peer_of = [&](Owner owner) {
+    UniqueFd fd(::fcntl(region.get(), F_DUPFD_CLOEXEC, 0));
+    return std::make_unique<Peer>(
+        1, 1, owner,
+        SparseRegion::make(std::move(fd), region_bytes, Mapping::Access::read).value());
+  };
+  const auto can_open_one = [&](Owner owner) {
+    return peer_of(owner)->open(abi::page_bytes, abi::page_bytes, UniqueFd()).has_value();
+  };
+  Part most = mappings.take({1, false}, quarter - 2);
+  ASSERT_TRUE(most);
+  const auto peer = peer_of({1, false});
+  ASSERT_TRUE(peer->open(abi::page_bytes, abi::page_bytes, UniqueFd()));
+  EXPECT_TRUE(peer->open(abi::page_bytes, abi::page_bytes, UniqueFd())) << "once";
+  EXPECT_FALSE(peer->open(3 * abi::page_bytes, abi::page_bytes, UniqueFd()));
+  EXPECT_FALSE(can_open_one({1, false}));
+  EXPECT_TRUE(can_open_one({1, true})) << "the own user's number in another namespace";
+  const Part other = mappings.take({2, false}, quarter);
+  EXPECT_FALSE(can_open_one({3, false})) << "half of all is taken";
+  EXPECT_TRUE(can_open_one({3, true}));
+  most = {};
+  EXPECT_TRUE(can_open_one({1, false})) << "what is unmapped comes back";
 }
 
 TEST_F(Share, IsTakenWholeOrNotAtAll) {
