@@ -3,8 +3,9 @@
 // Memory behind a mapping, without its file's lock.
 //
 // fallocate(2) waits for the lock of the inode, which everybody who may write to the file can keep: a write whose
-// source is a page of a FUSE server that does not answer keeps it for ever. A page fault does not take it. So
-// memory of a file that somebody else may write is made present through a mapping of one's own.
+// source is a page of a FUSE server that does not answer keeps it for ever. A page fault does not take it, and waits
+// only for a hole that is being punched there. So memory of a file that somebody else may write is made present
+// through a mapping of one's own.
 #pragma once
 
 #include <agnocast/result.hpp>

@@ -256,17 +256,18 @@ void Broker::find_user_namespace(Peer& peer) {
   if (known || identity.pid <= 0 ||
       errands_.waiting(Errands::Lane::looking, identity.uid) >= looks_waiting_max)
     return;
-  park(peer);
+  const std::uint64_t ticket = ++last_ticket_;
+  park(peer, ticket);
   const auto found = std::make_shared<std::uint64_t>(0);
   errands_.run(
       Errands::Lane::looking, identity.uid,
       [found, pid = identity.pid] { *found = agnocast::user_namespace_of(pid).value_or(0); },
-      [this, found, id = peer.id, here = std::weak_ptr(here_)] {
+      [this, found, id = peer.id, ticket, here = std::weak_ptr(here_)] {
         if (here.expired()) return;
         const auto at = peers_.find(id);
         if (at == peers_.end()) return;
         at->second->session.user_namespace = *found;
-        unpark(id);
+        unpark(id, ticket);
       });
 }
 
@@ -318,7 +319,7 @@ unsigned Broker::read_packets(PeerId id, const Turn& share) {
       say_farewell(peer);
       return turn;
     }
-    if (peer.parked) return turn;
+    if (peer.parked != 0) return turn;
     const bool observes = peer.session.role() == Role::observer;
     if (observes && turn > 0) return turn;  // a dump is work
     // A blocked writer is woken here as well: the handler does not tell the events apart.
@@ -377,20 +378,41 @@ void Broker::serve_packet(Peer& peer, std::span<const std::byte> bytes, const En
 
 // The file of a region is one that its process may write to, and so keep locked: what waits for that is an
 // errand of its user, and the request with it.
-bool Broker::clear_before(Peer& peer, const CreateRequest& request) {
+Result<bool> Broker::clear_before(Peer& peer, const CreateRequest& request) {
   const ClientIndex client = *peer.session.client();
   const std::uint64_t bytes = request.kind == Kind::publisher ? abi::publisher_extent_bytes
                                                               : abi::subscription_extent_bytes;
   const auto offset = registry_.lowest_extent(client, bytes);
   if (!offset || regions_.is_clear(client, {*offset, bytes})) return false;
-  regions_.clear(client, registry_.client(client).uid, {*offset, bytes},
-                 [this, id = peer.id, request] {
-                   Peer* const back = unpark(id);
-                   if (back == nullptr) return;
-                   serve_or_refuse(*back, request.request, [&] { serve(*back, request, {}); });
-                 });
-  park(peer);
+  const std::uint64_t ticket = ++last_ticket_;
+  const auto cleared = regions_.clear(
+      client, registry_.client(client).uid, {*offset, bytes},
+      [this, id = peer.id, ticket, request, here = std::weak_ptr(here_)] {
+        if (here.expired()) return;
+        std::erase_if(uncleared_, [&](const Uncleared& one) { return one.ticket == ticket; });
+        Peer* const back = unpark(id, ticket);
+        if (back == nullptr) return;
+        serve_or_refuse(*back, request.request, [&] { serve(*back, request, {}); });
+      });
+  if (!cleared) return tl::unexpected(cleared.error());
+  uncleared_.push_back({peer.id, ticket, request.request, monotonic_ms() + clearing_ms});
+  park(peer, ticket);
   return true;
+}
+
+void Broker::refuse_uncleared(std::uint64_t now) {
+  while (!uncleared_.empty() && uncleared_.front().until_ms <= now) {
+    const Uncleared waits = uncleared_.front();
+    uncleared_.pop_front();
+    Peer* const peer = unpark(waits.id, waits.ticket);
+    if (peer == nullptr) continue;  // it has been served
+    constexpr std::string_view why =
+        "memory of this process could not be prepared in time: something of it, or of its user, keeps "
+        "agnocastd waiting";
+    const Request request = Rejected{waits.request, Errc::limit_reached, std::string(why), false};
+    remember(*peer, request, Errc::limit_reached, why);
+    refuse(*peer, request, waits.request, Errc::limit_reached, 0, why);
+  }
 }
 
 // A descriptor that is received is one to close, and the kernel may close some on the way. So a packet that
@@ -425,16 +447,17 @@ bool Broker::may_receive(Peer& peer, std::span<std::byte> buffer) {
   return false;
 }
 
-void Broker::park(Peer& peer) {
-  peer.parked = true;
+void Broker::park(Peer& peer, std::uint64_t ticket) {
+  peer.parked = ticket;
   dispatcher_.remove(peer.connection);
   peer.connection = 0;
 }
 
-Broker::Peer* Broker::unpark(PeerId id) {
+Broker::Peer* Broker::unpark(PeerId id, std::uint64_t ticket) {
   const auto found = peers_.find(id);
-  if (found == peers_.end() || !std::exchange(found->second->parked, false)) return nullptr;
+  if (found == peers_.end() || found->second->parked != ticket) return nullptr;
   Peer& peer = *found->second;
+  peer.parked = 0;
   if (peer.session.closed()) return nullptr;
   const auto token =
       dispatcher_.add(peer.session.socket().fd(),
@@ -760,6 +783,7 @@ void Broker::tick() {
 
 void Broker::look_around(std::uint64_t now) {
   looked_ms_ = now;
+  refuse_uncleared(now);
   if (!std::exchange(listens_, true)) {
     if (!spare_) spare_.reset(::open("/dev/null", O_RDONLY | O_CLOEXEC));
     dispatcher_.change(listening_, EPOLLIN);
@@ -815,7 +839,7 @@ int Broker::due_ms() const noexcept {
   if (!listens_) return short_interval_ms;
   if (const int due = answers_due_ms(); due >= 0) return std::min(due, short_interval_ms);
   if (detached_count_ > 0 || flush_later_ || membership_.has_waiting() || membership_.tells() ||
-      membership_.has_renewed())
+      membership_.has_renewed() || !uncleared_.empty())
     return short_interval_ms;
   return peers_.empty() ? 10'000 : watch_interval_ms;
 }

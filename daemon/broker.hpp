@@ -102,7 +102,7 @@ class Broker final : private Post {
     bool detached = false;  // without a connection, or revoked, but alive and mapping its region
     bool revoked = false;   // its client is dead in the tables; nothing it says counts
     bool counts_as_observer = false;
-    bool parked = false;         // it waits for an errand
+    std::uint64_t parked = 0;    // it waits for the errand with this ticket
     bool brings_windows = false;  // it may, until it asks for something new
     std::uint64_t refuses_since_ms = 0;  // since when the kernel refuses descriptors again
     std::uint64_t asked_ms = 0;   // of an observer: when its last answer was made
@@ -157,8 +157,8 @@ class Broker final : private Post {
   /// received here, and has been dealt with.
   bool may_receive(Peer& peer, std::span<std::byte> buffer);
   /// What is read from it waits until unpark(); nothing when it is gone by then.
-  void park(Peer& peer);
-  Peer* unpark(PeerId id);
+  void park(Peer& peer, std::uint64_t ticket);
+  Peer* unpark(PeerId id, std::uint64_t ticket);
   void close_connection(Peer& peer);
   void close_connection(PacketSocket socket, std::uint32_t uid);
   void flush(Peer& peer);
@@ -192,7 +192,8 @@ class Broker final : private Post {
   /// True: the process has been here before, and is looked at first; its hello waits for that.
   bool look_before(Peer& peer, const wire::Hello& hello);
   struct Before;
-  void welcome_after(PeerId id, const wire::Hello& hello, const Before& before);
+  void welcome_after(PeerId id, std::uint64_t ticket, const wire::Hello& hello,
+                     const Before& before);
   // --- resume
   [[nodiscard]] Result<journal::FoundDecision> adopt_client(ClientIndex client,
                                                             std::uint64_t& lost);
@@ -218,7 +219,7 @@ class Broker final : private Post {
                                           const UniqueFd& window);
   /// A window comes with a descriptor, which is received elsewhere.
   void receive_window(Peer& peer);
-  void serve_window(PeerId id, Disposal::Received& received);
+  void serve_window(PeerId id, std::uint64_t ticket, Disposal::Received& received);
   void expect_windows(Peer& peer);
   void expect_no_windows(Peer& peer);
   [[nodiscard]] Result<WindowRecord> choose_window(ClientIndex client);
@@ -231,7 +232,9 @@ class Broker final : private Post {
                                               const CreateRequest& request);
   [[nodiscard]] Result<void> create(Peer& peer, const CreateRequest& request);
   /// True: memory for the endpoint is prepared first; the request waits for that.
-  bool clear_before(Peer& peer, const CreateRequest& request);
+  [[nodiscard]] Result<bool> clear_before(Peer& peer, const CreateRequest& request);
+  /// Refuses creations whose memory was not prepared in time.
+  void refuse_uncleared(std::uint64_t now);
   // broker_access.cpp: the rules, and what they mean for the memory behind the topics
   static Subject subject_of(const Peer& peer);
   [[nodiscard]] Result<void> check_access(const Peer& peer, const CreateRequest& request);
@@ -343,6 +346,15 @@ class Broker final : private Post {
   std::list<Ending> endings_;  // that have begun
   std::uint64_t answered_lsn_ = 0;  // up to here who awaits a change was answered
   PeerId last_peer_ = 0;
+  std::uint64_t last_ticket_ = 0;
+  /// A creation whose memory is being prepared.
+  struct Uncleared {
+    PeerId id = 0;
+    std::uint64_t ticket = 0, request = 0, until_ms = 0;
+  };
+  // Microseconds, unless its process keeps the file, or others every thread that could do it.
+  static constexpr std::uint64_t clearing_ms = 10'000;
+  std::deque<Uncleared> uncleared_;
   std::uint64_t detached_count_ = 0;  // processes without a connection
   bool flush_later_ = false;
   std::uint64_t looked_ms_ = 0;    // when tick() last had a look

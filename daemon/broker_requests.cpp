@@ -236,6 +236,7 @@ struct Broker::Before {
 bool Broker::look_before(Peer& peer, const wire::Hello& hello) {
   if (detached_count_ == 0 || peer.revoked_trace) return false;
   const auto before = std::make_shared<Before>();
+  const std::uint64_t ticket = ++last_ticket_;
   for (const auto& [id, other] : peers_) {
     // Of the places that a process leaves behind again and again, each is found by its own look.
     if (!other->detached || (before->open >= unused_count_max && !other->revoked) ||
@@ -243,10 +244,10 @@ bool Broker::look_before(Peer& peer, const wire::Hello& hello) {
         !same_process(other->session.identity().process, peer.session.identity().process))
       continue;
     const bool asked = look_at(
-        *other, [this, before, hello, caller = peer.id, id = id, revoked = other->revoked](
+        *other, [this, before, hello, caller = peer.id, ticket, id = id, revoked = other->revoked](
                     Trace trace) {
           before->add(id, revoked, trace);
-          if (--before->open == 0) welcome_after(caller, hello, *before);
+          if (--before->open == 0) welcome_after(caller, ticket, hello, *before);
         });
     if (asked) {
       ++before->open;
@@ -258,17 +259,18 @@ bool Broker::look_before(Peer& peer, const wire::Hello& hello) {
     peer.revoked_trace = before->revoked;
     return false;
   }
-  park(peer);
+  park(peer, ticket);
   return true;
 }
 
-void Broker::welcome_after(PeerId id, const wire::Hello& hello, const Before& before) {
+void Broker::welcome_after(PeerId id, std::uint64_t ticket, const wire::Hello& hello,
+                           const Before& before) {
   for (const PeerId unused : before.unused) {
     const auto found = peers_.find(unused);
     if (found != peers_.end() && found->second->detached && !found->second->revoked)
       reap_peer(*found->second, DeathReason::let_go, "process says hello again");
   }
-  Peer* const peer = unpark(id);
+  Peer* const peer = unpark(id, ticket);
   if (peer == nullptr) return;
   peer->revoked_trace = before.revoked;
   serve_packet(*peer, std::as_bytes(std::span(&hello, 1)), {}, {});
@@ -457,17 +459,18 @@ void Broker::receive_window(Peer& peer) {
     disconnect(peer, "no descriptor is left to receive a window with");
     return;
   }
-  park(peer);
+  const std::uint64_t ticket = ++last_ticket_;
+  park(peer, ticket);
   disposal_.receive(uid, std::move(socket), wire::packet_bytes_max,
-                    [this, id = peer.id, uid, here = std::weak_ptr(here_)](
+                    [this, id = peer.id, ticket, uid, here = std::weak_ptr(here_)](
                         Disposal::Received& received) {
-                      if (!here.expired()) serve_window(id, received);
+                      if (!here.expired()) serve_window(id, ticket, received);
                       disposal_.close_memory(uid, std::move(received.memory.memory));
                     });
 }
 
-void Broker::serve_window(PeerId id, Disposal::Received& received) {
-  Peer* const peer = unpark(id);
+void Broker::serve_window(PeerId id, std::uint64_t ticket, Disposal::Received& received) {
+  Peer* const peer = unpark(id, ticket);
   if (peer == nullptr) return;
   const Result<Packet>& packet = received.memory.packet;
   if (!packet) {
@@ -725,7 +728,9 @@ Result<void> Broker::create(Peer& peer, const CreateRequest& request) {
     if (!allowed) return allowed;
     if (allowed = check_hold_quota(record, request); !allowed) return allowed;
   }
-  if (clear_before(peer, request)) return {};
+  const auto waits = clear_before(peer, request);
+  if (!waits) return tl::unexpected(waits.error());
+  if (*waits) return {};
   // Before anybody is told of the publisher, and with it of the heap.
   const bool is_first = publisher && record.readers == 0;
   if (is_first)

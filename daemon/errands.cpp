@@ -12,12 +12,12 @@
 #include <chrono>
 #include <condition_variable>
 #include <deque>
+#include <exception>
 #include <iterator>
 #include <list>
 #include <map>
 #include <mutex>
 #include <new>
-#include <system_error>
 #include <thread>
 #include <utility>
 #include <vector>
@@ -103,7 +103,7 @@ bool Errands::State::begin_thread(const std::shared_ptr<State>& self) {
     std::thread([self] { work(self); }).detach();
     ++thread_count;
     return true;
-  } catch (const std::system_error&) {
+  } catch (const std::exception&) {  // no thread left, or no memory for one
     return false;
   }
 }

@@ -30,7 +30,7 @@ namespace agnocast::daemon {
 class Errands {
  public:
   enum class Lane : std::uint8_t { closing, receiving, looking, freeing, clearing };
-  /// One for each of as many users who are stuck at once; each is a stack that is hardly touched.
+  /// A user may have one stuck for each lane; each is a stack that is hardly touched.
   static constexpr std::size_t thread_count_max = 64;
 
   /// Errors: os_failure.

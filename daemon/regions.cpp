@@ -55,14 +55,16 @@ constexpr std::uint64_t mappings_kept = 2048;
 constexpr std::uint64_t freed_at_once_bytes = 16 << 20;
 
 // Both wait for the lock of the file, which the process keeps while it writes to it by system calls.
-void punch(int fd, std::uint64_t offset, std::uint64_t bytes) noexcept {
-  ::fallocate(fd, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, static_cast<off_t>(offset),
-              static_cast<off_t>(bytes));
+Result<void> punch(int fd, std::uint64_t offset, std::uint64_t bytes) noexcept {
+  if (::fallocate(fd, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, static_cast<off_t>(offset),
+                  static_cast<off_t>(bytes)) == 0)
+    return {};
+  return fail(Errc::os_failure, "clearing an extent", errno);
 }
 // A hole reads as zero, whatever kind of endpoint was here, and the parts that are backed later are zero then.
 Result<void> clear_file(int fd, std::uint64_t offset, std::uint64_t bytes) noexcept {
   AGNOCAST_CRASH_POINT(B_clear);
-  punch(fd, offset, bytes);
+  if (auto cleared = punch(fd, offset, bytes); !cleared) return cleared;
   return lengthen(fd, offset + bytes);
 }
 
@@ -217,23 +219,35 @@ bool Regions::is_clear(ClientIndex client, const Extent& extent) const noexcept 
   return cleared && cleared->extent == extent;
 }
 
-void Regions::clear(ClientIndex client, std::uint32_t uid, const Extent& extent,
-                    std::function<void()> then) {
-  const ClientMemory& memory = of(client);
+// An errand that waits keeps no file: what its process has put there goes with the process.
+Result<void> Regions::clear(ClientIndex client, std::uint32_t uid, const Extent& extent,
+                            std::function<void()> then) {
+  if (errands_->waiting(Errands::Lane::clearing, uid) >= clearing_waiting_max)
+    return fail(Errc::limit_reached, "too many processes of this user wait for memory");
+  ClientMemory& memory = clients_[number(client)];
   const auto result = std::make_shared<Result<void>>();
+  const std::uint64_t clear = memory.last_clear + 1;
   const bool runs = errands_->try_run(
       Errands::Lane::clearing, uid,
-      [file = memory.region_writer, extent, result] {
+      [waits = std::weak_ptr(memory.region_writer), extent, result] {
+        const SharedFd file = waits.lock();
+        if (!file) return;
         use_in_own_table(file->get(), [&](int fd) {
           *result = clear_file(fd, extent.offset, extent.bytes);
         });
       },
-      [this, client, region = memory.file, extent, result, then = std::move(then)] {
+      [this, here = std::weak_ptr(here_), client, region = memory.file, clear, extent, result,
+       then = std::move(then)] {
+        if (here.expired()) return;
         ClientMemory& now = clients_[number(client)];
-        if (now.file == region) now.cleared = Cleared{extent, *result};
+        // Another one may still punch what this one has cleared.
+        if (now.file == region && now.last_clear == clear) now.cleared = Cleared{extent, *result};
         then();
       });
   if (!runs) throw std::bad_alloc();
+  memory.last_clear = clear;
+  memory.cleared.reset();
+  return {};
 }
 
 Result<void> Regions::renew(ClientIndex client, const Extent& extent, std::uint64_t backed_bytes) {
@@ -253,12 +267,17 @@ void Regions::discard(ClientIndex client, std::uint32_t uid, const Extent& exten
   memory.backed_bytes.erase(extent.offset);
   const SharedFd& file = memory.region_writer;
   if (!file) return;
-  if (errands_ == nullptr) return punch(file->get(), extent.offset, extent.bytes);
-  errands_->run(Errands::Lane::clearing, uid,
-                [file, extent] {
-                  use_in_own_table(file->get(),
-                                   [&](int fd) { punch(fd, extent.offset, extent.bytes); });
-                });
+  if (errands_ == nullptr) {
+    static_cast<void>(punch(file->get(), extent.offset, extent.bytes));
+    return;
+  }
+  errands_->run(Errands::Lane::clearing, uid, [waits = std::weak_ptr(file), extent] {
+    const SharedFd file_now = waits.lock();
+    if (!file_now) return;
+    use_in_own_table(file_now->get(), [&](int fd) {
+      static_cast<void>(punch(fd, extent.offset, extent.bytes));
+    });
+  });
 }
 
 Result<SharedFd> Regions::open_window(ClientIndex client, std::uint64_t base, uid_t owner) {

@@ -82,8 +82,9 @@ class Regions {
   FileId region_file(ClientIndex client) const noexcept { return of(client).file; }
 
   /// Whoever may write to the file of a region may keep the kernel's lock of it for ever. With errands nothing
-  /// below waits for that: back() does not take the lock, clear() and discard() take it elsewhere. Without them
-  /// (tests) renew() and discard() take it in place.
+  /// below waits for that: back() does not take the lock, clear() and discard() take it elsewhere. (A page fault
+  /// waits for a hole that its process is punching there: docs/security.md.) Without errands (tests) renew() and
+  /// discard() take it in place.
   void use(Errands& errands) noexcept { errands_ = &errands; }
   /// Backs the first `bytes` of the extent at `offset` with memory; free where that was done before. Errors:
   /// os_failure.
@@ -93,10 +94,11 @@ class Regions {
     std::uint64_t offset = 0, bytes = 0;
     friend bool operator==(const Extent&, const Extent&) = default;
   };
-  /// Makes an extent as if never used, all zero, in an errand of this user; then calls `then`. Throws
-  /// std::bad_alloc when there is no thread for it.
-  void clear(ClientIndex client, std::uint32_t uid, const Extent& extent, std::function<void()> then);
-  /// Whether clear() was the last that happened to it.
+  /// Makes an extent as if never used, all zero, in an errand of this user; then calls `then`. Errors:
+  /// limit_reached. Throws std::bad_alloc when there is no thread for it.
+  [[nodiscard]] Result<void> clear(ClientIndex client, std::uint32_t uid, const Extent& extent,
+                                   std::function<void()> then);
+  /// Whether clear() was the last that happened to it, and has ended.
   bool is_clear(ClientIndex client, const Extent& extent) const noexcept;
   /// An extent as if never used, of which the first backed_bytes are backed. Errors: os_failure.
   [[nodiscard]] Result<void> renew(ClientIndex client, const Extent& extent,
@@ -146,8 +148,13 @@ class Regions {
     std::vector<SharedFd> window_readers;
     std::map<std::uint64_t, std::weak_ptr<SharedFd::element_type>> window_writers;  // on their way
     std::optional<Cleared> cleared;
+    std::uint64_t last_clear = 0;  // numbered; of several that wait the last one counts
     std::unordered_map<std::uint64_t, std::uint64_t> backed_bytes;  // by the offset of the extent
   };
+
+  // Each process of a user has one, and those of its processes that have ended are passed over: more than a
+  // user's processes (its quota), and a bound of what a user that is stuck makes the daemon remember.
+  static constexpr std::size_t clearing_waiting_max = 4096;
 
   explicit Regions(DescriptorStore& store) : store_(&store), clients_(abi::client_count_max) {}
   [[nodiscard]] static Result<Regions> map(DescriptorStore& store, UniqueFd board,
@@ -158,6 +165,7 @@ class Regions {
   DescriptorStore* store_;
   std::unique_ptr<Closer> closer_ = std::make_unique<Closer>();
   Errands* errands_ = nullptr;
+  std::shared_ptr<char> here_ = std::make_shared<char>();  // for errands that end later
   UniqueFd board_fd_, journal_fd_;
   SharedFd board_reader_;
   Mapping board_, journal_;

@@ -60,8 +60,8 @@ struct KeptForUser {
 /// What one book of a session costs, as a part of what all books of its user cost.
 class BookBytes {
  public:
-  // As much as packets that wait by default: two million announcements. A user who has more than this pays with
-  // connections that begin anew, and nobody else does, so the number has no key.
+  // As much as packets that wait by default: two million announcements. The processes
+  // that are told of more than this pay with connections that begin anew, so the number has no key.
   static constexpr std::uint64_t of_user_max = std::uint64_t{96} << 20;
   // Of each book, whatever the others of its user cost: 1,536 processes of one user (its default quota) with
   // two books each have 96 MiB of this.

@@ -392,7 +392,7 @@ constexpr bool require_message() {
     static_assert(
         is_specialised<T> || !has_unseen_member<T>(),
         "agnocast: nobody can look into a member of this message, which is a union or a class with "
-        "constructors, bases or private members; specialise agnocast::MessageTraits with a name for "
+        "constructors (from C++20 on also defaulted ones), bases or private members; specialise agnocast::MessageTraits with a name for "
         "that member's class, or for the message, and so state that it has no pointer, reference or "
         "view (see docs/messages.md)");
     static_assert(is_specialised<T> || is_stable_spelling(spelled_name<T>()),

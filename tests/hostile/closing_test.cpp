@@ -401,9 +401,14 @@ class LockedFile {
     EXPECT_EQ(node.wire().reference(Opcode::leave, wire::Kind::publisher, leaving.topic, leaving.index,
                                     leaving.generation).opcode(),
               Opcode::done);
-    node.wire().send(Opcode::create_publisher, WireClient::endpoint("/waits", {}));
+    const std::uint64_t waits = node.wire().send(Opcode::create_publisher, WireClient::endpoint("/waits", {}));
     attack.ready();
-    while (attack.goes_on()) ::usleep(1'000);
+    while (attack.goes_on()) {
+      const auto answer = node.wire().poll();
+      if (answer && answer->header().request == waits && answer->refused_code() == Errc::limit_reached)
+        attack.word(2) = 1;
+      ::usleep(1'000);
+    }
   }
 
  private:
@@ -430,6 +435,9 @@ TEST(HostileLocking, AFileThatItsProcessKeepsLockedHoldsUpNobody) {
     EXPECT_EQ(another->ask("create /locked"), "ok");
   };
   others_go_on();
+  EXPECT_TRUE(eventually([&] { return attacker.word(2) == 1; }) ||
+              eventually([&] { return attacker.word(2) == 1; }))
+      << "it is not told why it waits";
   // Nor is the next daemon, which makes the memory of everybody present that it finds.
   const pid_t killed = stage.daemon().kill_worker();
   EXPECT_TRUE(stage.daemon().wait_for_next(killed)) << stage.daemon().log();
