@@ -97,6 +97,8 @@ StatusSocket::Failure failure(const std::string& what) {
 
 tl::expected<std::unique_ptr<StatusSocket>, StatusSocket::Failure> StatusSocket::take(
     const std::string& path) {
+  if (const auto checked = check_socket_directory(directory_of(path)); !checked)
+    return tl::unexpected(Failure{false, checked.error().what});
   std::unique_ptr<StatusSocket> made(new StatusSocket);
   auto lock = open_lock_file(path + ".lock");
   if (!lock && lock.error().code == Errc::permission_denied)

@@ -25,7 +25,7 @@ class StatusSocket {
     bool is_taken = false;  ///< another bridge has it
     std::string why;
   };
-  /// Takes the lock beside it: one bridge has it.
+  /// Takes the lock beside it: one bridge has it. Refuses a directory in which other users could replace either.
   [[nodiscard]] static tl::expected<std::unique_ptr<StatusSocket>, Failure> take(
       const std::string& path);
   /// Once. `answer` is called by the thread, at most every 50 ms.

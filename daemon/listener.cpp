@@ -3,7 +3,6 @@
 #include <daemon/listener.hpp>
 
 #include <base/closing.hpp>
-#include <base/daemon_socket.hpp>
 #include <base/socket_file.hpp>
 #include <base/unix_address.hpp>
 
@@ -37,12 +36,6 @@ tl::unexpected<Complaint> complain(Errc code, std::string what) {
   return tl::unexpected<Complaint>(Complaint{code, std::move(what)});
 }
 
-std::string parent_of(const std::string& path) {
-  const std::size_t slash = path.rfind('/');
-  if (slash == std::string::npos) return ".";
-  return slash == 0 ? "/" : path.substr(0, slash);
-}
-
 /// A directory that we have just made, with this mode whatever the umask. Somebody may have put
 /// something else there since: no link is followed.
 bool set_mode(const std::string& directory, mode_t mode) noexcept {
@@ -60,19 +53,8 @@ tl::expected<void, Complaint> make_directory(const std::string& directory) {
   } else if (errno != EEXIST) {
     return complain(Errc::os_failure, "cannot make directory " + directory + ": " + reason(errno));
   }
-  struct stat entry {};
-  if (::stat(directory.c_str(), &entry) != 0)
-    return complain(Errc::os_failure, "cannot use directory " + directory + ": " + reason(errno));
-  if (!S_ISDIR(entry.st_mode))
-    return complain(Errc::os_failure, "cannot use " + directory + ": it is not a directory");
-  if (entry.st_uid != 0 && entry.st_uid != ::geteuid() && !is_unknown_user(entry.st_uid))
-    return complain(Errc::permission_denied, "cannot use directory " + directory + ": user " +
-                                                 std::to_string(entry.st_uid) +
-                                                 " owns it and could replace the socket");
-  if ((entry.st_mode & 0022) != 0 && (entry.st_mode & S_ISVTX) == 0)
-    return complain(Errc::permission_denied, "cannot use directory " + directory +
-                                                 ": others may write there and could replace the "
-                                                 "socket");
+  if (auto checked = check_socket_directory(directory); !checked)
+    return complain(checked.error().code, std::move(checked.error().what));
   return {};
 }
 
@@ -216,7 +198,7 @@ tl::expected<Listener, Complaint> Listener::open(const ListenerOptions& options,
     return complain(Errc::invalid_argument, "cannot use runtime directory " + directory + ": " +
                                                 listener.bells_ + " must have at most " +
                                                 std::to_string(bells_length_max) + " bytes");
-  for (const std::string& wanted : {parent_of(path), directory}) {
+  for (const std::string& wanted : {directory_of(path), directory}) {
     if (auto made = make_directory(wanted); !made) return tl::unexpected(made.error());
   }
 
@@ -244,7 +226,7 @@ tl::expected<void, Complaint> Listener::lock(const std::string& base, const std:
   if (!opened) {
     const int error = opened.error().os_errno;
     return complain(error == EACCES || error == EPERM ? Errc::permission_denied : Errc::os_failure,
-                    "cannot write in directory " + parent_of(lock_path) + ": " + reason(error));
+                    "cannot write in directory " + directory_of(lock_path) + ": " + reason(error));
   }
   lock_ = std::move(*opened);
   if (::flock(lock_.get(), LOCK_EX | LOCK_NB) == 0) return {};
