@@ -49,7 +49,7 @@ Kept kept_by_others(const std::vector<std::shared_ptr<PublisherEndpoint>>& publi
     kept.together += publisher->kept_bytes(all);
     for (auto& [uid, ids] : by_user) {
       const std::uint64_t bytes = publisher->kept_bytes(ids);
-      if (bytes != 0) kept.users[uid].push_back({publisher, std::move(ids), bytes});
+      kept.users[uid].push_back({publisher, std::move(ids), bytes});
     }
   }
   return kept;
@@ -91,7 +91,7 @@ void Context::look_at_readers() {
     for (const KeptOfPublisher& part : parts) users.back().bytes += part.bytes;
   }
   if (users.empty()) {
-    shares_.nobody_holds();
+    shares_.nobody_reads(now);
   } else {
     static const std::uint64_t most = machine_memory_bytes() / memory_divisor;
     const Heap::Room room = heap_->room();

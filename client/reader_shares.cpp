@@ -34,23 +34,32 @@ std::uint64_t share_in(std::uint64_t heap_bytes, std::uint64_t together,
 std::vector<ReaderShares::Above> ReaderShares::look(Clock::time_point now, const Room& room,
                                                     std::uint64_t together,
                                                     std::span<const Held> users) {
-  // A publisher may try rarely: between two refusals nothing says that there is room.
   const bool is_refused = std::exchange(refused_, room.refused) != room.refused;
+  if (is_refused) {
+    refused_at_ = now;
+  } else if (refused_at_ && now - *refused_at_ > full_for) {
+    refused_at_.reset();
+    above_.forget_all();
+  }
   const bool is_beyond = together > share_of_all(room.may_become);
-  const std::uint64_t share = share_in(std::min(room.in_use, room.may_become), together, users);
+  const std::uint64_t share = share_in(std::min(room.taken, room.may_become), together, users);
   std::vector<Above> above;
-  for (const Held& user : users) {
-    if (user.bytes > share) above.push_back({user.uid, share});
+  UserPatience::Uids costly;
+  if (is_beyond || refused_at_) {
+    for (const Held& user : users) {
+      if (user.bytes <= share) continue;
+      above.push_back({user.uid, share});
+      costly.insert(user.uid);
+    }
   }
-  if (above.empty()) {
-    above_since_.reset();
-    return {};
-  }
+  above_.look(now, costly);
+  // A publisher may try rarely: between two refusals nothing says that there is no room.
   if (!is_refused && !is_beyond) return {};
-  if (!above_since_) above_since_ = now;
-  if (now - *above_since_ < patience) return {};
-  above_since_.reset();
-  for (const Above& user : above) bans_.add({user.uid, false}, now);
+  std::erase_if(above, [&](const Above& user) { return !above_.is_over(user.uid); });
+  for (const Above& user : above) {
+    above_.forget(user.uid);
+    bans_.add({user.uid, false}, now);
+  }
   return above;
 }
 

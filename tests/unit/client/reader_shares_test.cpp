@@ -86,13 +86,44 @@ TEST_F(ReaderSharesTest, DoesNotWaitForARefusalWhereOthersKeepHalfOfWhatTheHeapM
   EXPECT_EQ(look(users), (Shares{{1, 195}, {2, 195}}));
 }
 
-TEST_F(ReaderSharesTest, BeginsAnewOnceNobodyIsAboveItsShare) {
-  EXPECT_EQ(full_for(5, {{1, 500}}), Shares{});
-  EXPECT_EQ(full_for(1, {{1, 5}}), Shares{});
-  EXPECT_EQ(full_for(5, {{1, 500}}), Shares{});
-  EXPECT_EQ(full_for(1, {{1, 500}}), (Shares{{1, 250}}));
-  shares.nobody_holds();
-  EXPECT_EQ(full_for(5, {{1, 500}}), Shares{});
+TEST_F(ReaderSharesTest, WithdrawsFromAUserThatLetsGoForAMomentAgainAndAgain) {
+  Shares whom;
+  for (int second = 0; second < 60 && whom.empty(); ++second, now += 1s) {
+    const bool lets_go = second % 5 == 4;
+    if (!lets_go) ++room.refused;
+    whom = look({{1, lets_go ? 5u : 500u}});
+  }
+  EXPECT_EQ(whom, (Shares{{1, 250}}));
+}
+
+TEST_F(ReaderSharesTest, WithdrawsFromAUserWhoseReadersLeaveForAMomentAgainAndAgain) {
+  EXPECT_EQ(full_for(4, {{1, 500}}), Shares{});
+  shares.nobody_reads(now);
+  now += 1s;
+  EXPECT_EQ(full_for(2, {{1, 500}}), (Shares{{1, 250}}));
+}
+
+TEST_F(ReaderSharesTest, GivesEachUserItsOwnPatience) {
+  EXPECT_EQ(full_for(5, {{1, 500}, {2, 100}}), Shares{});
+  EXPECT_EQ(full_for(1, {{1, 400}, {2, 400}}), (Shares{{1, 250}})) << "the other is above for the first time";
+  EXPECT_FALSE(shares.is_out({2, false}, now));
+  EXPECT_EQ(full_for(4, {{2, 400}}), Shares{});
+  EXPECT_EQ(full_for(1, {{2, 400}}), (Shares{{2, 250}}));
+}
+
+TEST_F(ReaderSharesTest, ForgivesAUserThatIsSeldomAbove) {
+  for (int second = 0; second < 3600; ++second, now += 1s) {
+    ++room.refused;
+    EXPECT_EQ(look({{1, second % 20 == 0 ? 500u : 5u}}), Shares{}) << second;
+  }
+}
+
+TEST_F(ReaderSharesTest, BeginsAnewWhenNothingWasRefusedForAMinute) {
+  const Users users{{1, 500}};
+  ++room.refused;
+  for (int i = 0; i < 62; ++i, now += 1s) EXPECT_EQ(look(users), Shares{});
+  EXPECT_EQ(full_for(5, users), Shares{});
+  EXPECT_EQ(full_for(1, users), (Shares{{1, 250}}));
 }
 
 TEST_F(ReaderSharesTest, KeepsNewcomersOfThoseUsersOutForAWhile) {
@@ -113,7 +144,7 @@ TEST_F(ReaderSharesTest, IsSeldomFullHoweverManyTakeTurns) {
     std::uint32_t uid = 1;
     while (uid <= users && shares.is_out({uid, false}, now)) ++uid;
     if (uid > users) {
-      shares.nobody_holds();
+      shares.nobody_reads(now);
       continue;
     }
     ++full;
