@@ -32,7 +32,7 @@
 #include <client/sleeper.hpp>
 #include <client/sparse_region.hpp>
 #include <client/subscription_endpoint.hpp>
-#include <client/user_bans.hpp>
+#include <client/unmapped_users.hpp>
 
 #include <atomic>
 #include <chrono>
@@ -318,7 +318,7 @@ class Context {
   bool was_reclaimable_ = false, is_output_blocked_ = false;
   std::chrono::steady_clock::time_point former_looked_{}, descriptors_looked_{}, readers_looked_{};
   ReaderShares shares_;
-  UserBans unmapped_users_;  // whose subscriptions could not be mapped
+  UnmappedUsers unmapped_users_;
   bool descriptors_lost_ = false;
   std::atomic<ConnectionState> state_{ConnectionState::unconnected};
   std::atomic<Errc> island_reason_{Errc::ok};

@@ -378,8 +378,9 @@ void Context::on_announce(Incoming& packet) {
     if (publisher == nullptr || publisher->identity().generation != announcement.own_generation) {
       // It is over.
     } else if (peer == nullptr) {
-      publisher->note_unmapped({announcement.index, announcement.generation}, owner,
-                               unmapped_users_.has(owner, now), now);
+      const bool is_out = unmapped_users_.is_out(owner, now);
+      if (!is_out) unmapped_users_.note(owner);
+      publisher->note_unmapped({announcement.index, announcement.generation}, owner, is_out, now);
     } else {
       const bool is_new = publisher->attach(
           {announcement.index, announcement.generation, announcement.extent, announcement.executor,

@@ -356,7 +356,7 @@ void PublisherEndpoint::note_unmapped(const Member& member, PeerOwner owner, boo
 }
 
 void PublisherEndpoint::look_at_readers(ReaderShares::Clock::time_point now,
-                                        const ReaderShares& shares, UserBans& unmapped_users,
+                                        const ReaderShares& shares, UnmappedUsers& unmapped_users,
                                         std::vector<Withdrawn>& news) {
   const auto may_be_served_again = [&](abi::Withdrawal why, PeerOwner owner) {
     return why == abi::Withdrawal::not_attached ||
@@ -401,7 +401,7 @@ void PublisherEndpoint::look_at_readers(ReaderShares::Clock::time_point now,
   for (std::size_t i = 0; i < unmapped.size(); ++i) {
     const std::uint64_t index = unmapped[i].index, generation = unmapped[i].generation;
     Watched& member = watch(index, generation);
-    const bool is_out = member.owner && unmapped_users.has(*member.owner, now);
+    const bool is_out = member.owner && unmapped_users.is_out(*member.owner, now);
     bool is_news = false, was_waited_for = false;
     std::uint64_t bytes = 0;
     in_control_thread([&](Work& work) {
@@ -425,7 +425,9 @@ void PublisherEndpoint::look_at_readers(ReaderShares::Clock::time_point now,
       member.why = why;
       member.since = now;
     });
-    if (was_waited_for && member.owner) unmapped_users.add(*member.owner, now);
+    if (was_waited_for && member.owner) unmapped_users.ban(*member.owner, now);
+    if (i < unmapped_count && member.why == abi::Withdrawal::none && member.owner)
+      unmapped_users.note(*member.owner);
     if (is_news) news.push_back({index, generation, member.why, bytes});
   }
   // For good, and nothing is left to look at.

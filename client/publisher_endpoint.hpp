@@ -20,7 +20,7 @@
 #include <client/peer.hpp>
 #include <client/peer_owner.hpp>
 #include <client/reader_shares.hpp>
-#include <client/user_bans.hpp>
+#include <client/unmapped_users.hpp>
 
 #include <array>
 #include <atomic>
@@ -146,11 +146,11 @@ class PublisherEndpoint {
   /// its former ones could not be mapped either. Allocates.
   void note_unmapped(const Member& member, PeerOwner owner, bool is_out,
                      ReaderShares::Clock::time_point now);
-  /// Who could not be mapped for long is not served, and its user is added to `unmapped`; whoever was is served
-  /// again; who was told long ago that it is not served is disregarded. What there is to tell the daemon is added.
-  /// Allocates.
+  /// Who could not be mapped for long is not served, and its user is banned in `unmapped`, where the users of all others
+  /// that are not mapped are noted; whoever was is served again; who was told long ago that it is not served is
+  /// disregarded. What there is to tell the daemon is added. Allocates.
   void look_at_readers(ReaderShares::Clock::time_point now, const ReaderShares& shares,
-                       UserBans& unmapped, std::vector<Withdrawn>& news);
+                       UnmappedUsers& unmapped, std::vector<Withdrawn>& news);
   /// One pass, and everything that publishes have left to do.
   void run_errands() noexcept;
   /// Something outside the history is allocated: a pass may free it.

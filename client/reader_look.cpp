@@ -115,6 +115,7 @@ void Context::look_at_readers() {
       connection_->post(wire::Opcode::withdrawn, body);
     }
   }
+  unmapped_users_.look(now);
 }
 
 }  // namespace agnocast

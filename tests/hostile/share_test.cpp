@@ -66,7 +66,7 @@ bool goes_on(SteeredProcess& publisher) {
 void expect_named(Stage& stage, pid_t reader) {
   const std::string process =
       "(pid " + std::to_string(reader) + ", uid " + std::to_string(hostile_uid) + ")";
-  const std::string why = "its user kept too much of a full heap";
+  const std::string why = "its user kept too much of the heap";
   const std::vector<std::vector<std::string>> looks = {
       {"doctor"}, {"topic", "info", "-v", bulk_topic}, {"verify"}};
   for (const std::vector<std::string>& look : looks) {
@@ -226,6 +226,40 @@ TEST(HostileShare, WhoCannotBeMappedIsNotKeptForForEver) {
     for (int i = 0; i < 4; ++i) ASSERT_TRUE(goes_on(*victim));
     EXPECT_EQ(progress_of(*victim).refused, refused) << "of subscription " << joined + 1;
   }
+  attacker.end();
+  stage.honest_goes_on();
+}
+
+// None of them stays for ten seconds, and there is one at any time.
+TEST(HostileShare, ThoseWhoCannotBeMappedDoNotGetTenSecondsEach) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage({.quota = "held_messages = 400\nheap_bytes = 201326592\n"});
+  const auto victim = stage.another_honest_process();
+  ASSERT_EQ(victim->ask(std::string("publish_bulk ") + bulk_topic), "ok");
+  ASSERT_TRUE(goes_on(*victim));
+  ASSERT_EQ(victim->ask("limit-addresses"), "ok");
+  Attacker attacker([&](Attack& attack) {
+    HostileNode node(stage.socket_path());
+    const auto join = [&] {
+      return node.join(wire::Kind::subscription, bulk_topic, {1, false, true, false, false}, 1);
+    };
+    wire::EndpointCreated before = join();
+    attack.ready();
+    while (attack.goes_on()) {
+      std::this_thread::sleep_for(std::chrono::seconds(3));
+      const wire::EndpointCreated next = join();
+      for (const wire::Opcode opcode : {wire::Opcode::leave, wire::Opcode::drained})
+        node.wire().reference(opcode, wire::Kind::subscription, before.topic, before.index,
+                              before.generation);
+      before = next;
+    }
+  });
+  ASSERT_TRUE(attacker.wait_until_ready());
+  ASSERT_TRUE(is_logged(stage, "its process could not be mapped")) << stage.daemon().log();
+  ASSERT_TRUE(goes_on(*victim) || goes_on(*victim));
+  const std::uint64_t refused = progress_of(*victim).refused;
+  for (int i = 0; i < 4; ++i) ASSERT_TRUE(goes_on(*victim));
+  EXPECT_EQ(progress_of(*victim).refused, refused);
   attacker.end();
   stage.honest_goes_on();
 }
