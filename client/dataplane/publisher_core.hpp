@@ -219,7 +219,8 @@ class PublisherCore {
     }
   }
   /// Bytes of the messages that stay because of these mapped members, with what belongs to them: what one of
-  /// them holds, or has not read and may still ask for. One that several keep counts once.
+  /// them holds, or has not read and may still ask for. One that several keep counts once, and one of the history that
+  /// is kept for late joiners does not: it would stay without them.
   struct MemberId {
     std::uint64_t index, generation;
   };
@@ -238,9 +239,11 @@ class PublisherCore {
             unread_from,
             std::max(member.low, minus_at_least(head_sequence_ + 1, member.window, 0)));
     }
+    const std::uint64_t history_from = minus_at_least(head_sequence_ + 1, history_, 0);
     std::uint64_t sum = 0;
     for_each_allocated([&](std::uint64_t slot) {
-      if (test(kept, slot) || sequence_[slot] >= unread_from) sum += bytes_[slot];
+      if (sequence_[slot] < history_from && (test(kept, slot) || sequence_[slot] >= unread_from))
+        sum += bytes_[slot];
     });
     return sum;
   }

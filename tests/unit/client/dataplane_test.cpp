@@ -227,9 +227,9 @@ TEST(Dataplane, AnHonestSubscriptionLosesNothingBesideALyingOne) {
 
 /// A publisher of three slots with one reader, that publishes numbers.
 struct Withdrawing : Pair {
-  explicit Withdrawing(std::uint64_t quota = 2)
+  explicit Withdrawing(std::uint64_t quota = 2, abi::Qos qos = {1, false, true, false, false})
       : core(std::make_unique<PublisherCore<M>>(PublisherCore<M>::Identity{
-            topic(), words(), 0, generation, first(), {1, false, true, false, false}, 3, 0})) {
+            topic(), words(), 0, generation, first(), qos, 3, 0})) {
     offered.depth = requested.depth = 1;
     journal::BoardSteps<M>(topic()).add_publisher(0, generation, {offered, 0, extent, 3, first()});
     join(1, quota);
@@ -281,6 +281,23 @@ TEST(DataplaneWithdrawing, KeepsWhatIsHeldUntilItIsLetGoOfAndGivesNothingMore) {
   pair.core->pass(pair.environment);
   EXPECT_TRUE(pair.core->is_disregarded(0));
   EXPECT_FALSE(pair.environment.live.count(held->address));
+}
+
+// A map for late joiners stays without the one who looks at it.
+TEST(DataplaneWithdrawing, DoesNotCountTheHistoryAmongWhatAReaderKeeps) {
+  Withdrawing pair(2, {1, true, true, false, false});
+  pair.attach(1);
+  LinkCore<M> reader = pair.link(0);
+  ASSERT_TRUE(reader.link(true));
+  ASSERT_TRUE(pair.publish());
+  const PublisherCore<M>::MemberId ids[] = {{0, 1}};
+  EXPECT_EQ(pair.core->kept_bytes(ids), 0u) << "unread";
+  ASSERT_TRUE(reader.take(pair.window));
+  EXPECT_EQ(pair.core->kept_bytes(ids), 0u) << "held";
+  ASSERT_TRUE(pair.publish());
+  EXPECT_EQ(pair.core->kept_bytes(ids), 100u) << "the map before";
+  pair.core->keep_no_history();
+  EXPECT_EQ(pair.core->kept_bytes(ids), 200u);
 }
 
 TEST(DataplaneWithdrawing, DisregardsWhoDoesNotLetGo) {
