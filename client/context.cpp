@@ -160,7 +160,8 @@ void Context::ask_for_window() {
     // All windows that this process may have: no other answer will come.
     if (!answer && answer.error().code == Errc::window_exhausted) return heap_->no_more_windows();
     window_asked_ = false;
-    if (answer && add_window(**answer)) {
+    window_refused_ = !answer || !add_window(**answer);
+    if (!window_refused_) {
       window_pause_ = window_pause_first;
       if (++window_count_ == abi::window_count_max) heap_->no_more_windows();
       return;

@@ -324,6 +324,10 @@ void Heap::leave_region(std::byte* client_region) noexcept {
 
 void Heap::no_more_windows() noexcept { attached.is_last.store(true, std::memory_order_relaxed); }
 
+bool Heap::has_last_window() const noexcept {
+  return attached.is_last.load(std::memory_order_relaxed);
+}
+
 bool Heap::wants_window() const noexcept { return hook_->window_wanted() != 0; }
 
 std::uint64_t Heap::used_bytes() const noexcept {

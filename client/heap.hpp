@@ -53,12 +53,13 @@ class Heap {
 
   /// Whoever finds the heap full from now on is told that it will not grow.
   void no_more_windows() noexcept;
+  bool has_last_window() const noexcept;
   /// True when the newest window is used to three quarters, or a request did not fit.
   bool wants_window() const noexcept;
   std::uint64_t used_bytes() const noexcept;
   struct Room {
     std::uint64_t bytes;    // that were in use at one time: of a heap that refuses, all it can have
-    std::uint64_t refused;  // allocations that found none, since ever
+    std::uint64_t refused;  // allocations that found none, since ever: see the hook's refused_count
     std::uint64_t bytes_max;  // in all windows that it may have, were each as long as those it has
   };
   Room room() const noexcept;

@@ -95,7 +95,9 @@ void Context::look_at_readers() {
   } else {
     static const std::uint64_t most = machine_memory_bytes() / memory_divisor;
     const Heap::Room room = heap_->room();
-    const ReaderShares::Room bounded{room.refused, room.bytes, std::min(room.bytes_max, most)};
+    const bool may_grow = !window_refused_ && !heap_->has_last_window();
+    const ReaderShares::Room bounded{room.refused, may_grow, room.bytes,
+                                     std::min(room.bytes_max, most)};
     for (const auto& above : shares_.look(now, bounded, kept.together, users))
       withdraw_largest(kept.users.at(above.uid), above.share);
   }

@@ -31,10 +31,18 @@ std::uint64_t share_in(std::uint64_t heap_bytes, std::uint64_t together,
 
 }  // namespace
 
+// Of what was refused between two looks of which the first one finds that the heap may grow, nobody knows whether it was
+// before the next window came, or was refused.
+bool ReaderShares::has_refused(const Room& room) noexcept {
+  const bool could_grow = std::exchange(may_grow_, room.may_grow);
+  const bool is_more = std::exchange(refused_, room.refused) != room.refused;
+  return is_more && !could_grow && !room.may_grow;
+}
+
 std::vector<ReaderShares::Above> ReaderShares::look(Clock::time_point now, const Room& room,
                                                     std::uint64_t together,
                                                     std::span<const Held> users) {
-  const bool is_refused = std::exchange(refused_, room.refused) != room.refused;
+  const bool is_refused = has_refused(room);
   if (is_refused) {
     refused_at_ = now;
   } else if (refused_at_ && now - *refused_at_ > full_for) {

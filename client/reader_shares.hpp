@@ -4,7 +4,7 @@
 //
 // How many messages others may hold is decided when they subscribe; how large those are nobody knows then. So the
 // control thread looks once a second, in two cases:
-//   - the heap has refused an allocation within the last minute: readers of all other users may keep half of what the
+//   - the heap, which could not grow any more, has refused an allocation within the last minute: readers of all other users may keep half of what the
 //     heap has ever taken of its windows, which is all that a full heap can have;
 //   - it has not, but readers of other users keep half of what it may become. That counts as no more than a quarter
 //     of the machine's memory (client/machine_memory.hpp): a heap may usually become larger than that, and the
@@ -46,6 +46,7 @@ class ReaderShares {
 
   struct Room {
     std::uint64_t refused;     // allocations that found no room, since ever
+    bool may_grow;             // one more window was not refused, or not asked for yet
     std::uint64_t taken;       // bytes of its windows that it has ever taken
     std::uint64_t may_become;  // likewise, at most
   };
@@ -68,7 +69,11 @@ class ReaderShares {
   bool is_out(PeerOwner owner, Clock::time_point now) const { return bans_.has(owner, now); }
 
  private:
+  /// Returns whether the heap has refused an allocation since the last look, and could not grow then.
+  bool has_refused(const Room& room) noexcept;
+
   std::uint64_t refused_ = 0;
+  bool may_grow_ = true;  // at the last look
   std::optional<Clock::time_point> refused_at_;  // the last time, if that is not long ago
   UserPatience above_{patience};
   UserBans bans_;

@@ -182,10 +182,13 @@ void* or_refused(void* block, std::size_t size) {
     if (size >= counted_min / 2) [[unlikely]] count_made(block);
     return block;
   }
-  refused_count.fetch_add(1, std::memory_order_relaxed);
   ++thread_state.spilled;
-  // What is idle is out of reach while it is given back, and there again afterwards: no reason for another window.
+  // What is idle is out of reach while it is given back, and there again afterwards: the heap is not full, and that is no
+  // reason for another window.
   if (purging.load(std::memory_order_relaxed) != 0) return nullptr;
+  // Nor is it full because something larger than a window was asked for.
+  const std::uint32_t window_count = windows::count.load(std::memory_order_acquire);
+  if (window_count != 0 && size <= windows::table[window_count - 1].length) refused_count.fetch_add(1, std::memory_order_relaxed);
   auto& refused_max = windows::counters.refused_bytes_max;
   std::uint64_t seen = refused_max.load(std::memory_order_relaxed);
   while (size > seen && !refused_max.compare_exchange_weak(seen, size, std::memory_order_relaxed)) {

@@ -149,6 +149,17 @@ HOOKED_TEST(HookWindows, AnExhaustedWindowMeansLibc) {
   EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
 }
 
+HOOKED_TEST(HookWindows, IsNotFullBecauseMoreThanAWindowWasAskedFor) {
+  WindowFile file(8 * MiB);
+  attach(file);
+  Scope scope;
+  void* const block = opaque(malloc(9 * MiB));
+  EXPECT_FALSE(is_shared(block));
+  EXPECT_EQ(hook_test::usage().refused_count, 0u);
+  EXPECT_EQ(hook_test::usage().refused_bytes_max, 9 * MiB) << "the next window may be larger";
+  free(block);
+}
+
 HOOKED_TEST(HookWindows, SmallBlocksExhaustAWindowToo) {
   WindowFile file(4 * MiB);
   attach(file);

@@ -93,7 +93,8 @@ struct agnocast_heaphook_usage {
   uint64_t frontier_bytes;           /**< What is mapped; used_bytes <= frontier_bytes <= length_bytes. */
   uint64_t live_bytes;               /**< In blocks that are allocated now, rounded up to size classes. */
   uint64_t refused_bytes_max;        /**< Largest request that found no room since the last add_window. */
-  uint64_t refused_count;            /**< Attempts in shared scope that found no room; operator new makes two. */
+  uint64_t refused_count;            /**< Attempts in shared scope that found no room, but for those during purge and those of
+                                          more than the last window's length; operator new makes two. */
   uint64_t mapping_refused_count;    /**< Growths, or views of a forked child, that the system refused: lock limit, address
                                           taken, descriptor closed by the program. */
   uint64_t punch_count;              /**< Ranges whose pages were given back. Grows inside purge only. */

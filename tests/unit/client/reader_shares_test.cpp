@@ -19,7 +19,13 @@ struct ReaderSharesTest : testing::Test {
   static constexpr std::uint64_t heap = 1000;
   ReaderShares shares;
   ReaderShares::Clock::time_point now{1h};
-  ReaderShares::Room room{0, heap, 8 * heap};
+  ReaderShares::Room room{0, false, heap, 8 * heap};
+
+  // A look before finds that the heap cannot grow.
+  ReaderSharesTest() {
+    look({});
+    now += 1s;
+  }
 
   /// By uid, of whom to withdraw. No message is kept by two.
   Shares look(const Users& users) {
@@ -48,6 +54,17 @@ TEST_F(ReaderSharesTest, WithdrawsFromWhoKeepsAQuarterOfAFullHeap) {
   EXPECT_EQ(full_for(60, {{1, 250}}), Shares{});
   EXPECT_EQ(full_for(5, {{1, 251}, {2, 100}}), Shares{}) << "it has a few seconds";
   EXPECT_EQ(full_for(1, {{1, 251}, {2, 100}}), (Shares{{1, 250}}));
+}
+
+// Its next window is on its way, or comes with the next refusal.
+TEST_F(ReaderSharesTest, LeavesEverybodyAloneWhileTheHeapMayGrow) {
+  room.may_grow = true;
+  EXPECT_EQ(full_for(60, {{1, 500}}), Shares{});
+  room.may_grow = false;
+  EXPECT_EQ(full_for(1, {{1, 500}}), Shares{}) << "refused before it was known that it cannot";
+  for (int i = 0; i < 60; ++i, now += 1s) EXPECT_EQ(look({{1, 500}}), Shares{});
+  EXPECT_EQ(full_for(5, {{1, 500}}), Shares{});
+  EXPECT_EQ(full_for(1, {{1, 500}}), (Shares{{1, 250}}));
 }
 
 TEST_F(ReaderSharesTest, WithdrawsInOneLookFromAllWhoKeepMoreThanTheirPartOfHalf) {
