@@ -301,7 +301,7 @@ class Context {
   std::atomic<bool> heap_is_open_{false};
   std::uint64_t window_count_ = 1;  // control thread only, as the next
   bool window_asked_ = false;
-  bool window_refused_ = false;  // the last one that was asked for
+  bool window_refused_ = false;  // the last one asked for
   std::uint64_t move_to_ = 0;  // window that the daemon asks for, 0: none
   static constexpr std::chrono::seconds window_pause_first{1};
   std::chrono::seconds window_pause_ = window_pause_first;  // after the next refusal

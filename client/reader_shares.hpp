@@ -4,8 +4,8 @@
 //
 // How many messages others may hold is decided when they subscribe; how large those are nobody knows then. So the
 // control thread looks once a second, in two cases:
-//   - the heap, which could not grow any more, has refused an allocation within the last minute: readers of all other users may keep half of what the
-//     heap has ever taken of its windows, which is all that a full heap can have;
+//   - the heap, which could not grow any more, has refused an allocation within the last minute: readers of all other
+//     users may keep half of what the heap has ever taken of its windows, which is all that a full heap can have;
 //   - it has not, but readers of other users keep half of what it may become. That counts as no more than a quarter
 //     of the machine's memory (client/machine_memory.hpp): a heap may usually become larger than that, and the
 //     system would kill somebody before the heap refuses anything. So the processes of eight publishers whose readers
@@ -73,7 +73,7 @@ class ReaderShares {
   bool has_refused(const Room& room) noexcept;
 
   std::uint64_t refused_ = 0;
-  bool may_grow_ = true;  // at the last look
+  bool may_grow_ = true;                         // at the last look
   std::optional<Clock::time_point> refused_at_;  // the last time, if that is not long ago
   UserPatience above_{patience};
   UserBans bans_;

@@ -228,8 +228,8 @@ TEST(Dataplane, AnHonestSubscriptionLosesNothingBesideALyingOne) {
 /// A publisher of three slots with one reader, that publishes numbers.
 struct Withdrawing : Pair {
   explicit Withdrawing(std::uint64_t quota = 2, abi::Qos qos = {1, false, true, false, false})
-      : core(std::make_unique<PublisherCore<M>>(PublisherCore<M>::Identity{
-            topic(), words(), 0, generation, first(), qos, 3, 0})) {
+      : core(std::make_unique<PublisherCore<M>>(
+            PublisherCore<M>::Identity{topic(), words(), 0, generation, first(), qos, 3, 0})) {
     offered.depth = requested.depth = 1;
     journal::BoardSteps<M>(topic()).add_publisher(0, generation, {offered, 0, extent, 3, first()});
     join(1, quota);

@@ -122,7 +122,8 @@ TEST_F(ReaderSharesTest, WithdrawsFromAUserWhoseReadersLeaveForAMomentAgainAndAg
 
 TEST_F(ReaderSharesTest, GivesEachUserItsOwnPatience) {
   EXPECT_EQ(full_for(5, {{1, 500}, {2, 100}}), Shares{});
-  EXPECT_EQ(full_for(1, {{1, 400}, {2, 400}}), (Shares{{1, 250}})) << "the other is above for the first time";
+  EXPECT_EQ(full_for(1, {{1, 400}, {2, 400}}), (Shares{{1, 250}}))
+      << "the other is above for the first time";
   EXPECT_FALSE(shares.is_out({2, false}, now));
   EXPECT_EQ(full_for(4, {{2, 400}}), Shares{});
   EXPECT_EQ(full_for(1, {{2, 400}}), (Shares{{2, 250}}));
