@@ -110,6 +110,7 @@ TEST(HostileShare, WhoKeepsAHeapFullIsServedNoMore) {
   ASSERT_TRUE(eventually([&] { return attacker.word(1) == 1; }));
   for (int i = 0; i < 4; ++i) ASSERT_TRUE(goes_on(*victim));
   EXPECT_EQ(progress_of(*victim).refused, refused) << "newcomers of that user begin anew";
+  stage.victim_was(*victim);
   attacker.end();
   stage.honest_goes_on();
 }
@@ -132,6 +133,7 @@ TEST(HostileShare, AStrangerWithTheUidThatOneHasInsideANamespaceIsAStranger) {
   ASSERT_TRUE(attacker.wait_until_ready());
   ASSERT_TRUE(is_logged(stage, "reader withdrawn")) << stage.daemon().log();
   ASSERT_TRUE(goes_on(*victim) || goes_on(*victim));
+  stage.victim_was(*victim);
   attacker.end();
   stage.honest_goes_on();
 }
@@ -184,6 +186,7 @@ TEST(HostileShare, ThoseWhoKeepAHeapFullTogetherAreServedNoMoreAtOnce) {
   for (int i = 0; i < 4; ++i) ASSERT_TRUE(goes_on(*victim));
   EXPECT_EQ(progress_of(*victim).refused, refused);
   // The newest first: it has inherited how the others are told to stop.
+  stage.victim_was(*victim);
   for (; !attackers.empty(); attackers.pop_back()) attackers.back()->end();
   stage.honest_goes_on();
 }
@@ -226,6 +229,7 @@ TEST(HostileShare, WhoCannotBeMappedIsNotKeptForForEver) {
     for (int i = 0; i < 4; ++i) ASSERT_TRUE(goes_on(*victim));
     EXPECT_EQ(progress_of(*victim).refused, refused) << "of subscription " << joined + 1;
   }
+  stage.victim_was(*victim);
   attacker.end();
   stage.honest_goes_on();
 }
@@ -260,6 +264,7 @@ TEST(HostileShare, ThoseWhoCannotBeMappedDoNotGetTenSecondsEach) {
   const std::uint64_t refused = progress_of(*victim).refused;
   for (int i = 0; i < 4; ++i) ASSERT_TRUE(goes_on(*victim));
   EXPECT_EQ(progress_of(*victim).refused, refused);
+  stage.victim_was(*victim);
   attacker.end();
   stage.honest_goes_on();
 }

@@ -53,6 +53,16 @@ std::string content_of(const std::string& path) {
   return text.str();
 }
 
+// Tests look at the daemon far more often than people do, and would wait for the next look that their user may have.
+std::string with_looks_unlimited(std::string config) {
+  if (config.find("dumps_per_second") != std::string::npos) return config;
+  const std::string quota = "[quota]\n";
+  const std::size_t at = config.find(quota);
+  const std::string unlimited = "dumps_per_second = \"unlimited\"\n";
+  return at == std::string::npos ? config + quota + unlimited
+                                 : config.insert(at + quota.size(), unlimited);
+}
+
 struct Start {
   std::string program = AGNOCAST_TEST_DAEMON;
   std::vector<std::string> arguments;
@@ -196,7 +206,8 @@ void DaemonProcess::begin(const DaemonOptions& options) {
   socket_path_ = options.socket.empty() ? directory_ + "/run/agnocastd.sock" : options.socket;
   {
     std::ofstream config(directory_ + "/agnocastd.toml");
-    config << (options.config.empty() ? default_config : options.config) << options.more_config;
+    config << with_looks_unlimited((options.config.empty() ? default_config : options.config) +
+                                   options.more_config);
   }
   if (options.uid) {
     // Others may only look; the daemon's user makes run/ itself.
