@@ -333,7 +333,7 @@ TEST_F(DoctorDoor, SaysThatTheConfigurationIsWrong) {
   DaemonProcess daemon;
   Doctored doctor(daemon.socket_path());
   const std::string file = daemon.directory() + "/agnocastd.toml";
-  std::ofstream(file, std::ios::app) << "[quota]\nclint = 3\n";
+  std::ofstream(file, std::ios::app) << "[limits]\nclint = 3\n";
   const Findings findings = doctor.look();
   ASSERT_THAT(findings.ids(), ElementsAre("configuration-wrong"));
   EXPECT_THAT(findings.all[0], HasSubstr("clint"));
