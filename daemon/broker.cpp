@@ -405,7 +405,7 @@ void Broker::refuse_uncleared(std::uint64_t now) {
     const Uncleared waits = uncleared_.front();
     uncleared_.pop_front();
     Peer* const peer = unpark(waits.id, waits.ticket);
-    if (peer == nullptr) continue;  // it has been served
+    if (peer == nullptr) continue;  // it has gone, or come back on another connection
     constexpr std::string_view why =
         "memory of this process could not be prepared in time: something of it, or of its user, keeps "
         "agnocastd waiting";
