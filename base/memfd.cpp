@@ -3,6 +3,8 @@
 #include <base/memfd.hpp>
 
 #include <fcntl.h>
+#include <linux/fs.h>
+#include <sys/ioctl.h>
 #include <sys/mman.h>
 #include <sys/stat.h>
 
@@ -36,6 +38,15 @@ Result<void> lengthen(int fd, std::uint64_t bytes) noexcept {
   if (::ftruncate(fd, static_cast<off_t>(bytes)) != 0)
     return fail(Errc::os_failure, "lengthening a memfd", errno);
   return {};
+}
+
+Result<void> forbid_holes(int fd) noexcept {
+  int flags = 0;
+  if (::ioctl(fd, FS_IOC_GETFLAGS, &flags) == 0) {
+    flags |= FS_IMMUTABLE_FL;
+    if (::ioctl(fd, FS_IOC_SETFLAGS, &flags) == 0) return {};
+  }
+  return fail(Errc::os_failure, "forbidding holes in a memfd", errno);
 }
 
 Result<UniqueFd> reopen_read_only(int fd) noexcept {

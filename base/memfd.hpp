@@ -29,6 +29,12 @@ enum class Length : std::uint8_t { fixed, may_grow };
 /// os_failure with errno. Any thread.
 [[nodiscard]] Result<void> lengthen(int fd, std::uint64_t bytes) noexcept;
 
+/// Nobody can punch holes into this memory any more, root included: the file becomes immutable (chattr(1), +i). It
+/// can still be mapped, written and lengthened by who has a writable descriptor, but no further one can be opened.
+/// Call it before anybody else has a descriptor: it waits for the lock of the file. Needs Linux 6.0 and
+/// CAP_LINUX_IMMUTABLE in the first user namespace. Errors: os_failure with errno (ENOTTY, EPERM).
+[[nodiscard]] Result<void> forbid_holes(int fd) noexcept;
+
 /// Another descriptor of the same memory that can only read. Needs /proc. Errors: os_failure with
 /// errno. Any thread.
 [[nodiscard]] Result<UniqueFd> reopen_read_only(int fd) noexcept;

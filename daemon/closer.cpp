@@ -19,8 +19,8 @@ namespace {
 #define MADV_DONTNEED_LOCKED 24  // Linux 5.18
 #endif
 
-// Piece by piece: whoever maps or locks something meanwhile waits for one piece.
-void unmap(Mapping mapping) noexcept {
+// Piece by piece: a thread that maps or locks something meanwhile waits for one piece.
+void unmap(const Mapping& mapping) noexcept {
   constexpr std::uint64_t piece_bytes = 16 << 20;
   for (std::uint64_t at = 0; at < mapping.bytes(); at += piece_bytes) {
     const std::uint64_t bytes = std::min(piece_bytes, mapping.bytes() - at);
@@ -40,7 +40,7 @@ Closer::~Closer() {
   if (thread_.joinable()) thread_.join();
 }
 
-void Closer::close(std::vector<SharedFd> fds, Mapping mapping) {
+void Closer::close(std::vector<SharedFd> fds, std::shared_ptr<Mapping> mapping) {
   {
     const std::lock_guard lock(mutex_);
     waiting_.push_back({std::move(fds), std::move(mapping)});
@@ -62,7 +62,9 @@ void Closer::run() {
     if (waiting_.empty()) return;
     std::vector<Memory> now = std::exchange(waiting_, {});
     lock.unlock();
-    for (Memory& memory : now) unmap(std::move(memory.mapping));
+    for (const Memory& memory : now) {
+      if (memory.mapping) unmap(*memory.mapping);
+    }
     wait_for_manager();
     now.clear();
     lock.lock();

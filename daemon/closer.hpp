@@ -15,6 +15,7 @@
 #include <daemon/shared_fd.hpp>
 
 #include <condition_variable>
+#include <memory>
 #include <mutex>
 #include <thread>
 #include <vector>
@@ -31,7 +32,7 @@ class Closer {
 
   /// Takes over these uses of descriptors that were removed from the store, and a mapping of one of them;
   /// closes them soon.
-  void close(std::vector<SharedFd> fds, Mapping mapping = {});
+  void close(std::vector<SharedFd> fds, std::shared_ptr<Mapping> mapping = {});
 
  private:
   void run();
@@ -40,7 +41,7 @@ class Closer {
   std::condition_variable changed_;
   struct Memory {
     std::vector<SharedFd> fds;
-    Mapping mapping;
+    std::shared_ptr<Mapping> mapping;
   };
   std::vector<Memory> waiting_;
   bool stops_ = false;

@@ -31,6 +31,7 @@ inline constexpr LogEvent log_events[] = {
     {"ended", "60d7ecdaceba42408c20a0b8bbdd44be"},
     {"former life lost", "ccdb380e6819433a99791b402f556608"},
     {"heap collides", "e399c03f351f47adbe3e416341c34637"},
+    {"holes are allowed", "5d0e3a7c9b1f4c62a8d4e6f70b2c9135"},
     {"lines were lost", "17e8216904f14e70a3823c0797ab2d44"},
     {"log level", "f91f871a15c74c3599d9aa8d26c70a1a"},
     {"memory not backed", "ba768a8ce2214841879d8a4f83a5d082"},

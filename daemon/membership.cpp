@@ -258,7 +258,7 @@ Result<void> Membership::drained(ClientIndex client, const DrainedRequest& reque
     return fail(Errc::protocol_violation, publisher ? "the publisher's word is not free yet"
                                                     : "the subscription has not left");
   if (publisher) {
-    free_publisher(ref);
+    registry_.end_publisher(ref.topic, ref.index, EndpointState::free);
     say_done(client, reference);
     bool last = true;
     registry_.for_each_publisher(ref.topic, [&](std::uint32_t, const PublisherRecord& record) {

@@ -179,8 +179,6 @@ class Membership {
   void forget_given_up(const EndpointRef& ref);
   void give_up_all_of(ClientIndex client);
   void let_go(const EndpointRef& ref, ClientIndex by);
-  void free_publisher(const EndpointRef& ref);
-  void discard(ClientIndex owner, std::uint64_t extent, std::uint64_t bytes);
   /// Frees what nobody has any more, everywhere.
   void settle_all();
   void say_done(ClientIndex client, const wire::Reference& reference);

@@ -222,7 +222,7 @@ void Membership::settle(const EndpointRef& ref) {
     if (state != EndpointState::orphan && state != EndpointState::over) return;
     forget_given_up(ref);
     if (owner_dead) {
-      free_publisher(ref);
+      registry_.end_publisher(ref.topic, ref.index, EndpointState::free);
     } else if (state == EndpointState::orphan) {
       // Its process still has messages to destroy in that extent, and says when it is done.
       registry_.end_publisher(ref.topic, ref.index, EndpointState::over);
@@ -233,25 +233,10 @@ void Membership::settle(const EndpointRef& ref) {
     const EndpointState state = registry_.subscription(ref.topic, ref.index).state;
     if (!is_over(state)) return;
     forget_given_up(ref);
-    const std::uint64_t extent = registry_.subscription(ref.topic, ref.index).extent;
     registry_.free_subscription(ref.topic, ref.index);
-    discard(owner, extent, abi::subscription_extent_bytes);
   }
   settle_topic(ref.topic);
   settle_client(owner);
-}
-
-void Membership::free_publisher(const EndpointRef& ref) {
-  const ClientIndex owner = registry_.owner_of(ref);
-  const std::uint64_t extent = registry_.publisher(ref.topic, ref.index).extent;
-  registry_.end_publisher(ref.topic, ref.index, EndpointState::free);
-  discard(owner, extent, abi::publisher_extent_bytes);
-}
-
-// A process that was revoked goes on storing there.
-void Membership::discard(ClientIndex owner, std::uint64_t extent, std::uint64_t bytes) {
-  if (!registry_.is_revoked(owner))
-    regions_.discard(owner, registry_.client(owner).uid, {extent, bytes});
 }
 
 void Membership::settle_topic(TopicIndex topic) {

@@ -17,6 +17,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <cstring>
 #include <memory>
 #include <new>
 #include <string>
@@ -54,18 +55,27 @@ constexpr std::uint64_t mappings_kept = 2048;
 // More than this is not freed between two requests: 16 MiB take a millisecond or two.
 constexpr std::uint64_t freed_at_once_bytes = 16 << 20;
 
-// Both wait for the lock of the file, which the process keeps while it writes to it by system calls.
-Result<void> punch(int fd, std::uint64_t offset, std::uint64_t bytes) noexcept {
-  if (::fallocate(fd, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, static_cast<off_t>(offset),
-                  static_cast<off_t>(bytes)) == 0)
-    return {};
-  return fail(Errc::os_failure, "clearing an extent", errno);
+// Zero, whatever kind of endpoint was here. What was never written stays without memory.
+Result<void> clear_memory(int fd, std::byte* region, const Regions::Extent& extent) noexcept {
+  alignas(std::uint64_t) std::byte page[abi::page_bytes];
+  static constexpr std::byte zero[abi::page_bytes] = {};
+  for (std::uint64_t at = extent.offset; at < extent.offset + extent.bytes; at += abi::page_bytes) {
+    const ssize_t read = ::pread(fd, page, sizeof page, static_cast<off_t>(at));  // makes no memory of holes
+    if (read < 0) return fail(Errc::os_failure, "clearing an extent", errno);
+    if (read == 0) break;  // nothing is as long as that yet
+    if (std::memcmp(page, zero, sizeof page) != 0) std::memset(region + at, 0, sizeof page);
+  }
+  // The daemon's own view of the pages costs page tables.
+  ::madvise(region + extent.offset, extent.bytes, MADV_DONTNEED);
+  return {};
 }
-// A hole reads as zero, whatever kind of endpoint was here, and the parts that are backed later are zero then.
-Result<void> clear_file(int fd, std::uint64_t offset, std::uint64_t bytes) noexcept {
+// Lengthening waits for the lock of the file, which the process keeps while it writes to it by system calls.
+Result<void> clear_extent(int fd, const std::weak_ptr<Mapping>& region, const Regions::Extent& extent) noexcept {
   AGNOCAST_CRASH_POINT(B_clear);
-  if (auto cleared = punch(fd, offset, bytes); !cleared) return cleared;
-  return lengthen(fd, offset + bytes);
+  if (const auto mapped = region.lock()) {
+    if (auto cleared = clear_memory(fd, mapped->base(), extent); !cleared) return cleared;
+  }
+  return lengthen(fd, extent.offset + extent.bytes);
 }
 
 std::uint64_t memory_of(int fd) noexcept {
@@ -135,10 +145,16 @@ Result<void> Regions::map_region(ClientMemory& memory, UniqueFd writer) const {
   struct stat file {};
   if (::fstat(writer.get(), &file) != 0) return fail(Errc::os_failure, "looking at a memfd", errno);
   memory.file = {file.st_dev, file.st_ino};
-  memory.region = std::move(*mapping);
+  memory.region = std::make_shared<Mapping>(std::move(*mapping));
   memory.region_writer = share(std::move(writer));
   memory.region_reader = share(std::move(*reader));
   return {};
+}
+
+Result<void> Regions::can_forbid_holes() {
+  const auto file = make_memfd("agnocast-region", 0);
+  if (!file) return tl::unexpected(file.error());
+  return forbid_holes(file->get());
 }
 
 std::uint64_t Regions::regions_max(std::uint64_t map_count_max) noexcept {
@@ -158,6 +174,7 @@ Result<void> Regions::open_client(ClientIndex client, std::uint64_t generation) 
   auto writer = make_memfd("agnocast-region", abi::page_bytes, Length::may_grow);
   if (!writer) return tl::unexpected(writer.error());
   const int fd = writer->get();
+  static_cast<void>(forbid_holes(fd));
   // The process that is given this description says by the lock that it lives. Everybody who can
   // read the region could lock it for reading, and so keep the process from joining: its lock is
   // there before a descriptor for reading is.
@@ -170,7 +187,7 @@ Result<void> Regions::open_client(ClientIndex client, std::uint64_t generation) 
     close_client(client);
     return opened;
   }
-  auto* const header = reinterpret_cast<abi::ClientRegionHeader*>(memory.region.base());
+  auto* const header = reinterpret_cast<abi::ClientRegionHeader*>(memory.region->base());
   AGNOCAST_CRASH_POINT(B_region_sign);
   header->fingerprint.store(abi::fingerprint(), std::memory_order_relaxed);
   AGNOCAST_CRASH_POINT(B_region_sign);
@@ -205,7 +222,7 @@ Result<void> Regions::back(ClientIndex client, std::uint64_t offset, std::uint64
   ClientMemory& memory = clients_[number(client)];
   std::uint64_t& before = memory.backed_bytes[offset];
   if (before >= bytes) return {};
-  std::byte* const at = memory.region.base() + offset;
+  std::byte* const at = memory.region->base() + offset;
   AGNOCAST_CRASH_POINT(B_back);
   if (auto backed = populate(at, bytes); !backed) return backed;
   // The pages stay where they are; the daemon's own view of them costs page tables.
@@ -229,18 +246,16 @@ Result<void> Regions::clear(ClientIndex client, std::uint32_t uid, const Extent&
   const std::uint64_t clear = memory.last_clear + 1;
   const bool runs = errands_->try_run(
       Errands::Lane::clearing, uid,
-      [waits = std::weak_ptr(memory.region_writer), extent, result] {
+      [waits = std::weak_ptr(memory.region_writer), mapped = std::weak_ptr(memory.region), extent, result] {
         const SharedFd file = waits.lock();
         if (!file) return;
-        use_in_own_table(file->get(), [&](int fd) {
-          *result = clear_file(fd, extent.offset, extent.bytes);
-        });
+        use_in_own_table(file->get(), [&](int fd) { *result = clear_extent(fd, mapped, extent); });
       },
       [this, here = std::weak_ptr(here_), client, region = memory.file, clear, extent, result,
        then = std::move(then)] {
         if (here.expired()) return;
         ClientMemory& now = clients_[number(client)];
-        // Another one may still punch what this one has cleared.
+        // Another one may still clear what an endpoint was given since.
         if (now.file == region && now.last_clear == clear) now.cleared = Cleared{extent, *result};
         then();
       });
@@ -256,28 +271,10 @@ Result<void> Regions::renew(ClientIndex client, const Extent& extent, std::uint6
   const auto cleared = std::exchange(memory.cleared, std::nullopt);
   auto result = is_clear_now
                     ? cleared->result
-                    : clear_file(memory.region_writer->get(), extent.offset, extent.bytes);
+                    : clear_extent(memory.region_writer->get(), memory.region, extent);
   if (!result) return result;
   memory.backed_bytes.erase(extent.offset);
   return back(client, extent.offset, backed_bytes);
-}
-
-void Regions::discard(ClientIndex client, std::uint32_t uid, const Extent& extent) {
-  ClientMemory& memory = clients_[number(client)];
-  memory.backed_bytes.erase(extent.offset);
-  const SharedFd& file = memory.region_writer;
-  if (!file) return;
-  if (errands_ == nullptr) {
-    static_cast<void>(punch(file->get(), extent.offset, extent.bytes));
-    return;
-  }
-  errands_->run(Errands::Lane::clearing, uid, [waits = std::weak_ptr(file), extent] {
-    const SharedFd file_now = waits.lock();
-    if (!file_now) return;
-    use_in_own_table(file_now->get(), [&](int fd) {
-      static_cast<void>(punch(fd, extent.offset, extent.bytes));
-    });
-  });
 }
 
 Result<SharedFd> Regions::open_window(ClientIndex client, std::uint64_t base, uid_t owner) {

@@ -16,6 +16,10 @@
 // shorter, and what is given out is backed by memory before anybody is told of it, so that nobody
 // meets SIGBUS who reads what he was told of.
 //
+// A page fault waits for a hole that is being punched over its page, as long as the one who punches it likes. So nobody
+// can punch holes into a region, the daemon included: an extent is cleared by stores, and its memory stays with its
+// process until that ends.
+//
 // Every memfd is put into the descriptor store before anybody is told of it, and removed when its
 // process is over; so a restarted daemon has the same memory again.
 //
@@ -72,7 +76,7 @@ class Regions {
   }
   bool is_open(ClientIndex client) const noexcept { return static_cast<bool>(of(client).region); }
   /// The daemon's own mapping.
-  std::byte* region(ClientIndex client) const noexcept { return of(client).region.base(); }
+  std::byte* region(ClientIndex client) const noexcept { return of(client).region->base(); }
   /// Device and inode by which the region shows in /proc/PID/maps.
   struct FileId {
     std::uint64_t device = 0;
@@ -81,10 +85,12 @@ class Regions {
   };
   FileId region_file(ClientIndex client) const noexcept { return of(client).file; }
 
-  /// Whoever may write to the file of a region may keep the kernel's lock of it for ever. With errands nothing
-  /// below waits for that: back() does not take the lock, clear() and discard() take it elsewhere. (A page fault
-  /// waits for a hole that its process is punching there: docs/security.md.) Without errands (tests) renew() and
-  /// discard() take it in place.
+  /// Whether holes in regions can be forbidden here. Errors: as of forbid_holes().
+  [[nodiscard]] static Result<void> can_forbid_holes();
+
+  /// A process that may write to the file of a region may keep the kernel's lock of it for ever. With errands
+  /// nothing below waits for that: back() does not take the lock, clear() takes it elsewhere. Without errands (tests)
+  /// renew() takes it in place.
   void use(Errands& errands) noexcept { errands_ = &errands; }
   /// Backs the first `bytes` of the extent at `offset` with memory; free where that was done before. Errors:
   /// os_failure.
@@ -103,9 +109,6 @@ class Regions {
   /// An extent as if never used, of which the first backed_bytes are backed. Errors: os_failure.
   [[nodiscard]] Result<void> renew(ClientIndex client, const Extent& extent,
                                    std::uint64_t backed_bytes);
-
-  /// An extent of a process of this user that nobody has any more: its memory goes back.
-  void discard(ClientIndex client, std::uint32_t uid, const Extent& extent);
 
   /// A heap window for the addresses at `base`, in the store; keeps what readers need. Yields the
   /// writable descriptor, which is its owner's alone. Errors: os_failure.
@@ -143,7 +146,7 @@ class Regions {
   struct ClientMemory {
     SharedFd region_writer;
     SharedFd region_reader;
-    Mapping region;
+    std::shared_ptr<Mapping> region;  // an errand may still store there
     FileId file;
     std::vector<SharedFd> window_readers;
     std::map<std::uint64_t, std::weak_ptr<SharedFd::element_type>> window_writers;  // on their way

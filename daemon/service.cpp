@@ -265,6 +265,12 @@ void Service::look_at_passed() const {
 }
 
 void Service::say_ready(bool resumed) {
+  if (const auto forbidden = Regions::can_forbid_holes(); !forbidden)
+    log_.write(LogLevel::warning, "holes are allowed",
+               {{"why", trouble_of(forbidden.error()).what},
+                {"then", "a process that punches holes into its region may keep this daemon, and the processes that "
+                         "it exchanges messages with, waiting"},
+                {"hint", "it needs Linux 6.0 and CAP_LINUX_IMMUTABLE, which root in a container often lacks"}});
   const Arena& arena = broker_->arena();
   log_.write(LogLevel::notice, "ready",
              {{"pid", ::getpid()},

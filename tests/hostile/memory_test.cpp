@@ -8,10 +8,15 @@
 
 #include <tests/hostile/hostile_node.hpp>
 
+#include <base/memfd.hpp>
+#include <base/populate.hpp>
+
 #include <fcntl.h>
+#include <linux/fs.h>
 #include <linux/futex.h>
 #include <linux/userfaultfd.h>
 #include <sys/ioctl.h>
+#include <sched.h>
 #include <sys/ptrace.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>
@@ -19,7 +24,9 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <cstring>
 #include <string>
+#include <thread>
 
 namespace agnocast::test {
 namespace {
@@ -67,20 +74,34 @@ int userfaultfd_on(void* at) {
   return outcome([&] { return ::ioctl(fd.get(), UFFDIO_REGISTER, &range); });
 }
 
+/// Whether the daemon has forbidden that holes are punched there.
+bool has_no_holes(int fd) {
+  int flags = 0;
+  return ::ioctl(fd, FS_IOC_GETFLAGS, &flags) == 0 && (flags & FS_IMMUTABLE_FL) != 0;
+}
+
+int punch(int fd, std::uint64_t offset, std::uint64_t bytes) {
+  return outcome([&] {
+    return ::fallocate(fd, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, static_cast<off_t>(offset),
+                       static_cast<off_t>(bytes));
+  });
+}
+
 // Everything that might write through a descriptor opened for reading, or through a mapping of it.
 void try_to_write(int fd, const std::string& what, Length length = Length::may_grow) {
   SCOPED_TRACE(what);
   const std::string path = path_of(fd);
-  for (const int flags : {O_RDWR, O_WRONLY, O_RDONLY, O_RDWR | O_TRUNC})
-    EXPECT_EQ(outcome([&] { return ::open(path.c_str(), flags | O_CLOEXEC); }), EACCES) << flags;
+  for (const int flags : {O_RDWR, O_WRONLY, O_RDONLY, O_RDWR | O_TRUNC}) {
+    const bool is_immutable = flags != O_RDONLY && has_no_holes(fd);
+    EXPECT_EQ(outcome([&] { return ::open(path.c_str(), flags | O_CLOEXEC); }), is_immutable ? EPERM : EACCES)
+        << flags;
+  }
   EXPECT_EQ(outcome_of_map(::mmap(nullptr, page, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0)),
             EACCES);
   EXPECT_EQ(outcome([&] { return ::pwrite(fd, "x", 1, 0); }), EBADF);
   EXPECT_EQ(outcome([&] { return ::ftruncate(fd, 0); }), EINVAL);
   EXPECT_EQ(outcome([&] { return ::fallocate(fd, 0, 0, page); }), EBADF);
-  EXPECT_EQ(
-      outcome([&] { return ::fallocate(fd, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, 0, page); }),
-      EBADF);
+  EXPECT_EQ(punch(fd, 0, page), EBADF);
   EXPECT_EQ(outcome([&] { return ::fcntl(fd, F_ADD_SEALS, F_SEAL_WRITE); }), EPERM);
   EXPECT_EQ(::fcntl(fd, F_GET_SEALS),
             F_SEAL_SHRINK | F_SEAL_SEAL | (length == Length::fixed ? F_SEAL_GROW : 0) |
@@ -138,7 +159,9 @@ void try_to_resize(int fd, const std::string& what) {
     EXPECT_EQ(outcome([&] { return ::fcntl(fd, F_ADD_SEALS, seal); }), EPERM);
   EXPECT_EQ(outcome([&] { return ::fchmod(fd, 0777); }), EPERM);
   EXPECT_EQ(outcome([&] { return ::open(path_of(fd).c_str(), O_RDWR | O_TRUNC | O_CLOEXEC); }),
-            EACCES);
+            has_no_holes(fd) ? EPERM : EACCES);
+  int none = 0;
+  EXPECT_NE(outcome([&] { return ::ioctl(fd, FS_IOC_SETFLAGS, &none); }), 0);
 }
 
 class HostileMemory : public testing::TestWithParam<bool> {
@@ -236,6 +259,12 @@ TEST_P(HostileMemory, KeepsOthersOutOfTheProcessesThatMayWrite) {
   stage.honest_goes_on();
 }
 
+void make_zero(const HostileNode& node, std::uint64_t offset, std::uint64_t bytes) {
+  const int error = punch(node.region_fd(), offset, bytes);
+  EXPECT_EQ(error, has_no_holes(node.region_fd()) ? EPERM : 0);
+  if (error != 0) std::memset(node.region() + offset, 0, bytes);
+}
+
 // Pages of one's own can be taken away under everybody's feet: they read zero, nobody faults.
 TEST_P(HostileMemory, TakesNoReaderDownByGivingItsOwnMemoryBack) {
   AGNOCAST_NEEDS_TWO_USERS();
@@ -260,19 +289,12 @@ TEST_P(HostileMemory, TakesNoReaderDownByGivingItsOwnMemoryBack) {
         node.commit(publisher, node.open_window().base + (round * 20 + i) % 4096 * 64, flat_bytes);
       static_cast<void>(bell.ring());
       ::usleep(static_cast<useconds_t>(chance.below(500)));
-      const int hole = FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE;
       const std::uint64_t head = queue.head().load();
-      EXPECT_EQ(::fallocate(node.window_fd(), hole, 0, 1 << 20), 0);
+      EXPECT_EQ(punch(node.window_fd(), 0, 1 << 20), 0);
       // Its own descriptors of itself: header, queue, link lines.
-      EXPECT_EQ(::fallocate(node.region_fd(), hole, 0, page), 0);
-      if (round % 2 == 0) {
-        EXPECT_EQ(::fallocate(node.region_fd(), hole, static_cast<off_t>(publisher.extent),
-                              abi::publisher_extent_bytes),
-                  0);
-      }
-      EXPECT_EQ(::fallocate(node.region_fd(), hole, static_cast<off_t>(subscription.extent),
-                            abi::subscription_extent_bytes),
-                0);
+      make_zero(node, 0, page);
+      if (round % 2 == 0) make_zero(node, publisher.extent, abi::publisher_extent_bytes);
+      make_zero(node, subscription.extent, abi::subscription_extent_bytes);
       node.frontier().store(1 << 20);
       // It goes on where it was, or nobody would read any more.
       if (round % 2 == 0) queue.head().store(head);
@@ -286,6 +308,48 @@ TEST_P(HostileMemory, TakesNoReaderDownByGivingItsOwnMemoryBack) {
   attacker.kill();
   stage.honest_goes_on();
   stage.honest_is_served();
+}
+
+// A page fault waits for a hole that is being punched over its page, and a thread that the scheduler lets run seldom
+// takes long for one. So the daemon forbids holes where it, and publishers of others, read.
+TEST(HostileHoles, InItsOwnRegionHoldUpNobody) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  if (const auto can = forbid_holes(make_memfd("agnocast-probe", 0).value().get()); !can)
+    GTEST_SKIP() << "holes cannot be forbidden here: " << std::strerror(can.error().os_errno);
+  Stage stage;
+  Attacker attacker([&](Attack& attack) {
+    HostileNode node(stage.socket_path());
+    const auto subscription = node.join(Kind::subscription, stream_topic);
+    constexpr std::uint64_t much = 256 << 20;
+    EXPECT_TRUE(lengthen(node.region_fd(), much));
+    EXPECT_TRUE(populate(node.region(), much));
+    cpu_set_t one_cpu;
+    CPU_ZERO(&one_cpu);
+    CPU_SET(0, &one_cpu);
+    EXPECT_EQ(::sched_setaffinity(0, sizeof one_cpu, &one_cpu), 0);
+    std::thread hog([&] {
+      while (attack.goes_on()) attack.word(2) = attack.word(2) + 1;
+    });
+    const sched_param lowest{};
+    EXPECT_EQ(::sched_setscheduler(0, SCHED_IDLE, &lowest), 0);
+    while (attack.goes_on()) {
+      const int by_call = punch(node.region_fd(), subscription.extent, much - subscription.extent);
+      const int by_mapping = outcome([&] {
+        return ::madvise(node.region() + subscription.extent, much - subscription.extent, MADV_REMOVE);
+      });
+      EXPECT_EQ(by_call, EPERM);
+      EXPECT_EQ(by_mapping, EPERM);
+      attack.ready();
+      if (by_call == 0) static_cast<void>(populate(node.region(), much));
+    }
+    hog.join();
+  });
+  EXPECT_TRUE(attacker.wait_until_ready());
+  for (int round = 0; round < 5; ++round) {
+    stage.honest_goes_on();
+    stage.honest_is_served();
+  }
+  attacker.kill();
 }
 
 /// Makes pages of all that can be reached through a descriptor for reading: `bytes` of its addresses.

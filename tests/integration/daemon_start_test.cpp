@@ -322,6 +322,7 @@ TEST(DaemonStart, NeedsNoRoot) {
   DaemonProcess daemon({.uid = other_uid});
   EXPECT_TRUE(PacketSocket::connect(daemon.socket_path()));
   EXPECT_NE(daemon.log().find("unprivileged=yes"), std::string::npos) << daemon.log();
+  EXPECT_NE(daemon.log().find("warning holes are allowed"), std::string::npos) << daemon.log();
   EXPECT_EQ(daemon.stop(), 0);
 }
 

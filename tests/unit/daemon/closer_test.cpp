@@ -112,7 +112,7 @@ TEST(Closer, UnmapsWhatItIsGiven) {
   std::byte* const base = mapping.base();
   {
     Closer closer;
-    closer.close({}, std::move(mapping));
+    closer.close({}, std::make_shared<Mapping>(std::move(mapping)));
   }
   unsigned char resident = 0;
   EXPECT_EQ(::mincore(base, 4096, &resident), -1);
