@@ -6,6 +6,7 @@
 // two ordinary nodes of two users that never stop. As the unit is installed, the daemon has hardly any rights here; so
 // everything that it does in these tests it can do without the others.
 
+#include <base/memfd.hpp>
 #include <tests/recovery/stage.hpp>
 #include <tests/support/steered_process.hpp>
 #include <tests/support/wire_client.hpp>
@@ -583,6 +584,15 @@ TEST(Systemd, SeesHowManyMappingsAProcessMayHave) {
   };
   EXPECT_EQ(count_in("/proc/" + std::to_string(main_pid()) + "/root"), count_in(""));
   EXPECT_GT(count_in(""), 0u);
+}
+
+// It has the capability that this takes, where the kernel knows such files.
+TEST(Systemd, ForbidsHolesInRegions) {
+  const auto file = make_memfd("agnocast-probe", 0);
+  ASSERT_TRUE(file);
+  if (!forbid_holes(file->get())) GTEST_SKIP() << "nor may root here";
+  ASSERT_TRUE(systemctl("restart", "agnocastd"));
+  EXPECT_EQ(said("holes are allowed"), 0u);
 }
 
 // Whether a process that has left still maps something is in /proc/PID/maps, which is for its user and for
