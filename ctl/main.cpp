@@ -6,8 +6,8 @@
 // never subscribes. Nothing changes by it but by `process revoke`, which asks the daemon. The
 // commands that take part are in a program of their own (elsewhere.cpp), with this same main().
 
-#include <ctl/commands.hpp>
-#include <ctl/completion.hpp>
+#include <ctl/cli/commands.hpp>
+#include <ctl/commands/completion.hpp>
 
 #include <sys/resource.h>
 

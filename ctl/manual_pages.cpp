@@ -2,7 +2,7 @@
 //
 // Writes a manual page when the project is built: its name, its date, and the file it is written to.
 
-#include <ctl/manual.hpp>
+#include <ctl/cli/manual.hpp>
 
 #include <cstdio>
 #include <fstream>

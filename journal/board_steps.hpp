@@ -8,7 +8,7 @@
 // after a crash of the daemon: an extra epoch is harmless.
 #pragma once
 
-#include <client/dataplane/views.hpp>
+#include <region/views.hpp>
 
 #include <algorithm>
 #include <cstddef>
@@ -35,7 +35,7 @@ struct PublisherDescriptor {
 template <class M>
 class BoardSteps {
  public:
-  explicit BoardSteps(dataplane::TopicWords<M> topic) noexcept : topic_(topic) {}
+  explicit BoardSteps(region::TopicWords<M> topic) noexcept : topic_(topic) {}
 
   void add_subscription(std::uint64_t index, std::uint64_t generation,
                         const SubscriptionDescriptor& descriptor) noexcept {
@@ -138,7 +138,7 @@ class BoardSteps {
     word.store(value, std::memory_order_release);
   }
 
-  dataplane::TopicWords<M> topic_;
+  region::TopicWords<M> topic_;
 };
 
 }  // namespace agnocast::journal

@@ -62,7 +62,7 @@ inline constexpr CaseRow<D, 3> rows[] = {
 }  // namespace intent
 
 // --- S: what a message that a member may still ask for means to its publisher. The shipped pass
-// (client/dataplane/publisher_core.hpp) decides; the test holds it against this table.
+// (dataplane/publisher_core.hpp) decides; the test holds it against this table.
 
 enum class RemainsDecision : std::uint8_t { keep, free };
 

@@ -2,7 +2,7 @@
 //
 // Record: one decision of the daemon as it lies in the redo log, and what its numbers mean.
 //
-// A record says what the daemon is about to change; redo_log.hpp keeps them, daemon/registry_apply.cpp
+// A record says what the daemon is about to change; redo_log.hpp keeps them, daemon/state/registry_apply.cpp
 // carries them out. Some numbers are there for the reader of the flight recorder alone: whose an
 // endpoint was, why it ended, the new value of a counter. Nothing else is decided by those.
 #pragma once

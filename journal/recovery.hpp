@@ -11,8 +11,8 @@
 // writes.
 #pragma once
 
-#include <client/dataplane/views.hpp>
 #include <journal/cases.hpp>
+#include <region/views.hpp>
 
 #include <cstdint>
 
@@ -45,7 +45,7 @@ constexpr IntentDecision decide(const IntentCopy& copy, std::uint64_t slot_count
 /// Carries out the decision on the dead publisher's queue and returns what was decided;
 /// `final_head` is the commit word to record.
 template <class M>
-IntentDecision recover_queue(const dataplane::PublisherWords<M>& words, std::uint64_t slot_count,
+IntentDecision recover_queue(const region::PublisherWords<M>& words, std::uint64_t slot_count,
                              std::uint64_t& final_head) noexcept {
   const IntentCopy copy{words.intent_op().load(std::memory_order_acquire),
                         words.intent_sequence().load(std::memory_order_relaxed),

@@ -6,10 +6,10 @@
 // Called after every step of the tests, after recoveries, and by `agnocast-ctl verify`. A publisher
 // or subscription that is in the middle of an operation may break some of them for a moment; the
 // caller says which endpoints are at rest. The table also names what holds for the system as a whole;
-// ctl/audit.cpp checks that.
+// ctl/snapshot/audit.cpp checks that.
 #pragma once
 
-#include <client/dataplane/views.hpp>
+#include <region/views.hpp>
 
 #include <algorithm>
 #include <cstdint>
@@ -69,7 +69,7 @@ struct Witness {
 /// One publisher's queue. `at_rest`: no operation of the publisher is under way (or its process is
 /// dead and recovered).
 template <class M>
-Invariant verify_queue(const dataplane::PublisherWords<M>& words, std::uint64_t first_sequence,
+Invariant verify_queue(const region::PublisherWords<M>& words, std::uint64_t first_sequence,
                        std::uint64_t slot_count, bool at_rest,
                        Witness* witness = nullptr) noexcept {
   const auto broken = [&](Invariant which, std::uint64_t place, std::uint64_t word) {
@@ -109,8 +109,8 @@ Invariant verify_queue(const dataplane::PublisherWords<M>& words, std::uint64_t 
 
 /// One link line of a subscription at rest against the queue it is linked to.
 template <class M>
-Invariant verify_link(const dataplane::LinkWords<M>& link,
-                      const dataplane::PublisherWords<M>& words, std::uint64_t generation,
+Invariant verify_link(const region::LinkWords<M>& link,
+                      const region::PublisherWords<M>& words, std::uint64_t generation,
                       std::uint64_t first_sequence, std::uint64_t slot_count,
                       Witness* witness = nullptr) noexcept {
   const auto broken = [&](Invariant which, std::uint64_t place, std::uint64_t word) {

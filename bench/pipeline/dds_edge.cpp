@@ -6,9 +6,9 @@
 
 #include <bench/pipeline/edge.hpp>
 
-#include <bridge/cdr.hpp>
-#include <bridge/names.hpp>
-#include <bridge/participant.hpp>
+#include <bridge/cdr/cdr.hpp>
+#include <bridge/dds/names.hpp>
+#include <bridge/dds/participant.hpp>
 
 #include <sensor_msgs/msg/detail/point_cloud2__rosidl_typesupport_introspection_cpp.hpp>
 #include <sensor_msgs/msg/point_cloud2.hpp>

@@ -4,8 +4,8 @@
 
 #include <agnocast/executor.hpp>
 #include <client/executors/executor_core.hpp>
-#include <client/forked_child.hpp>
-#include <client/runner.hpp>
+#include <client/executors/runner.hpp>
+#include <client/process/forked_child.hpp>
 
 #include <algorithm>
 #include <atomic>

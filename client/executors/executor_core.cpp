@@ -3,7 +3,7 @@
 #include <client/executors/executor_core.hpp>
 
 #include <base/kept_fd.hpp>
-#include <client/forked_child.hpp>
+#include <client/process/forked_child.hpp>
 
 #include <sys/epoll.h>
 #include <sys/eventfd.h>

@@ -11,7 +11,7 @@
 // not starve the others, whichever nodes they belong to. The list refers weakly: a subscription that
 // goes takes what its callback holds with it. It is made anew when a node or a source came or went.
 //
-// Nodes come and go in any thread (client/runner.cpp orders that); everything else is for the one
+// Nodes come and go in any thread (client/executors/runner.cpp orders that); everything else is for the one
 // thread that spins, except wake() and cancel().
 #pragma once
 

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <client/callback_waits.hpp>
+#include <client/executors/callback_waits.hpp>
 #include <client/executors/node_callbacks.hpp>
-#include <client/forked_child.hpp>
-#include <client/library_thread.hpp>
-#include <client/user_code.hpp>
+#include <client/process/forked_child.hpp>
+#include <client/process/library_thread.hpp>
+#include <client/process/user_code.hpp>
 
 #include <algorithm>
 #include <utility>

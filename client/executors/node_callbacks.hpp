@@ -13,8 +13,8 @@
 // that returns from its sleep late must not disarm the word of the new one.
 #pragma once
 
-#include <client/library_thread.hpp>
-#include <client/sleeper.hpp>
+#include <client/process/library_thread.hpp>
+#include <client/process/sleeper.hpp>
 
 #include <atomic>
 #include <condition_variable>

@@ -4,10 +4,10 @@
 
 #include <base/kept_fd.hpp>
 #include <base/signals.hpp>
-#include <client/callback_waits.hpp>
-#include <client/forked_child.hpp>
-#include <client/library_thread.hpp>
-#include <client/user_code.hpp>
+#include <client/executors/callback_waits.hpp>
+#include <client/process/forked_child.hpp>
+#include <client/process/library_thread.hpp>
+#include <client/process/user_code.hpp>
 
 #include <cxxabi.h>
 #include <pthread.h>

@@ -13,11 +13,11 @@
 #include <agnocast/service.hpp>
 #include <agnocast/service_name.hpp>
 #include <base/signals.hpp>
-#include <client/connection.hpp>
-#include <client/context.hpp>
-#include <client/forked_child.hpp>
-#include <client/library_thread.hpp>
-#include <client/watch.hpp>
+#include <client/process/forked_child.hpp>
+#include <client/process/library_thread.hpp>
+#include <client/process/watch.hpp>
+#include <client/session/connection.hpp>
+#include <client/session/context.hpp>
 
 #include <pthread.h>
 

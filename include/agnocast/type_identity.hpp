@@ -6,7 +6,7 @@
 // matched. The layout hash covers what the type's own description says (members, offsets, sizes)
 // and what changes layouts silently and is said nowhere: the standard library, its ABI switches,
 // its debug mode, the machine. This header holds the second half, because only the user's own
-// translation unit knows it; client/message_type.cpp holds the first.
+// translation unit knows it; client/api/message_type.cpp holds the first.
 #pragma once
 
 #include <cfloat>

@@ -7,7 +7,7 @@
 //   look      a system whose indexes are in their tables, or a problem in words
 //   audit     ends; every invariant that it names exists, and every place has a name
 
-#include <ctl/audit.hpp>
+#include <ctl/snapshot/audit.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/packet_socket.hpp>

@@ -8,7 +8,7 @@
 //   is written to the same bytes again
 // Each piece is memory of its own, so AddressSanitizer sees who reads past one.
 
-#include <bridge/cdr.hpp>
+#include <bridge/cdr/cdr.hpp>
 
 #include <tests/support/random_message.hpp>
 #include <tests/support/schema_tables.hpp>

@@ -8,12 +8,12 @@
 // subscription takes what it finds. A process keeps what earlier inputs have left in it.
 // Not reached: publishers (there is no heap hook in a sanitized process), and what ends a membership.
 
-#include <client/context.hpp>
+#include <client/session/context.hpp>
 
 #include <agnocast/abi/client_region.hpp>
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/mapping.hpp>
-#include <client/dataplane/views.hpp>
+#include <region/views.hpp>
 
 #include <tests/support/listen_at.hpp>
 
@@ -183,7 +183,7 @@ class Daemon {
         const std::uint64_t word = abi::pack_member(1, abi::MemberState::active);
         const Mapping board =
             Mapping::map(board_.get(), abi::board_bytes, Mapping::Access::read_write).value();
-        dataplane::TopicWords<SharedMemory>{board.base(), abi::topic_offset(0)}
+        region::TopicWords<SharedMemory>{board.base(), abi::topic_offset(0)}
             .subscription(0, offsetof(abi::SubscriptionEntry, word))
             .store(word);
         return say(Opcode::endpoint_created, created, {}, request);

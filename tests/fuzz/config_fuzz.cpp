@@ -3,7 +3,7 @@
 // Goal: any text is a configuration or a list of mistakes with places, never a crash; what is taken
 // can be printed and read back to the same.
 
-#include <daemon/config.hpp>
+#include <daemon/config/config.hpp>
 
 #include <cstddef>
 #include <cstdint>

@@ -8,12 +8,12 @@
 //   recovery    decides by its table and touches only the slot and the ring entry that it may
 //   verify      ends with an answer
 
-#include <client/dataplane/publisher_core.hpp>
-#include <client/dataplane/subscription_core.hpp>
-#include <client/dataplane/windows.hpp>
+#include <dataplane/publisher_core.hpp>
+#include <dataplane/subscription_core.hpp>
 #include <journal/board_steps.hpp>
 #include <journal/recovery.hpp>
 #include <journal/verify.hpp>
+#include <region/windows.hpp>
 
 #include <fuzzer/FuzzedDataProvider.h>
 
@@ -56,13 +56,13 @@ struct Window {
   std::uint64_t opened = 0;
   void open() {
     opened = std::max(opened,
-                      load_frontier<M>(region->base(), 0, window_bytes) & ~(abi::page_bytes - 1));
+                      region::load_frontier<M>(region->base(), 0, window_bytes) & ~(abi::page_bytes - 1));
     require(opened <= window_bytes);
   }
-  dataplane::Place place_of(std::uint64_t address, std::uint64_t size) const {
+  region::Place place_of(std::uint64_t address, std::uint64_t size) const {
     const bool inside =
         address >= window_base && size <= opened && address - window_base <= opened - size;
-    return inside ? dataplane::Place::readable : dataplane::Place::outside;
+    return inside ? region::Place::readable : region::Place::outside;
   }
 };
 
@@ -106,8 +106,8 @@ void read_from_a_liar(FuzzedDataProvider& input) {
   static Memory board(abi::topic_offset(1));
   Memory queue(extent + abi::publisher_extent_bytes),
       lines(extent + abi::subscription_extent_bytes);
-  const TopicWords<M> topic{board.base(), abi::topic_offset(0)};
-  const PublisherWords<M> words{queue.base(), extent};
+  const region::TopicWords<M> topic{board.base(), abi::topic_offset(0)};
+  const region::PublisherWords<M> words{queue.base(), extent};
   words.head().store(abi::pack_entry(first, 0));
   journal::BoardSteps<M>(topic).add_publisher(0, generation, {offered, 0, extent, slots, first});
   const abi::Qos wanted{input.ConsumeIntegralInRange(1u, abi::depth_max), input.ConsumeBool(), true,
@@ -151,7 +151,7 @@ void read_from_a_liar(FuzzedDataProvider& input) {
       case 4: {
         const std::uint64_t cursor = link.cursor();
         if (const auto taken = link.take(window)) {
-          require(window.place_of(taken->address, taken->size) == dataplane::Place::readable);
+          require(window.place_of(taken->address, taken->size) == region::Place::readable);
           require(taken->slot < abi::slot_count_max && taken->sequence >= cursor);
           require(link.cursor() > cursor);
           held.push_back(taken->slot);
@@ -175,7 +175,7 @@ void read_from_a_liar(FuzzedDataProvider& input) {
         break;
       default: {
         (void)journal::verify_queue(words, first, slots, input.ConsumeBool());
-        (void)journal::verify_link(LinkWords<M>{lines.base(), extent, 0}, words, generation, first,
+        (void)journal::verify_link(region::LinkWords<M>{lines.base(), extent, 0}, words, generation, first,
                                    slots);
         break;
       }
@@ -202,10 +202,10 @@ void publish_to_a_liar(FuzzedDataProvider& input) {
   Memory board(abi::topic_offset(1)), queue(extent + abi::publisher_extent_bytes);
   Memory honest_lines(extent + abi::subscription_extent_bytes),
       liars_lines(extent + abi::subscription_extent_bytes);
-  const TopicWords<M> topic{board.base(), abi::topic_offset(0)};
-  const PublisherWords<M> words{queue.base(), extent};
+  const region::TopicWords<M> topic{board.base(), abi::topic_offset(0)};
+  const region::PublisherWords<M> words{queue.base(), extent};
   words.head().store(abi::pack_entry(first, 0));
-  store_frontier<M>(queue.base(), 0, window_bytes);
+  region::store_frontier<M>(queue.base(), 0, window_bytes);
   journal::BoardSteps<M> steps(topic);
   steps.add_publisher(0, generation, {offered, 0, extent, slots, first});
   auto publisher = std::make_unique<PublisherCore<M>>(
@@ -241,13 +241,13 @@ void publish_to_a_liar(FuzzedDataProvider& input) {
         break;
       }
       case 1: {
-        const LinkWords<M> line{liars_lines.base(), extent, 0};
+        const region::LinkWords<M> line{liars_lines.base(), extent, 0};
         line.publisher_generation().store(input.ConsumeBool() ? generation : interesting(input));
         line.cursor().store(interesting(input));
         break;
       }
       case 2: {
-        const LinkWords<M> line{liars_lines.base(), extent, 0};
+        const region::LinkWords<M> line{liars_lines.base(), extent, 0};
         const std::uint64_t bits = interesting(input);
         for (std::uint64_t word = 0; word < slots / 64; ++word) line.hold(word).store(bits);
         break;

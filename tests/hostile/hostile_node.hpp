@@ -7,7 +7,7 @@
 #include <agnocast/abi/observe.hpp>
 #include <base/doorbell.hpp>
 #include <base/memfd.hpp>
-#include <client/dataplane/views.hpp>
+#include <region/views.hpp>
 #include <tests/hostile/stage.hpp>
 
 #include <sys/mman.h>
@@ -133,10 +133,10 @@ class HostileNode {
   /// Eventfd (for a process of the same user) and datagram socket of the own executor.
   const std::vector<UniqueFd>& bells() const { return bells_; }
 
-  dataplane::PublisherWords<M> queue(const wire::EndpointCreated& publisher) const {
+  region::PublisherWords<M> queue(const wire::EndpointCreated& publisher) const {
     return {region_.base(), publisher.extent};
   }
-  dataplane::LinkWords<M> line(const wire::EndpointCreated& subscription,
+  region::LinkWords<M> line(const wire::EndpointCreated& subscription,
                                std::uint64_t publisher) const {
     return {region_.base(), subscription.extent, publisher};
   }

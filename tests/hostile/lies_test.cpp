@@ -54,7 +54,7 @@ struct LyingSubscriber {
     line().cursor().store(publisher.first_sequence + 1);
     line().publisher_generation().store(publisher.generation);
   }
-  dataplane::LinkWords<SharedMemory> line() const { return node.line(made, publisher.index); }
+  region::LinkWords<SharedMemory> line() const { return node.line(made, publisher.index); }
 
   HostileNode node;
   wire::EndpointCreated made{};
@@ -84,7 +84,7 @@ void honest_goes_on_beside(Stage& stage, const std::function<void(Attack&)>& bod
 }
 
 /// The honest publisher gets through all its slots while the daemon stands still: the daemon puts out
-/// who holds more than its quota (daemon/hold_watch.hpp), and nobody may have to wait for that.
+/// who holds more than its quota (daemon/death/hold_watch.hpp), and nobody may have to wait for that.
 void honest_helps_itself(Stage& stage) {
   // Until it has mapped a member it must keep everything for it, and it hears of it from the daemon.
   ASSERT_TRUE(stage.publisher().eventually("matched", "2"));
@@ -166,7 +166,7 @@ TEST(HostileLies, AGreedySubscriptionGetsWhatItsUserMayHoldAndNoMore) {
   honest_goes_on_beside(
       stage,
       [&](Attack& attack) {
-        // Half of what the honest subscription leaves of the pool, and one (daemon/hold_pool.hpp).
+        // Half of what the honest subscription leaves of the pool, and one (daemon/state/hold_pool.hpp).
         constexpr std::uint64_t most = 115;
         LyingSubscriber greedy(stage, 1000, most);
         HostileNode second(stage.socket_path());

@@ -34,7 +34,7 @@ struct Hoarder {
     line().publisher_generation().store(publisher.generation);
     line().hold(0).store(((std::uint64_t{1} << quota) - 1) << first_slot);
   }
-  dataplane::LinkWords<SharedMemory> line() const { return node.line(made, publisher.index); }
+  region::LinkWords<SharedMemory> line() const { return node.line(made, publisher.index); }
 
   HostileNode node;
   wire::EndpointCreated made{};

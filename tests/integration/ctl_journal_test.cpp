@@ -33,7 +33,7 @@ pid_t die_while_publishing(const std::string& socket) {
   if (pid == 0) {
     Node dying(socket);
     const auto p = dying.publisher("/points");
-    const dataplane::PublisherWords<M> words{dying.region.base(), p.extent};
+    const region::PublisherWords<M> words{dying.region.base(), p.extent};
     words.intent_sequence().store(p.first_sequence + 1);
     words.intent_slot().store(0);
     words.intent_op().store(abi::intent_publish);

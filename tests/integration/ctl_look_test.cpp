@@ -6,8 +6,8 @@
 // writes like honest processes, agnocast-ctl as a program of its own.
 
 #include <base/clock.hpp>
-#include <ctl/commands.hpp>
-#include <ctl/help.hpp>
+#include <ctl/cli/commands.hpp>
+#include <ctl/cli/help.hpp>
 #include <tests/integration/ctl_node.hpp>
 #include <tests/support/ctl.hpp>
 #include <tests/support/daemon_process.hpp>
@@ -177,7 +177,7 @@ TEST_F(CtlLook, AnswersOfEachPairWhetherItIsZeroCopyAndWhyNot) {
       HasSubstr("/lidar" + process + " -> /viewer" + process +
                 ": no, adopted: 2 of 3 messages were built outside the shared heap, 2.0 KiB "
                 "of them copied into it by publish\n"));
-  const dataplane::SubscriptionWords<SharedMemory> counters{b.region.base(), s.extent};
+  const region::SubscriptionWords<SharedMemory> counters{b.region.base(), s.extent};
   counters.counter(offsetof(abi::SubscriptionCounters, unreachable)).store(4);
   EXPECT_EQ(states()[0], "unreachable");
   EXPECT_EQ(weak.index, 1u);
@@ -326,7 +326,7 @@ TEST_F(CtlLook, MeasuresWithoutSubscribing) {
   Node a(daemon_.socket_path());
   a.open_window();
   const auto p = a.publisher("/points", {20}, "/lidar");
-  const dataplane::PublisherWords<SharedMemory> words{a.region.base(), p.extent};
+  const region::PublisherWords<SharedMemory> words{a.region.base(), p.extent};
   std::atomic<bool> over{false};
   // As a publisher at 200 Hz whose messages are read at once: two places by turns, 1000 bytes each.
   std::thread publishing([&] {
@@ -398,7 +398,7 @@ TEST_F(CtlLook, TellsWhatHappens) {
     a.publisher("/t" + std::to_string(number++));
     return has("event", "journal");
   }));
-  const dataplane::SubscriptionWords<SharedMemory> counters{a.region.base(), s.extent};
+  const region::SubscriptionWords<SharedMemory> counters{a.region.base(), s.extent};
   counters.counter(offsetof(abi::SubscriptionCounters, lost)).store(3);
   auto other = WireClient::endpoint("/points", {1}, "other/msg/Type");
   a.wire.ask(wire::Opcode::create_publisher, other);

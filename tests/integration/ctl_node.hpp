@@ -6,7 +6,7 @@
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/clock.hpp>
-#include <client/dataplane/views.hpp>
+#include <region/views.hpp>
 #include <tests/support/wire_client.hpp>
 
 #include <string>
@@ -53,7 +53,7 @@ struct CtlNode {
   }
   /// As an honest publisher would: `count` messages, all still in the history.
   void commit(const wire::EndpointCreated& publisher, std::uint64_t count) {
-    const dataplane::PublisherWords<SharedMemory> words{region.base(), publisher.extent};
+    const region::PublisherWords<SharedMemory> words{region.base(), publisher.extent};
     for (std::uint64_t i = 0; i < count; ++i) {
       const std::uint64_t sequence = publisher.first_sequence + 1 + i;
       words.slot_address(i).store(window.base + 64 * i);
@@ -66,7 +66,7 @@ struct CtlNode {
   /// Commit times of the first `count`, one period apart, the last one now; and bytes of each.
   void stamp(const wire::EndpointCreated& publisher, std::uint64_t count, std::uint64_t period_ns,
              std::uint64_t bytes) {
-    const dataplane::PublisherWords<SharedMemory> words{region.base(), publisher.extent};
+    const region::PublisherWords<SharedMemory> words{region.base(), publisher.extent};
     const std::uint64_t now = monotonic_ns();
     for (std::uint64_t i = 0; i < count; ++i)
       words.slot_stamp(i).store(now - (count - 1 - i) * period_ns);
@@ -82,7 +82,7 @@ struct CtlNode {
   /// As an honest subscription that has taken `taken` messages and holds the first `held`.
   void link(const wire::EndpointCreated& own, const wire::EndpointCreated& publisher,
             std::uint64_t taken, std::uint64_t held) {
-    const dataplane::LinkWords<SharedMemory> line{region.base(), own.extent, publisher.index};
+    const region::LinkWords<SharedMemory> line{region.base(), own.extent, publisher.index};
     line.cursor().store(publisher.first_sequence + 1 + taken);
     line.publisher_generation().store(publisher.generation);
     line.hold(0).store((std::uint64_t{1} << held) - 1);

@@ -138,7 +138,7 @@ TEST(Ctl, TellsOfATopicWhatRos2TellsAndWhatItCost) {
   endpoint.adopted_messages.store(2);
   endpoint.adopted_bytes.store(12345);
   endpoint.refused_no_slot.store(3);
-  const dataplane::SubscriptionWords<M> counters{b.region.base(), s.extent};
+  const region::SubscriptionWords<M> counters{b.region.base(), s.extent};
   counters.counter(offsetof(abi::SubscriptionCounters, lost)).store(9);
   counters.counter(offsetof(abi::SubscriptionCounters, malformed)).store(1);
   info = run_ctl(daemon.socket_path(), {"topic", "info", "points", "--verbose"});

@@ -37,7 +37,7 @@ struct HonestPair {
     a.commit(p, 5);
     b.link(s, p, 3, 2);
   }
-  dataplane::LinkWords<M> line() const { return {b.region.base(), s.extent, p.index}; }
+  region::LinkWords<M> line() const { return {b.region.base(), s.extent, p.index}; }
   CtlResult verify(std::vector<std::string> options = {}) const {
     options.insert(options.begin(), "verify");
     return run_ctl(daemon.socket_path(), options);
@@ -55,8 +55,8 @@ TEST(CtlVerify, NamesEveryBrokenWordAndWhereItIs) {
   DaemonProcess daemon;
   Node a(daemon.socket_path()), b(daemon.socket_path());
   a.open_window();
-  using Words = dataplane::PublisherWords<M>;
-  using Line = dataplane::LinkWords<M>;
+  using Words = region::PublisherWords<M>;
+  using Line = region::LinkWords<M>;
   struct Broken {
     std::string invariant;
     std::function<void(const Words&, std::uint64_t first, const Line&)> destroy;
@@ -153,7 +153,7 @@ TEST(CtlVerify, LooksAtTheQueueOfTheDead) {
     dying.open_window();
     const auto p = dying.publisher("/topic");
     dying.commit(p, 3);
-    dataplane::PublisherWords<M>{dying.region.base(), p.extent}.slot_id(1).store(p.first_sequence +
+    region::PublisherWords<M>{dying.region.base(), p.extent}.slot_id(1).store(p.first_sequence +
                                                                                  1);
     ::raise(SIGKILL);
   }

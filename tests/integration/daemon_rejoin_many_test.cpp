@@ -5,7 +5,7 @@
 // Method: a raw client whose publishers have tens of thousands of subscriptions, those of living
 // processes or of dead ones.
 
-#include <daemon/session.hpp>
+#include <daemon/transport/session.hpp>
 #include <tests/integration/raw_node.hpp>
 
 #include <memory>

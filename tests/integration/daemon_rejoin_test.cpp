@@ -9,7 +9,7 @@
 #include <base/doorbell.hpp>
 #include <base/mapping.hpp>
 #include <base/memory_policy.hpp>
-#include <client/dataplane/views.hpp>
+#include <region/views.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/wire_client.hpp>
 #include <tests/support/wire_dump.hpp>
@@ -338,7 +338,7 @@ TEST(DaemonRejoin, TheLastMessagesOfTheDeadAreAnnounced) {
   auto third = std::make_unique<Node>(daemon);  // came and went while the process was away
   ASSERT_EQ(third->wire.open_window(0).opcode(), Opcode::window_opened);
   const auto unknown = third->publisher("/t");
-  const dataplane::PublisherWords<SharedMemory> words{third->region.base(), unknown.extent};
+  const region::PublisherWords<SharedMemory> words{third->region.base(), unknown.extent};
   words.head().store(abi::pack_entry(unknown.first_sequence + 5, 3));
   third->lose_connection();
   third->region = Mapping();  // the daemon takes it for a process that is over
@@ -539,7 +539,7 @@ TEST(DaemonRejoin, WhatIsAskedTwiceIsDoneOnce) {
   EXPECT_EQ(node.wire.ask_again(Opcode::leave, reference(Kind::publisher, theirs), 1003).opcode(),
             Opcode::done)
       << "of others' endpoints nothing is left here";
-  EXPECT_EQ(abi::state_of(dataplane::TopicWords<SharedMemory>{node.board.base(),
+  EXPECT_EQ(abi::state_of(region::TopicWords<SharedMemory>{node.board.base(),
                                                               abi::topic_offset(theirs.topic)}
                               .publisher(theirs.index, offsetof(abi::PublisherEntry, word))
                               .load()),

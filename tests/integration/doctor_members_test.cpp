@@ -269,7 +269,7 @@ TEST_F(DoctorMembers, SaysWhatIsNotZeroCopyOrCannotBeReached) {
   ASSERT_THAT(findings.ids(), ElementsAre("not-zero-copy"));
   EXPECT_THAT(findings.remedies[0], HasSubstr("agnocast-run --scope all "));
   endpoint.adopted_messages.store(0);
-  const dataplane::SubscriptionWords<SharedMemory> counters{b.region.base(), s.extent};
+  const region::SubscriptionWords<SharedMemory> counters{b.region.base(), s.extent};
   counters.counter(offsetof(abi::SubscriptionCounters, unreachable)).store(4);
   findings = doctor_.look();
   ASSERT_THAT(findings.ids(), ElementsAre("unreachable"));
@@ -281,7 +281,7 @@ TEST_F(DoctorMembers, SaysWhomAPublisherServesNoMore) {
   const auto p = a.publisher("/points", {7}, "/lidar");
   const auto s = b.subscription("/points", {5}, "/viewer");
   b.link(s, p, 0, 0);
-  const dataplane::PublisherWords<SharedMemory> words{a.region.base(), p.extent};
+  const region::PublisherWords<SharedMemory> words{a.region.base(), p.extent};
   words.withdrawn(s.index).store(abi::pack_withdrawal(s.index, abi::Withdrawal::over_share));
   const Findings findings = doctor_.look();
   ASSERT_THAT(findings.ids(), ElementsAre("reader-withdrawn"));
@@ -298,7 +298,7 @@ TEST_F(DoctorMembers, SaysWhoReadsTooSlowlyOrHoldsTooMuch) {
   Member reader(socket(), [&](Node& node) {
     const auto s = node.subscription("/points", {10}, "/viewer");
     node.link(s, p, 2, 0);  // 9 of 10 unread
-    const dataplane::SubscriptionWords<SharedMemory> counters{node.region.base(), s.extent};
+    const region::SubscriptionWords<SharedMemory> counters{node.region.base(), s.extent};
     counters.counter(offsetof(abi::SubscriptionCounters, lost)).store(5);
   });
   Findings findings = doctor_.look();

@@ -3,7 +3,7 @@
 // Goal: what doctor says that it checks is what it checks: the list, the answer and docs/doctor.md have the
 // same checks, and each has a cause and a command. Method: agnocast-ctl as a program, and the table.
 
-#include <ctl/doctor.hpp>
+#include <ctl/doctor/doctor.hpp>
 #include <tests/support/ctl.hpp>
 
 #include <gmock/gmock.h>

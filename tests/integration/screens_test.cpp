@@ -63,7 +63,7 @@ TEST(Screens, AreWhatIsShown) {
         const auto made = node.publisher("/camera/image", {5}, "/camera", image);
         node.commit(made, 4);
         node.stamp(made, 4, second_ns, 6'220'800);
-        const dataplane::PublisherWords<SharedMemory> words{node.region.base(), made.extent};
+        const region::PublisherWords<SharedMemory> words{node.region.base(), made.extent};
         words.counter(offsetof(abi::PublisherEndpoint, adopted_messages)).store(4);
         words.counter(offsetof(abi::PublisherEndpoint, adopted_bytes)).store(4 * 6'220'800);
         EXPECT_EQ(::write(ends[1], &made, sizeof made), ssize_t{sizeof made});

@@ -12,11 +12,11 @@
 // beside a message, nothing is leaked, nobody is stuck, recovery left a consistent queue.
 #pragma once
 
-#include <client/dataplane/publisher_core.hpp>
-#include <client/dataplane/subscription_core.hpp>
-#include <client/dataplane/windows.hpp>
+#include <dataplane/publisher_core.hpp>
+#include <dataplane/subscription_core.hpp>
 #include <journal/board_steps.hpp>
 #include <journal/recovery.hpp>
+#include <region/windows.hpp>
 #include <tests/model/explorer.hpp>
 
 #include <algorithm>
@@ -646,8 +646,8 @@ class QueueScenario {
     return peek(world, static_cast<std::uint32_t>(client_region(s).id), extent(s) + field * 8);
   }
 
-  static dataplane::TopicWords<MM> topic() { return {{board}, 0}; }
-  static dataplane::PublisherWords<MM> words() { return {{publisher_region}, pe}; }
+  static region::TopicWords<MM> topic() { return {{board}, 0}; }
+  static region::PublisherWords<MM> words() { return {{publisher_region}, pe}; }
   abi::Qos offered() const {
     return {plan_.depth, plan_.transient_local, true, plan_.keep_all, false};
   }
@@ -842,7 +842,7 @@ class QueueScenario {
     const std::uint64_t number = own.published + 1;
     const std::uint64_t frontier =
         plan_.grow_before != 0 && number >= plan_.grow_before ? 2 * page : page;
-    if (number == plan_.grow_before) dataplane::store_frontier<MM>({publisher_region}, 0, frontier);
+    if (number == plan_.grow_before) region::store_frontier<MM>({publisher_region}, 0, frontier);
     if (number == plan_.second_window_from) {
       if (machine.remember(state.second_window) != 2) {
         // The hook cannot allocate there before it has the window.
@@ -851,7 +851,7 @@ class QueueScenario {
         thread.pc = await_window;
         return;
       }
-      dataplane::store_frontier<MM>({publisher_region}, 1, frontier);
+      region::store_frontier<MM>({publisher_region}, 1, frontier);
     }
     if (machine.live) state.need_open[number] = frontier;
     const std::uint64_t cursor_before = machine.remember(lowest_keep_all_cursor(world));
@@ -929,12 +929,12 @@ class QueueScenario {
       for (std::uint64_t i = 0; i < count; ++i) {
         if (i + 1 == closed) continue;
         opened[i] =
-            std::max(opened[i], dataplane::load_frontier<MM>({publisher_region}, i, 16 * page));
+            std::max(opened[i], region::load_frontier<MM>({publisher_region}, i, 16 * page));
       }
     }
     static std::uint64_t base(std::uint64_t window) { return window == 0 ? heap : second_heap; }
-    dataplane::Place place_of(std::uint64_t address, std::uint64_t size) const {
-      using dataplane::Place;
+    region::Place place_of(std::uint64_t address, std::uint64_t size) const {
+      using region::Place;
       const std::uint64_t window = address >= second_heap ? 1 : 0;
       // The owner's header shows it before anything lies there.
       if (count == 1 && machine.remember(world.state.second_window) == 2) return Place::awaited;

@@ -13,7 +13,7 @@
 // begins with such a line and one publisher; so it speaks of every publisher of the index.
 #pragma once
 
-#include <client/dataplane/subscription_core.hpp>
+#include <dataplane/subscription_core.hpp>
 #include <journal/announce_set.hpp>
 #include <tests/model/explorer.hpp>
 

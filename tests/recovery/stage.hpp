@@ -8,14 +8,14 @@
 // anew for each run.
 #pragma once
 
-#include <client/dataplane/publisher_core.hpp>
-#include <client/dataplane/subscription_core.hpp>
-#include <client/dataplane/windows.hpp>
-#include <client/peer_heap.hpp>
+#include <client/heap/peer_heap.hpp>
+#include <dataplane/publisher_core.hpp>
+#include <dataplane/subscription_core.hpp>
 #include <journal/board_steps.hpp>
 #include <journal/crash_point.hpp>
 #include <journal/recovery.hpp>
 #include <journal/verify.hpp>
+#include <region/windows.hpp>
 
 #include <base/mapping.hpp>
 #include <base/memfd.hpp>
@@ -100,11 +100,11 @@ class Stage {
   static constexpr std::uint64_t publisher_generation = 5;
   static std::uint64_t first_sequence() { return abi::first_sequence_of(publisher_generation); }
 
-  dataplane::TopicWords<M> topic() const { return {board_.base(), 0}; }
-  dataplane::PublisherWords<M> words() const {
+  region::TopicWords<M> topic() const { return {board_.base(), 0}; }
+  region::PublisherWords<M> words() const {
     return {publisher_region_.base(), publisher_extent};
   }
-  dataplane::LinkWords<M> line() const {
+  region::LinkWords<M> line() const {
     return {subscriber_region_.base(), subscription_extent, 0};
   }
   journal::BoardSteps<M> board_steps() const { return journal::BoardSteps<M>(topic()); }
@@ -226,7 +226,7 @@ class PublisherSide {
     for (std::uint64_t offset = frontier_; offset < bytes; offset += message_bytes)
       blocks_.push_back(stage_.heap_base() + offset);
     frontier_ = bytes;
-    dataplane::store_frontier<M>(stage_.publisher_region(), 0, frontier_);
+    region::store_frontier<M>(stage_.publisher_region(), 0, frontier_);
   }
   std::uint64_t allocate() {
     if (blocks_.empty()) std::abort();
@@ -297,8 +297,8 @@ class SubscriberSide {
   struct OwnHeap {
     std::uint64_t base;
     void open() const {}
-    dataplane::Place place_of(std::uint64_t address, std::uint64_t) const {
-      return address - base < heap_bytes ? dataplane::Place::readable : dataplane::Place::outside;
+    region::Place place_of(std::uint64_t address, std::uint64_t) const {
+      return address - base < heap_bytes ? region::Place::readable : region::Place::outside;
     }
   };
   static bool check(const dataplane::Taken& taken) {

@@ -5,8 +5,8 @@
 // to sessions that nobody reads.
 #pragma once
 
-#include <daemon/membership.hpp>
-#include <daemon/reaper.hpp>
+#include <daemon/death/reaper.hpp>
+#include <daemon/lifecycle/membership.hpp>
 #include <journal/crash_point.hpp>
 
 #include <cstdint>
@@ -147,7 +147,7 @@ class Core final : private Post {
     const wire::Reference& of = references_.at(request);
     const PublisherRecord& record =
         registry_.publisher(TopicIndex{of.topic}, static_cast<std::uint32_t>(of.index));
-    const dataplane::PublisherWords<SharedMemory> words{regions_.region(ClientIndex{client}),
+    const region::PublisherWords<SharedMemory> words{regions_.region(ClientIndex{client}),
                                                         record.extent};
     const std::uint64_t sequence = abi::sequence_of(words.head().load()) + 1;
     words.intent_sequence().store(sequence);
@@ -203,7 +203,7 @@ class Core final : private Post {
     if (!reader) return {};
     const Mapping region =
         Mapping::map(reader->get(), Registry::client_region_bytes, Mapping::Access::read).value();
-    const dataplane::PublisherWords<SharedMemory> words{region.base(), record.extent};
+    const region::PublisherWords<SharedMemory> words{region.base(), record.extent};
     const std::uint64_t first = abi::first_sequence_of(record.generation);
     const auto is_there = [&](std::uint64_t sequence) { return sequence > first ? "+" : "-"; };
     return " ends " + std::to_string(abi::sequence_of(record.final_head) - first) + " intent " +
@@ -305,7 +305,7 @@ inline std::string Core::state(Generations generations) const {
   for (std::uint32_t t = 0; t < registry.topic_high(); ++t) {
     const TopicIndex at{t};
     const TopicRecord& topic = registry.topic(at);
-    const dataplane::TopicWords<SharedMemory> words{regions_.memory().board, abi::topic_offset(t)};
+    const region::TopicWords<SharedMemory> words{regions_.memory().board, abi::topic_offset(t)};
     text << "topic " << t << " state " << static_cast<int>(topic.state);
     if (topic.state != TopicState::free)
       text << ' ' << topic.name << ' ' << topic.type << " generation " << shown(topic.generation)

@@ -9,8 +9,8 @@
 #include <base/mapping.hpp>
 #include <base/packet_socket.hpp>
 #include <base/pidfd.hpp>
-#include <ctl/audit.hpp>
-#include <ctl/system.hpp>
+#include <ctl/snapshot/audit.hpp>
+#include <ctl/snapshot/system.hpp>
 #include <journal/crash_point.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/listen_at.hpp>

@@ -4,7 +4,7 @@
 // processes that have no connection.
 #pragma once
 
-#include <daemon/reaper.hpp>
+#include <daemon/death/reaper.hpp>
 #include <tests/support/temporary_directory.hpp>
 
 #include <gtest/gtest.h>

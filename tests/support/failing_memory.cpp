@@ -5,7 +5,7 @@
 
 #include <tests/support/failing_memory.hpp>
 
-#include <daemon/memory_reserve.hpp>
+#include <daemon/state/memory_reserve.hpp>
 
 #include <fcntl.h>
 #include <sys/mman.h>

@@ -4,7 +4,7 @@
 // shared like those, so that pages can be given back.
 #pragma once
 
-#include <daemon/registry.hpp>
+#include <daemon/state/registry.hpp>
 
 #include <sys/mman.h>
 

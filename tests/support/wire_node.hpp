@@ -11,11 +11,11 @@
 
 #include <base/doorbell.hpp>
 #include <base/memfd.hpp>
-#include <client/dataplane/publisher_core.hpp>
-#include <client/dataplane/subscription_core.hpp>
-#include <client/dataplane/windows.hpp>
-#include <client/peer_heap.hpp>
+#include <client/heap/peer_heap.hpp>
+#include <dataplane/publisher_core.hpp>
+#include <dataplane/subscription_core.hpp>
 #include <journal/verify.hpp>
+#include <region/windows.hpp>
 #include <tests/support/wire_client.hpp>
 
 #include <sys/mman.h>
@@ -66,7 +66,7 @@ class WireNode {
   const wire::EndpointCreated& publisher() const noexcept { return publisher_; }
   const wire::EndpointCreated& subscription() const noexcept { return subscription_; }
   const wire::WindowOpened& window() const noexcept { return window_; }
-  dataplane::TopicWords<M> topic(std::uint32_t index) const {
+  region::TopicWords<M> topic(std::uint32_t index) const {
     return {board_.base(), abi::topic_offset(index)};
   }
 
@@ -85,7 +85,7 @@ class WireNode {
     ::madvise(heap_, window_.bytes, MADV_DONTFORK);  // a child of ours may be a client itself
     for (std::uint64_t at = 0; at < heap_used_bytes; at += message_bytes)
       blocks_.push_back(window_.base + at);
-    dataplane::store_frontier<M>(region_.base(), 0, heap_used_bytes);
+    region::store_frontier<M>(region_.base(), 0, heap_used_bytes);
     const Incoming created = wire_.create_publisher(topic_name, qos);
     if (created.opcode() != wire::Opcode::endpoint_created) return false;
     publisher_ = created.as<wire::EndpointCreated>();
@@ -118,7 +118,7 @@ class WireNode {
     Environment environment{*this};
     core_->pass(environment);
   }
-  dataplane::PublisherWords<M> queue() const { return {region_.base(), publisher_.extent}; }
+  region::PublisherWords<M> queue() const { return {region_.base(), publisher_.extent}; }
   std::uint64_t allocated_count() const { return core_->allocated_count(); }
   std::size_t attached_count() const { return attached_.size(); }
 
@@ -149,7 +149,7 @@ class WireNode {
   /// Says of slots [0, count) of a publisher that it holds them, whether that is so or not.
   bool claim_holds(std::uint64_t publisher, std::uint64_t count) {
     if (links_.count(publisher) == 0) return false;
-    const dataplane::LinkWords<M> line{region_.base(), subscription_.extent, publisher};
+    const region::LinkWords<M> line{region_.base(), subscription_.extent, publisher};
     line.hold(0).store((std::uint64_t{1} << count) - 1, std::memory_order_seq_cst);
     return true;
   }
@@ -292,7 +292,7 @@ class WireNode {
     std::uint64_t client;
     std::uint64_t generation;
     std::uint64_t first_sequence;
-    dataplane::PublisherWords<M> words;
+    region::PublisherWords<M> words;
     dataplane::LinkCore<M> core;
   };
   struct Held {

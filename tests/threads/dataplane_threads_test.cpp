@@ -7,8 +7,8 @@
 // ThreadSanitizer the payload accesses are ordinary memory, so a missing acquire or release is a
 // reported race.
 
-#include <client/dataplane/publisher_core.hpp>
-#include <client/dataplane/subscription_core.hpp>
+#include <dataplane/publisher_core.hpp>
+#include <dataplane/subscription_core.hpp>
 #include <journal/board_steps.hpp>
 #include <journal/verify.hpp>
 #include <tests/support/aligned_region.hpp>
@@ -53,11 +53,11 @@ struct Window {
   const Payload* first;
   std::uint64_t count;
   void open() const {}
-  dataplane::Place place_of(std::uint64_t address, std::uint64_t size) const {
+  region::Place place_of(std::uint64_t address, std::uint64_t size) const {
     const auto begin = reinterpret_cast<std::uint64_t>(first);
     return address >= begin && address + size <= begin + count * sizeof(Payload)
-               ? dataplane::Place::readable
-               : dataplane::Place::outside;
+               ? region::Place::readable
+               : region::Place::outside;
   }
 };
 
@@ -77,8 +77,8 @@ class World {
     for (std::uint64_t i = 0; i < heap_count; ++i) free_.push_back(i);
   }
   static std::uint64_t first() { return abi::first_sequence_of(generation); }
-  TopicWords<M> topic() { return {board_.base(), 0}; }
-  PublisherWords<M> words() { return {publisher_.base(), extent}; }
+  region::TopicWords<M> topic() { return {board_.base(), 0}; }
+  region::PublisherWords<M> words() { return {publisher_.base(), extent}; }
 
   void run(std::chrono::milliseconds time) {
     std::vector<std::thread> threads;
@@ -155,7 +155,7 @@ class World {
     std::mt19937_64 random(s + 1);
     std::uint64_t own_generation = 0;
     do {
-      const LinkWords<M> line{subscriber_[s].base(), extent, 0};
+      const region::LinkWords<M> line{subscriber_[s].base(), extent, 0};
       LinkCore<M> link({topic(), words(), line, 0, generation, first(), scenario_.offered,
                         scenario_.requested[s], sizeof(Payload), alignof(Payload)});
       {

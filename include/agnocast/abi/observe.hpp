@@ -243,7 +243,7 @@ struct DumpUser {
   std::uint64_t observers;
   UserShare use;
 };
-/// What was refused, or several times the same; daemon/refusals.hpp says how many of them there are.
+/// What was refused, or several times the same; daemon/state/refusals.hpp says how many of them there are.
 struct DumpRefusal {
   Header header;
   std::uint32_t code;  // Errc

@@ -6,9 +6,9 @@
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/check.hpp>
-#include <daemon/dump.hpp>
-#include <daemon/flight_recorder.hpp>
-#include <daemon/reaper.hpp>
+#include <daemon/death/reaper.hpp>
+#include <daemon/requests/dump.hpp>
+#include <daemon/requests/flight_recorder.hpp>
 
 #include <tests/support/temporary_directory.hpp>
 

@@ -10,9 +10,9 @@
 #pragma once
 
 #include <base/unique_fd.hpp>
-#include <daemon/address_plan.hpp>
-#include <daemon/membership.hpp>
-#include <daemon/obstacles.hpp>
+#include <daemon/lifecycle/membership.hpp>
+#include <daemon/state/address_plan.hpp>
+#include <daemon/state/obstacles.hpp>
 
 #include <tests/fuzz/protocol/oracle.hpp>
 #include <tests/fuzz/protocol/processes.hpp>

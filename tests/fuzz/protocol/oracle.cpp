@@ -8,7 +8,7 @@
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/check.hpp>
-#include <daemon/registry.hpp>
+#include <daemon/state/registry.hpp>
 
 #include <algorithm>
 #include <cstring>

@@ -7,8 +7,8 @@
 // are compared with each other in table_checks.hpp. Whatever is not true aborts.
 #pragma once
 
-#include <daemon/requests.hpp>
-#include <daemon/session.hpp>
+#include <daemon/transport/requests.hpp>
+#include <daemon/transport/session.hpp>
 #include <journal/cases.hpp>
 
 #include <tests/fuzz/protocol/processes.hpp>

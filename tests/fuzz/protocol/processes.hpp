@@ -8,8 +8,8 @@
 #include <agnocast/abi/client_region.hpp>
 #include <agnocast/abi/wire.hpp>
 #include <agnocast/abi/words.hpp>
-#include <daemon/session.hpp>
-#include <daemon/tables.hpp>
+#include <daemon/state/tables.hpp>
+#include <daemon/transport/session.hpp>
 
 #include <array>
 #include <cstddef>

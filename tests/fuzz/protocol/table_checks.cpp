@@ -33,7 +33,7 @@ void check_board(const Registry& registry, const Registry::Memory& memory) {
   for (std::uint32_t t = 0; t < registry.topic_high(); ++t) {
     const TopicIndex topic{t};
     if (registry.topic(topic).state == TopicState::free) continue;
-    const dataplane::TopicWords<SharedMemory> words{memory.board, abi::topic_offset(t)};
+    const region::TopicWords<SharedMemory> words{memory.board, abi::topic_offset(t)};
     for (std::uint32_t i = 0; i < registry.topic(topic).publisher_high; ++i) {
       const PublisherRecord& record = registry.publisher(topic, i);
       const std::uint64_t word = words.publisher(i, 0).load();

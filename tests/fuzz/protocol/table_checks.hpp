@@ -4,8 +4,8 @@
 // They abort where it does not. What it should have written is for the oracle to know.
 #pragma once
 
-#include <daemon/address_plan.hpp>
-#include <daemon/registry.hpp>
+#include <daemon/state/address_plan.hpp>
+#include <daemon/state/registry.hpp>
 
 namespace agnocast::daemon::fuzz {
 

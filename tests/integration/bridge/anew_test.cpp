@@ -8,7 +8,7 @@
 
 #include <agnocast/agnocast.hpp>
 #include <agnocast/graph.hpp>
-#include <bridge/routes.hpp>
+#include <bridge/plan/routes.hpp>
 
 #include <sensor_msgs/msg/point_cloud2.hpp>
 #include <std_msgs/msg/string.hpp>

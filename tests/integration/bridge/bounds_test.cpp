@@ -7,7 +7,7 @@
 #include <tests/support/plain_node.hpp>
 
 #include <agnocast/agnocast.hpp>
-#include <bridge/routes.hpp>
+#include <bridge/plan/routes.hpp>
 
 #include <std_msgs/msg/string.hpp>
 

@@ -6,8 +6,8 @@
 
 #include <agnocast/agnocast.hpp>
 #include <base/unix_address.hpp>
-#include <bridge/participant.hpp>
-#include <bridge/status_socket.hpp>
+#include <bridge/dds/participant.hpp>
+#include <bridge/program/status_socket.hpp>
 #include <tests/integration/bridge/dds_domain.hpp>
 #include <tests/support/ctl.hpp>
 #include <tests/support/daemon_process.hpp>

@@ -5,7 +5,7 @@
 // test.
 
 #include <agnocast/agnocast.hpp>
-#include <bridge/participant.hpp>
+#include <bridge/dds/participant.hpp>
 #include <tests/integration/bridge/dds_domain.hpp>
 #include <tests/support/doctored.hpp>
 #include <tests/support/plain_node.hpp>

@@ -7,9 +7,9 @@
 #include <agnocast/agnocast.hpp>
 #include <agnocast/generic.hpp>
 #include <base/unix_address.hpp>
-#include <bridge/cdr.hpp>
-#include <bridge/names.hpp>
-#include <bridge/participant.hpp>
+#include <bridge/cdr/cdr.hpp>
+#include <bridge/dds/names.hpp>
+#include <bridge/dds/participant.hpp>
 #include <tests/integration/bridge/dds_domain.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/steered_process.hpp>

@@ -4,8 +4,8 @@
 // domains. This process has the agnocast endpoints, and is the other participant in DDS.
 
 #include <agnocast/agnocast.hpp>
-#include <bridge/cdr.hpp>
-#include <bridge/participant.hpp>
+#include <bridge/cdr/cdr.hpp>
+#include <bridge/dds/participant.hpp>
 #include <tests/integration/bridge/dds_domain.hpp>
 #include <tests/support/plain_node.hpp>
 

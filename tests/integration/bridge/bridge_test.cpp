@@ -10,7 +10,7 @@
 
 #include <agnocast/agnocast.hpp>
 #include <agnocast/generic.hpp>
-#include <bridge/ros_graph.hpp>
+#include <bridge/dds/ros_graph.hpp>
 
 #include <sensor_msgs/msg/point_cloud2.hpp>
 #include <std_msgs/msg/string.hpp>

@@ -4,8 +4,8 @@
 // bytes, and waiting for what others do.
 #pragma once
 
-#include <bridge/participant.hpp>
-#include <bridge/ros_graph.hpp>
+#include <bridge/dds/participant.hpp>
+#include <bridge/dds/ros_graph.hpp>
 
 #include <algorithm>
 #include <chrono>

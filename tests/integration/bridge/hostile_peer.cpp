@@ -17,7 +17,7 @@
 //   answered                         how many requests it has answered                      COUNT
 //   garbage PORT N                   N datagrams to 127.0.0.1: noise, and noise behind a header of RTPS
 
-#include <bridge/names.hpp>
+#include <bridge/dds/names.hpp>
 #include <tests/integration/bridge/dds_side.hpp>
 
 #include <arpa/inet.h>

@@ -9,9 +9,9 @@
 #include <tests/support/plain_node.hpp>
 
 #include <agnocast/agnocast.hpp>
-#include <bridge/limits.hpp>
-#include <bridge/ros_graph.hpp>
-#include <bridge/routes.hpp>
+#include <bridge/dds/limits.hpp>
+#include <bridge/dds/ros_graph.hpp>
+#include <bridge/plan/routes.hpp>
 
 #include <example_interfaces/srv/add_two_ints.hpp>
 #include <sensor_msgs/msg/point_cloud2.hpp>

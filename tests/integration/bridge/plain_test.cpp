@@ -6,7 +6,7 @@
 #include <tests/integration/bridge/peer_side.hpp>
 
 #include <agnocast/graph.hpp>
-#include <bridge/routes.hpp>
+#include <bridge/plan/routes.hpp>
 
 #include <gmock/gmock.h>
 

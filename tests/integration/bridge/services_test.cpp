@@ -7,7 +7,7 @@
 #include <tests/support/plain_node.hpp>
 
 #include <agnocast/agnocast.hpp>
-#include <bridge/ros_graph.hpp>
+#include <bridge/dds/ros_graph.hpp>
 
 #include <example_interfaces/srv/add_two_ints.hpp>
 

@@ -19,7 +19,7 @@
 //   address                                     → of the oldest held | none
 //   fork                                        → PID of a child that lives until it is killed
 
-#include <client/context.hpp>
+#include <client/session/context.hpp>
 
 #include <agnocast/message_type.hpp>
 

@@ -4,7 +4,7 @@
 // refused with its place; nothing invalid gets into memory. Method: random messages by the table;
 // bytes written by hand. The bytes themselves are compared in golden_test.cpp.
 
-#include <bridge/cdr.hpp>
+#include <bridge/cdr/cdr.hpp>
 #include <tests/support/random_message.hpp>
 #include <tests/support/schema_tables.hpp>
 #include <tests/unit/bridge/golden_sample.hpp>

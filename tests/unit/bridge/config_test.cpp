@@ -3,10 +3,10 @@
 // Goal: bridge.toml means what docs/bridge.md says, and every mistake is named with its place and what to write instead;
 // the example that is installed has every key. Method: texts.
 
-#include <bridge/config.hpp>
-#include <bridge/limits.hpp>
-#include <bridge/options.hpp>
-#include <bridge/status_socket.hpp>
+#include <bridge/dds/limits.hpp>
+#include <bridge/program/config.hpp>
+#include <bridge/program/options.hpp>
+#include <bridge/program/status_socket.hpp>
 #include <tests/support/temporary_directory.hpp>
 
 #include <gmock/gmock.h>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <ctl/unicode.hpp>
+#include <ctl/cli/unicode.hpp>
 #include <tests/support/random_message.hpp>
 #include <tests/unit/bridge/golden_sample.hpp>
 

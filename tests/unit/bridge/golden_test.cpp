@@ -5,8 +5,8 @@
 // with tables made from its own schema, and with the library of its package where one is built.
 // Deep comparison by the table. The big-endian bytes are encode.py's, at the time of the test.
 
-#include <bridge/cdr.hpp>
-#include <bridge/names.hpp>
+#include <bridge/cdr/cdr.hpp>
+#include <bridge/dds/names.hpp>
 #include <tests/support/random_message.hpp>
 #include <tests/unit/bridge/golden_sample.hpp>
 #include <tests/unit/bridge/pieces.hpp>

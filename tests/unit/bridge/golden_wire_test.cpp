@@ -4,8 +4,8 @@
 // header of a request, the discovery of nodes, and the names in discovery. Method: packets recorded
 // from rmw_cyclonedds and rmw_fastrtps, with the schemas of the other samples.
 
-#include <bridge/cdr.hpp>
-#include <bridge/names.hpp>
+#include <bridge/cdr/cdr.hpp>
+#include <bridge/dds/names.hpp>
 #include <tests/support/random_message.hpp>
 #include <tests/unit/bridge/golden_sample.hpp>
 #include <tests/unit/bridge/pieces.hpp>

@@ -4,7 +4,7 @@
 // (cdr_memory_factor), however deep they lie. Method: operator new of this program adds up what is
 // asked for; types are schema tables, whose sequences use it.
 
-#include <bridge/cdr.hpp>
+#include <bridge/cdr/cdr.hpp>
 #include <tests/support/random_message.hpp>
 #include <tests/unit/bridge/golden_sample.hpp>
 #include <tests/unit/bridge/pieces.hpp>

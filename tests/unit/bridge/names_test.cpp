@@ -2,7 +2,7 @@
 //
 // Goal: names go over to DDS and come back, and nothing else comes back.
 
-#include <bridge/names.hpp>
+#include <bridge/dds/names.hpp>
 
 #include <gtest/gtest.h>
 

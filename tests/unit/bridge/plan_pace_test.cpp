@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <bridge/plan_pace.hpp>
+#include <bridge/plan/plan_pace.hpp>
 
 #include <gtest/gtest.h>
 

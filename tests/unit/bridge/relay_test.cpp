@@ -6,7 +6,7 @@
 // the windows; beside it lies somebody else's secret, and a page that nobody may read.
 
 #include <agnocast/relay.hpp>
-#include <bridge/cdr.hpp>
+#include <bridge/cdr/cdr.hpp>
 #include <tests/support/schema_tables.hpp>
 
 #include <gtest/gtest.h>

@@ -4,7 +4,7 @@
 // whatever does not is said why. Method: plan_of() is pure; named situations, and random ones against what DDS's
 // matching rules say of each pair of endpoints.
 
-#include <bridge/routes.hpp>
+#include <bridge/plan/routes.hpp>
 
 #include <gmock/gmock.h>
 

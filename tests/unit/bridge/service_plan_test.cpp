@@ -2,7 +2,7 @@
 //
 // Goal: which services a bridge has, from who serves and who asks on both sides. Method: endpoints as values.
 
-#include <bridge/service_plan.hpp>
+#include <bridge/plan/service_plan.hpp>
 
 #include <agnocast/service_name.hpp>
 

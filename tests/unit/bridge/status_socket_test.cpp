@@ -5,7 +5,7 @@
 // Method: directories and files of that kind, some of another user; what StatusSocket says of them, and that they
 // are as they were. What it gives to who connects is in integration_bridge_ctl.
 
-#include <bridge/status_socket.hpp>
+#include <bridge/program/status_socket.hpp>
 
 #include <tests/support/temporary_directory.hpp>
 

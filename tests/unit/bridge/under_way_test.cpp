@@ -3,7 +3,7 @@
 // Goal: a server has no more requests at once than it has room for answers, however long it answers none. Method: time as a
 // value, completions as pointers.
 
-#include <bridge/under_way.hpp>
+#include <bridge/services/under_way.hpp>
 
 #include <gtest/gtest.h>
 

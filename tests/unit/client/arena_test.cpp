@@ -3,7 +3,7 @@
 // Goal: of the arena a process has what is free and knows what is not, and why. Method: pages of this
 // test in a range that was free a moment before.
 
-#include <client/arena.hpp>
+#include <client/heap/arena.hpp>
 
 #include <gtest/gtest.h>
 

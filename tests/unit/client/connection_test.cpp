@@ -5,9 +5,9 @@
 // Method: the connection of a client over socket pairs; this test answers as the daemon and is its
 // control thread.
 
-#include <client/connection.hpp>
-#include <client/departure.hpp>
-#include <client/reconnection.hpp>
+#include <client/endpoint/departure.hpp>
+#include <client/session/connection.hpp>
+#include <client/session/reconnection.hpp>
 
 #include <gtest/gtest.h>
 

@@ -7,8 +7,8 @@
 // subscription's lines while an honest publisher publishes to it and to an honest one; a publisher that
 // commits between any two loads of a subscription.
 
-#include <client/dataplane/publisher_core.hpp>
-#include <client/dataplane/subscription_core.hpp>
+#include <dataplane/publisher_core.hpp>
+#include <dataplane/subscription_core.hpp>
 #include <journal/board_steps.hpp>
 #include <journal/recovery.hpp>
 #include <tests/support/aligned_region.hpp>
@@ -44,8 +44,8 @@ struct NumberWindow {
   bool contains(std::uint64_t address, std::uint64_t size) const {
     return address >= base && size <= bytes && address - base <= bytes - size;
   }
-  Place place_of(std::uint64_t address, std::uint64_t size) const {
-    return contains(address, size) ? Place::readable : Place::outside;
+  region::Place place_of(std::uint64_t address, std::uint64_t size) const {
+    return contains(address, size) ? region::Place::readable : region::Place::outside;
   }
 };
 
@@ -55,9 +55,9 @@ struct Pair {
   abi::Qos requested{8, false, true, false, false};
 
   static std::uint64_t first() { return abi::first_sequence_of(generation); }
-  TopicWords<M> topic() { return {board.base(), 0}; }
-  PublisherWords<M> words() { return {publisher.base(), extent}; }
-  LinkWords<M> line(std::uint64_t s) { return {subscriber[s].base(), extent, 0}; }
+  region::TopicWords<M> topic() { return {board.base(), 0}; }
+  region::PublisherWords<M> words() { return {publisher.base(), extent}; }
+  region::LinkWords<M> line(std::uint64_t s) { return {subscriber[s].base(), extent, 0}; }
   LinkCore<M> link(std::uint64_t s) {
     return LinkCore<M>(
         {topic(), words(), line(s), 0, generation, first(), offered, requested, 0, 8, s});
@@ -625,7 +625,7 @@ TEST(Dataplane, HoldsEverySlotOfAFullQueueAndSaysWhenThereIsNone) {
   constexpr std::uint64_t index = 7;
   Pair pair;
   Region wide(std::uint64_t{1} << 20), queue(std::uint64_t{1} << 18);
-  const PublisherWords<M> words{queue.base(), extent};
+  const region::PublisherWords<M> words{queue.base(), extent};
   words.head().store(abi::pack_entry(Pair::first(), 0));
   const abi::Qos offered{1, false, true, false, false};
   const abi::Qos requested{1000, false, true, false, false};
@@ -674,7 +674,7 @@ TEST(Dataplane, HoldsEverySlotOfAFullQueueAndSaysWhenThereIsNone) {
 struct LazyPublisher : Pair {
   static constexpr std::uint64_t lazy_limit = 7;
   explicit LazyPublisher(std::uint64_t slots) : queue(std::uint64_t{1} << 18) {
-    const PublisherWords<M> own{queue.base(), extent};
+    const region::PublisherWords<M> own{queue.base(), extent};
     own.head().store(abi::pack_entry(first(), 0));
     journal::BoardSteps<M>(topic()).add_publisher(0, generation,
                                                   {offered, 0, extent, slots, first()});
@@ -767,7 +767,7 @@ TEST(Dataplane, UsesTheSlotsThatThePublisherHasAndThoseThatItGetsLater) {
   constexpr std::uint64_t few = 65, many = 200;
   Pair pair;
   Region queue(std::uint64_t{1} << 18);
-  const PublisherWords<M> words{queue.base(), extent};
+  const region::PublisherWords<M> words{queue.base(), extent};
   words.head().store(abi::pack_entry(Pair::first(), 0));
   const abi::Qos keeps_all{1000, true, true, false, false};  // for late joiners
   journal::BoardSteps<M>(pair.topic())

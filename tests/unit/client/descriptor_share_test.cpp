@@ -7,8 +7,8 @@
 #include <base/map_count.hpp>
 #include <base/memfd.hpp>
 #include <base/unique_fd.hpp>
-#include <client/descriptor_share.hpp>
-#include <client/peer.hpp>
+#include <client/endpoint/peer.hpp>
+#include <client/shares/descriptor_share.hpp>
 
 #include <fcntl.h>
 #include <gtest/gtest.h>

@@ -4,7 +4,7 @@
 // been left, and whoever allocates waits for no other thread. Method: a hook of this test, which does what the test says
 // at the worst moments.
 
-#include <client/heap.hpp>
+#include <client/heap/heap.hpp>
 
 #include <agnocast/abi/client_region.hpp>
 #include <base/mapping.hpp>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <client/machine_memory.hpp>
+#include <client/shares/machine_memory.hpp>
 #include <tests/support/temporary_directory.hpp>
 
 #include <gtest/gtest.h>

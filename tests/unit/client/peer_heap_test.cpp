@@ -7,8 +7,8 @@
 #include <base/kept_fd.hpp>
 #include <base/mapping.hpp>
 #include <base/memfd.hpp>
-#include <client/address_users.hpp>
-#include <client/peer_heap.hpp>
+#include <client/heap/address_users.hpp>
+#include <client/heap/peer_heap.hpp>
 #include <tests/support/aligned_region.hpp>
 
 #include <agnocast/abi/client_region.hpp>
@@ -24,7 +24,7 @@
 namespace agnocast {
 namespace {
 
-using dataplane::Place;
+using region::Place;
 
 constexpr std::uint64_t window_bytes = 4 << 20;
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <client/reader_shares.hpp>
+#include <client/shares/reader_shares.hpp>
 
 #include <gtest/gtest.h>
 

@@ -5,7 +5,7 @@
 // single allocation in turn outside the arena, then with random ones; an oracle that knows the origin of each allocation
 // says what must be found. --seed=N repeats one random run, --runs=N makes more of them.
 
-#include "client/message_plan.hpp"
+#include "client/api/message_plan.hpp"
 #include "tests/support/tagging_heap.hpp"
 #include "tests/unit/client/message_oracle.hpp"
 

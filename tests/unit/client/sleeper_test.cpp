@@ -4,9 +4,9 @@
 // child of fork that destroys its copy changes nothing. Method: real epoll sets and forks, a page as the
 // client region, bells as the daemon makes them.
 
-#include <client/sleeper.hpp>
+#include <client/process/sleeper.hpp>
 
-#include <client/forked_child.hpp>
+#include <client/process/forked_child.hpp>
 #include <tests/support/child.hpp>
 
 #include <gtest/gtest.h>

@@ -3,11 +3,11 @@
 // Goal: a claimed region says that its process lives, as long as it does and no longer, and nobody else can
 // say it. Method: memfds as the daemon makes them, real processes, real SIGKILL.
 
-#include <client/sparse_region.hpp>
+#include <client/heap/sparse_region.hpp>
 
 #include <base/kept_fd.hpp>
 #include <base/memfd.hpp>
-#include <client/forked_child.hpp>
+#include <client/process/forked_child.hpp>
 #include <tests/support/child.hpp>
 
 #include <fcntl.h>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <client/unmapped_users.hpp>
+#include <client/shares/unmapped_users.hpp>
 
 #include <gtest/gtest.h>
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <client/user_bans.hpp>
+#include <client/shares/user_bans.hpp>
 
 #include <gtest/gtest.h>
 

@@ -4,8 +4,8 @@
 // of its words. Method: command lines against a table of commands of this test's own; that a new row
 // is all a command needs is shown by having one. The texts of errors are in ctl_test.cpp.
 
-#include <ctl/commands.hpp>
-#include <ctl/console.hpp>
+#include <ctl/cli/commands.hpp>
+#include <ctl/cli/console.hpp>
 
 #include <gtest/gtest.h>
 

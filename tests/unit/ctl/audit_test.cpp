@@ -4,7 +4,7 @@
 // reads nothing that is not there. Method: systems made by hand on plain memory: one that is sound,
 // then one mistake at a time.
 
-#include <ctl/audit.hpp>
+#include <ctl/snapshot/audit.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/memfd.hpp>
@@ -46,13 +46,13 @@ struct Made {
     add_endpoint(wire::Kind::publisher, 0, 0, 11, abi::page_bytes);
     add_endpoint(wire::Kind::subscription, 0, 1, 12, abi::page_bytes);
     const std::uint64_t first = publisher().facts.first_sequence;
-    const dataplane::PublisherWords<M> queue{system.processes.at(0).region.base(), abi::page_bytes};
+    const region::PublisherWords<M> queue{system.processes.at(0).region.base(), abi::page_bytes};
     queue_words = queue;
     SharedMemory::word(queue.region, queue.extent).store(abi::pack_entry(first, 0));
   }
   Endpoint& publisher() { return system.topics.at(1).publishers.at(0); }
   Endpoint& subscription() { return system.topics.at(1).subscriptions.at(0); }
-  dataplane::TopicWords<M> words() { return system.words_of(system.topics.at(1)); }
+  region::TopicWords<M> words() { return system.words_of(system.topics.at(1)); }
 
   void add_process(std::uint64_t index) {
     Process process;
@@ -112,7 +112,7 @@ struct Made {
 
   System system;
   std::vector<std::uint64_t> board;
-  dataplane::PublisherWords<M> queue_words{};
+  region::PublisherWords<M> queue_words{};
 };
 
 TEST(Audit, FindsNothingWhereNothingIsWrong) {
@@ -179,7 +179,7 @@ TEST(Audit, ReadsNothingThatIsNotThere) {
   made.words().publisher_high().store(~std::uint64_t{0});
   made.words().subscription_high().store(~std::uint64_t{0});
   made.system.processes.at(0).region.reset();
-  dataplane::LinkWords<M> line{made.system.processes.at(1).region.base(), abi::page_bytes, 253};
+  region::LinkWords<M> line{made.system.processes.at(1).region.base(), abi::page_bytes, 253};
   line.publisher_generation().store(~std::uint64_t{0});
   line.cursor().store(~std::uint64_t{0});
   const Audit seen = audit(made.system, region_bytes);

@@ -4,9 +4,9 @@
 // real table of commands, names of this test's own; each word typed so far, one after the other.
 
 #include <agnocast/error.hpp>
-#include <ctl/completion.hpp>
-#include <ctl/help.hpp>
-#include <ctl/manual.hpp>
+#include <ctl/cli/help.hpp>
+#include <ctl/cli/manual.hpp>
+#include <ctl/commands/completion.hpp>
 
 #include <gmock/gmock.h>
 

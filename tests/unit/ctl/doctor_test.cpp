@@ -4,7 +4,7 @@
 // exactly one is named. Method: the functions alone, and facts made up.
 
 #include <agnocast/error.hpp>
-#include <ctl/doctor_facts.hpp>
+#include <ctl/doctor/doctor_facts.hpp>
 
 #include <gtest/gtest.h>
 

@@ -3,7 +3,7 @@
 // Goal: a filter accepts what its expression says, and one that makes no sense for the type is refused
 // where it goes wrong. Method: expressions over one message.
 
-#include <ctl/filter.hpp>
+#include <ctl/messages/filter.hpp>
 #include <tests/unit/ctl/made_message.hpp>
 
 #include <gmock/gmock.h>

@@ -4,7 +4,7 @@
 // of it, and names of others cannot write into a terminal. Method: records made by hand; every type
 // there is; the sentences that matter word by word.
 
-#include <ctl/journal.hpp>
+#include <ctl/snapshot/journal.hpp>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -4,7 +4,7 @@
 #pragma once
 
 #include <agnocast/generic.hpp>
-#include <ctl/message_value.hpp>
+#include <ctl/messages/message_value.hpp>
 
 #include <utility>
 

@@ -4,8 +4,8 @@
 // refused with its place. Method: random messages of every type of interfaces/, by the table; texts
 // written by hand.
 
-#include <ctl/message_read.hpp>
-#include <ctl/message_text.hpp>
+#include <ctl/messages/message_read.hpp>
+#include <ctl/messages/message_text.hpp>
 #include <every_message_name.hpp>
 #include <tests/support/random_message.hpp>
 #include <tests/unit/ctl/made_message.hpp>

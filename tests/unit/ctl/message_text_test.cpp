@@ -3,7 +3,7 @@
 // Goal: messages are printed as `ros2 topic echo` prints them, and nothing reaches a terminal that
 // could steer it. Method: messages filled by hand, whole texts compared.
 
-#include <ctl/message_text.hpp>
+#include <ctl/messages/message_text.hpp>
 #include <tests/unit/ctl/made_message.hpp>
 
 #include <gmock/gmock.h>

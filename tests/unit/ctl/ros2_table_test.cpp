@@ -3,7 +3,7 @@
 // Goal: what docs/ctl.md says of ros2's flags is true: who is called the same is there, in the same
 // spelling, and nobody else is without a reason. Method: its table against the table of commands.
 
-#include <ctl/commands.hpp>
+#include <ctl/cli/commands.hpp>
 
 #include <gtest/gtest.h>
 

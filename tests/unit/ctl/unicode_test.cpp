@@ -3,7 +3,7 @@
 // Goal: only well-formed text is taken for text. Method: every letter there and back; the malformed
 // forms of the Unicode standard's own table.
 
-#include <ctl/unicode.hpp>
+#include <ctl/cli/unicode.hpp>
 
 #include <gmock/gmock.h>
 

@@ -5,7 +5,7 @@
 
 #include <agnocast/topic_pattern.hpp>
 #include <base/names.hpp>
-#include <daemon/access.hpp>
+#include <daemon/config/access.hpp>
 
 #include <gtest/gtest.h>
 

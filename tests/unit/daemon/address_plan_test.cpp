@@ -4,7 +4,7 @@
 // given out lowest first and never twice. Method: numbers in, numbers out.
 
 #include <agnocast/abi/limits.hpp>
-#include <daemon/address_plan.hpp>
+#include <daemon/state/address_plan.hpp>
 
 #include <gtest/gtest.h>
 

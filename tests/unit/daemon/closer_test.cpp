@@ -4,7 +4,7 @@
 // Method: a manager of our own that takes its time; the write end of a pipe, whose reader sees when it
 // is closed.
 
-#include <daemon/closer.hpp>
+#include <daemon/transport/closer.hpp>
 
 #include <fcntl.h>
 #include <gtest/gtest.h>

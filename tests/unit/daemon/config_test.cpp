@@ -4,7 +4,7 @@
 // reads back to the same. Method: a table of mistakes with exact texts, the sample file, and random
 // configurations (seeded). User and group names are the test's own.
 
-#include <daemon/config.hpp>
+#include <daemon/config/config.hpp>
 
 #include "tests/support/child.hpp"
 #include "tests/support/temporary_directory.hpp"

@@ -4,7 +4,7 @@
 // each, and what nobody takes is removed. Method: a manager of our own: a socket for the datagrams,
 // and a child that gets descriptors as LISTEN_FDS.
 
-#include <daemon/descriptor_store.hpp>
+#include <daemon/transport/descriptor_store.hpp>
 #include <tests/support/child.hpp>
 #include <tests/support/own_process.hpp>
 

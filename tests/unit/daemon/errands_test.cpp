@@ -3,7 +3,7 @@
 // Goal: the threads of errands need no memory of their own to go on.
 // Method: this program's own operator new, which fails in every thread that has run an errand.
 
-#include <daemon/errands.hpp>
+#include <daemon/transport/errands.hpp>
 
 #include <gtest/gtest.h>
 

@@ -5,8 +5,8 @@
 // its slots; and who comes late gets something. Method: users of the pool alone, the greediest and
 // random ones (seeded), and the registry with publishers of every user, over many lives of the daemon.
 
-#include <daemon/hold_pool.hpp>
-#include <daemon/registry.hpp>
+#include <daemon/state/hold_pool.hpp>
+#include <daemon/state/registry.hpp>
 #include <tests/support/registry_memory.hpp>
 
 #include <gtest/gtest.h>

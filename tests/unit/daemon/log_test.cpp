@@ -5,7 +5,7 @@
 
 #include <base/log.hpp>
 #include <base/unique_fd.hpp>
-#include <daemon/log_events.hpp>
+#include <daemon/process/log_events.hpp>
 #include <tests/support/child.hpp>
 #include <tests/support/temporary_directory.hpp>
 

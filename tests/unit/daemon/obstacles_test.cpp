@@ -4,7 +4,7 @@
 // can have the whole arena avoided. Method: claims in, obstacles and choices out.
 
 #include <agnocast/abi/limits.hpp>
-#include <daemon/obstacles.hpp>
+#include <daemon/state/obstacles.hpp>
 
 #include <gtest/gtest.h>
 

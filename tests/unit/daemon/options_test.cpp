@@ -4,7 +4,7 @@
 // found where users look for it. Method: tables with exact texts; the surroundings are values.
 
 #include <agnocast/version.hpp>
-#include <daemon/options.hpp>
+#include <daemon/config/options.hpp>
 
 #include "tests/support/temporary_directory.hpp"
 

@@ -5,7 +5,7 @@
 // Method: registry, membership and regions as the daemon has them, processes without connections; time that is
 // over at once, so that each call is one step; what a step does is counted in records of the redo log.
 
-#include <daemon/reaper.hpp>
+#include <daemon/death/reaper.hpp>
 #include <tests/support/daemon_core.hpp>
 
 #include <gtest/gtest.h>

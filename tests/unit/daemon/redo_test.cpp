@@ -6,7 +6,7 @@
 // already changed (every subset when they are few, else each one, all but each one, and all beginnings
 // and ends), the record left committed and not applied, and a new registry opened over it.
 
-#include <daemon/registry.hpp>
+#include <daemon/state/registry.hpp>
 #include <tests/support/registry_memory.hpp>
 
 #include <gtest/gtest.h>

@@ -3,7 +3,7 @@
 // Goal: what was refused lately is kept, bounded, and nobody pushes out what others were refused.
 // Method: refusals as values.
 
-#include <daemon/refusals.hpp>
+#include <daemon/state/refusals.hpp>
 
 #include <gtest/gtest.h>
 

@@ -3,7 +3,7 @@
 // Goal: regions and the kernel's limits. What is handed out of them, and to whom, is in the
 // integration tests; here is what those cannot bring about.
 
-#include <daemon/regions.hpp>
+#include <daemon/lifecycle/regions.hpp>
 
 #include <gtest/gtest.h>
 

@@ -7,7 +7,7 @@
 // model; a death simulated at every record by leaving it committed and not applied.
 
 #include <agnocast/abi/fingerprint.hpp>
-#include <daemon/registry.hpp>
+#include <daemon/state/registry.hpp>
 #include <tests/support/registry_memory.hpp>
 
 #include <gtest/gtest.h>
@@ -444,7 +444,7 @@ TEST_F(RegistryTest, MakesTheBoardSayWhatTheTablesSay) {
   const ClientIndex a = client();
   const TopicIndex t = topic();
   const auto p = publisher(a, t);
-  const dataplane::TopicWords<SharedMemory> words{memory.board(), abi::topic_offset(number(t))};
+  const region::TopicWords<SharedMemory> words{memory.board(), abi::topic_offset(number(t))};
   Registry later(memory.parts());
   ASSERT_TRUE(later.open());
   const std::uint64_t epoch = words.epoch().load(std::memory_order_relaxed);

@@ -4,7 +4,7 @@
 // is inside every table. Method: one honest packet of each kind, one wrong field at a time; then
 // seeded random packets, which under AddressSanitizer lie at the end of their allocation.
 
-#include <daemon/requests.hpp>
+#include <daemon/transport/requests.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
 

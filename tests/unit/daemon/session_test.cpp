@@ -3,7 +3,7 @@
 // Goal: what a session remembers of what its process was told says so, and has a bound. Method: the books
 // alone, without a socket, and with the membership that asks them.
 
-#include <daemon/session.hpp>
+#include <daemon/transport/session.hpp>
 #include <tests/support/daemon_core.hpp>
 
 #include <gtest/gtest.h>

@@ -3,7 +3,7 @@
 // Goal: a datagram of the notification protocol means what sd_notify(3) says, and one that is broken
 // means nothing. Method: the parser alone, on exact and on random bytes.
 
-#include <daemon/supervisor.hpp>
+#include <daemon/process/supervisor.hpp>
 
 #include <gtest/gtest.h>
 

@@ -5,9 +5,9 @@
 // Method: registry, membership and regions as the daemon has them, processes without connections. One user has
 // thousands of lines (of things that are over), another one a few, and one that is wrong; looks are counted.
 
-#include <client/dataplane/views.hpp>
-#include <daemon/hold_watch.hpp>
-#include <daemon/let_go_watch.hpp>
+#include <daemon/death/hold_watch.hpp>
+#include <daemon/death/let_go_watch.hpp>
+#include <region/views.hpp>
 #include <tests/support/daemon_core.hpp>
 
 #include <gtest/gtest.h>
@@ -22,7 +22,7 @@ class WatchesTest : public testing::Test {
  protected:
   WatchesTest() : core({.publishers_per_topic = 64}) {}
 
-  dataplane::LinkWords<SharedMemory> line(const EndpointRef& subscription, std::uint32_t publisher) {
+  region::LinkWords<SharedMemory> line(const EndpointRef& subscription, std::uint32_t publisher) {
     const SubscriptionRecord& record =
         core.registry.subscription(subscription.topic, subscription.index);
     return {core.regions.region(record.client), record.extent, publisher};

@@ -7,7 +7,7 @@
 // announce set, announcement book and redo log are run for every combination of theirs.
 
 #include <agnocast/abi/client_region.hpp>
-#include <client/dataplane/publisher_core.hpp>
+#include <dataplane/publisher_core.hpp>
 #include <journal/announce_set.hpp>
 #include <journal/board_steps.hpp>
 #include <journal/cases.hpp>
@@ -146,8 +146,8 @@ bool pass_keeps(const std::array<std::uint8_t, 5>& found) {
   constexpr std::uint64_t generation = 9, extent = abi::page_bytes, member = 1;
   const std::uint64_t first = abi::first_sequence_of(generation);
   test::AlignedRegion board{abi::topic_bytes}, publisher, subscriber;
-  const dataplane::TopicWords<M> topic{board.base(), 0};
-  const dataplane::PublisherWords<M> words{publisher.base(), extent};
+  const region::TopicWords<M> topic{board.base(), 0};
+  const region::PublisherWords<M> words{publisher.base(), extent};
   const abi::Qos offered{4, false, true, false, false}, requested{8, false, true, false, false};
   words.head().store(abi::pack_entry(first, 0));
   BoardSteps<M> steps(topic);
@@ -165,7 +165,7 @@ bool pass_keeps(const std::array<std::uint8_t, 5>& found) {
   const std::uint64_t sequence = first + 1;
   std::uint64_t slot = 0;
   while (words.slot_id(slot).load() != sequence) ++slot;
-  const dataplane::LinkWords<M> line{subscriber.base(), extent, 0};
+  const region::LinkWords<M> line{subscriber.base(), extent, 0};
   line.publisher_generation().store(found[2] == remains::linked ? generation : generation - 1);
   line.hold(0).store(found[3] == remains::held ? std::uint64_t{1} << slot : 0);
   line.cursor().store(found[4] == remains::past ? sequence + 1 : sequence);

@@ -1,0 +1,60 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Announced: DDS writers of publishers of this host that nobody in DDS reads. They make the topic visible there
+// (`ros2 topic list`, and `echo` and `hz` without a type); nothing subscribes to the publisher on this host and nothing is
+// written.
+//
+//   announced ── a reader comes ──▶ outlet (takes the writer over) ── the last reader goes ──▶ announced, with a new writer
+//
+// A new one, since an outlet's writer has a history, which the next reader would get beside the publisher's own.
+// One thread, the participant's. Called by bridge.cpp.
+#pragma once
+
+#include <bridge/common/reaper.hpp>
+#include <bridge/dds/participant.hpp>
+#include <bridge/plan/routes.hpp>
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
+#include <string>
+
+namespace agnocast::bridge {
+
+/// The writer of a publisher in DDS.
+[[nodiscard]] DdsResult<std::unique_ptr<DdsWriter>> create_writer_of(DdsParticipant& participant,
+                                                                     const Outlet& outlet);
+
+class Announced {
+ public:
+  using Refused = std::function<void(const std::string& what, const std::string& why)>;
+  /// `reaper` ends the writers, and must outlive it.
+  explicit Announced(Reaper& reaper) : reaper_(reaper) {}
+
+  /// Ends every writer whose publisher the plan neither announces nor has an outlet for, or has with another QoS.
+  void end_others(const Plan& plan);
+  /// Returns the writer of this publisher, which is not announced any longer; null if there is none.
+  std::unique_ptr<DdsWriter> take_over(std::uint64_t publisher);
+  /// Makes the writers that the plan has and that are not there. `refused` is told what could not be made.
+  void open(const Plan& plan, DdsParticipant& participant, const Refused& refused);
+  void clear();
+
+  std::size_t size() const noexcept { return writers_.size(); }
+  template <class Look>
+  void for_each(Look look) const {
+    for (const auto& [publisher, one] : writers_) look(one.plan, *one.writer);
+  }
+
+ private:
+  struct One {
+    Outlet plan;
+    std::unique_ptr<DdsWriter> writer;
+  };
+
+  Reaper& reaper_;
+  std::map<std::uint64_t, One> writers_;  // by generation of the publisher
+};
+
+}  // namespace agnocast::bridge

@@ -1,0 +1,292 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <bridge/program/config.hpp>
+
+#include <agnocast/topic_pattern.hpp>
+#include <bridge/dds/names.hpp>
+
+#include <toml++/toml.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <fstream>
+#include <iterator>
+#include <string_view>
+#include <utility>
+
+namespace agnocast::bridge {
+namespace {
+
+// DDS has ports for so many (RTPS 2.3, 9.6.1.1), and ROS says the same.
+constexpr std::int64_t domain_max = 232;
+
+// DDS keeps that many for each reader; more is a mistake.
+constexpr std::int64_t depth_max = 100'000;
+
+constexpr ConfigKey keys[] = {
+    {"domain", "0 to 232; else ROS_DOMAIN_ID, else 0",
+     "The domain of DDS and of the nodes of this host that are bridged"},
+    {"discovery_info", R"("humble", "iron" or "detect")",
+     "Layout of ros_discovery_info that is spoken: until Humble, since Iron, or as most others do"},
+    {"type_paths", R"(["/opt/robot/lib"])",
+     "Where libraries of message packages are, beside AMENT_PREFIX_PATH"},
+    {"log_level", R"("error", "warning", "notice", "info" or "debug")", "What is logged"},
+    {"default", R"("both", "out", "in" or "none")",
+     "The direction of topics and services that no rule speaks of"},
+    {"announce", "true or false",
+     "Announce a publisher of this host in DDS also while nobody there reads it, so that ros2 topic "
+     "list shows its topic"},
+    {"topic.name", R"("/lidar/**")",
+     "Topics and services that the rule is of; the first rule that matches decides"},
+    {"topic.type", R"("std_msgs/msg/String")", "Only topics or services of this type"},
+    {"topic.direction", R"("both", "out", "in" or "none")",
+     "out: from this host to DDS, in: from DDS to this host"},
+    {"topic.always", "true or false",
+     "Also while nobody is on the other side: a publisher of this host is written to DDS although "
+     "nobody reads it "
+     "there, and what is written there is published here although nobody subscribes"},
+    {"topic.to_dds.reliability", R"("reliable" or "best_effort")",
+     "What writers in DDS offer; else what the publisher does"},
+    {"topic.to_dds.durability", R"("transient_local" or "volatile")", "The same"},
+    {"topic.to_dds.depth", "1 to 100000", "Of their history, which is keep-last then"},
+    {"topic.from_dds.reliability", R"("reliable" or "best_effort")",
+     "What readers in DDS request; else what the writer offers"},
+    {"topic.from_dds.durability", R"("transient_local" or "volatile")", "The same"},
+    {"topic.from_dds.depth", "1 to 100000", "Of their history"},
+};
+
+/// "known here: a, b": the keys below `prefix`.
+std::string known_below(std::string_view prefix) {
+  std::string text = "known here: ", last;
+  for (const ConfigKey& key : keys) {
+    if (!key.name.starts_with(prefix)) continue;
+    const std::string_view rest = key.name.substr(prefix.size());
+    std::string name(rest.substr(0, rest.find('.')));
+    if (name == last) continue;
+    if (!last.empty()) text += ", ";
+    text += name == "topic" ? "[[topic]]" : name;
+    last = std::move(name);
+  }
+  return text;
+}
+
+class Reader {
+ public:
+  explicit Reader(std::string file) : file_(std::move(file)) {}
+
+  tl::expected<Config, std::vector<ConfigError>> read(const toml::table& root) {
+    for (const auto& [key, node] : root) {
+      const std::string_view name = key.str();
+      if (name == "domain") {
+        read_domain(node);
+      } else if (name == "discovery_info") {
+        read_layout(node);
+      } else if (name == "type_paths") {
+        read_paths(node);
+      } else if (name == "log_level") {
+        config_.log_level = log_level_of(node.value_or(std::string()));
+        if (!config_.log_level)
+          report(node.source(), name, "this is no level",
+                 R"(write "error", "warning", "notice", "info" or "debug")");
+      } else if (name == "default") {
+        read_direction(node, "default", config_.bridge.otherwise);
+      } else if (name == "announce") {
+        if (!node.is_boolean()) report(node.source(), name, "this is neither", "write true or false");
+        config_.bridge.announce = node.value_or(true);
+      } else if (name == "topic") {
+        read_topics(node);
+      } else {
+        report(key.source(), name, "unknown key", known_below(""));
+      }
+    }
+    if (errors_.empty()) return std::move(config_);
+    // Keys of a table come in the order of the alphabet.
+    std::stable_sort(errors_.begin(), errors_.end(), [](const auto& a, const auto& b) {
+      return std::pair(a.first.line, a.first.column) < std::pair(b.first.line, b.first.column);
+    });
+    std::vector<ConfigError> errors;
+    for (auto& [place, error] : errors_) errors.push_back(std::move(error));
+    return tl::unexpected(std::move(errors));
+  }
+
+ private:
+  void report(const toml::source_region& place, std::string_view key, std::string what,
+              std::string remedy) {
+    errors_.emplace_back(
+        place.begin, ConfigError{file_ + ':' + std::to_string(place.begin.line) + ':' +
+                                     std::to_string(place.begin.column) + ": " + std::string(key),
+                                 std::move(what), std::move(remedy)});
+  }
+
+  void read_domain(const toml::node& node) {
+    const auto* const number = node.as_integer();
+    if (number == nullptr || number->get() < 0 || number->get() > domain_max)
+      return report(node.source(), "domain", "this is no domain", "write a number from 0 to 232");
+    config_.domain = static_cast<std::uint32_t>(number->get());
+  }
+  void read_layout(const toml::node& node) {
+    const std::string text = node.value_or(std::string());
+    if (text == "humble") {
+      config_.bridge.speak = RosGraph::Speak::humble;
+    } else if (text == "iron") {
+      config_.bridge.speak = RosGraph::Speak::iron;
+    } else if (text == "detect") {
+      config_.bridge.speak = RosGraph::Speak::detect;
+    } else {
+      report(node.source(), "discovery_info", "this is no layout",
+             R"(write "humble", "iron" (and what came later) or "detect")");
+    }
+  }
+  void read_paths(const toml::node& node) {
+    const auto* const list = node.as_array();
+    if (list == nullptr)
+      return report(node.source(), "type_paths", "this is no list",
+                    R"(write directories: ["/opt/robot/lib"])");
+    for (const toml::node& element : *list) {
+      const std::string path = element.value_or(std::string());
+      if (path.empty() || path[0] != '/') {
+        report(element.source(), "type_paths", "this is no absolute path",
+               R"(write directories: ["/opt/robot/lib"])");
+      } else {
+        config_.bridge.type_paths.push_back(path);
+      }
+    }
+  }
+  void read_topics(const toml::node& node) {
+    const auto* const list = node.as_array();
+    if (list == nullptr)
+      return report(node.source(), "topic", "this is no table", "write [[topic]]");
+    for (const toml::node& element : *list) {
+      if (const auto* const table = element.as_table()) {
+        read_topic(*table);
+      } else {
+        report(element.source(), "topic", "this is no table", "write [[topic]]");
+      }
+    }
+  }
+  void read_direction(const toml::node& node, std::string_view key, Direction& direction) {
+    const std::string text = node.value_or(std::string());
+    if (text == "both") {
+      direction = Direction::both;
+    } else if (text == "out") {
+      direction = Direction::outward;
+    } else if (text == "in") {
+      direction = Direction::inward;
+    } else if (text == "none") {
+      direction = Direction::none;
+    } else {
+      report(node.source(), key, "this is no direction", R"(write "both", "out", "in" or "none")");
+    }
+  }
+  /// One of two words; the first is true.
+  void read_choice(const toml::node& node, const std::string& key, const char* yes, const char* no,
+                   std::optional<bool>& value) {
+    const std::string text = node.value_or(std::string());
+    if (text == yes || text == no) {
+      value = text == yes;
+    } else {
+      report(node.source(), key, "this is none",
+             std::string("write \"") + yes + "\" or \"" + no + '"');
+    }
+  }
+  void read_qos(const toml::node& node, const std::string& where, QosOverride& qos) {
+    const auto* const table = node.as_table();
+    if (table == nullptr)
+      return report(node.source(), where, "this is no table",
+                    R"(write { reliability = "best_effort", depth = 1 })");
+    for (const auto& [key, value] : *table) {
+      const std::string name = where + '.' + std::string(key.str());
+      if (key.str() == "reliability") {
+        read_choice(value, name, "reliable", "best_effort", qos.reliable);
+      } else if (key.str() == "durability") {
+        read_choice(value, name, "transient_local", "volatile", qos.transient_local);
+      } else if (key.str() == "depth") {
+        const auto* const number = value.as_integer();
+        if (number == nullptr || number->get() < 1 || number->get() > depth_max) {
+          report(value.source(), name, "this is no depth",
+                 "write a number from 1 to " + std::to_string(depth_max));
+        } else {
+          qos.depth = static_cast<std::size_t>(number->get());
+        }
+      } else {
+        report(key.source(), name, "unknown key", known_below(where + '.'));
+      }
+    }
+  }
+  void read_topic(const toml::table& table) {
+    Rule rule;
+    rule.line = table.source().begin.line;
+    bool has_name = false;
+    for (const auto& [key, node] : table) {
+      const std::string text = node.value_or(std::string());
+      const std::string name = "topic." + std::string(key.str());
+      if (name == "topic.name") {
+        has_name = true;
+        rule.topic = text;
+        if (const auto problem = topic_pattern_problem(text))
+          report(node.source(), name, *problem, R"(write a pattern of topic names: "/lidar/**")");
+      } else if (name == "topic.type") {
+        rule.type = text;
+        if (!dds_type_of(text))
+          report(node.source(), name, "this is no type of ROS",
+                 R"(write it as "std_msgs/msg/String")");
+      } else if (name == "topic.direction") {
+        read_direction(node, name, rule.direction);
+      } else if (name == "topic.always") {
+        if (!node.is_boolean())
+          report(node.source(), name, "this is neither", "write true or false");
+        rule.always = node.is_boolean() && node.value_or(false);
+      } else if (name == "topic.to_dds") {
+        read_qos(node, name, rule.to_dds);
+      } else if (name == "topic.from_dds") {
+        read_qos(node, name, rule.from_dds);
+      } else {
+        report(key.source(), name, "unknown key", known_below("topic."));
+      }
+    }
+    if (!has_name) report(table.source(), "topic", "it has no name", R"(write name = "/lidar/**")");
+    if (rule.always) check_always(rule, table);
+    config_.bridge.rules.push_back(std::move(rule));
+  }
+  void check_always(const Rule& rule, const toml::table& table) {
+    if (!dds_topic_of({DdsTopicKind::topic, rule.topic}))
+      report(table.source(), "topic.always", "it is said of a pattern, which names no topic",
+             R"(write the whole name: name = "/map")");
+    if (goes(rule.direction, Direction::inward) && rule.type.empty())
+      report(table.source(), "topic.always", "nobody says its type while nobody subscribes",
+             R"(write type = "nav_msgs/msg/OccupancyGrid", or direction = "out")");
+  }
+
+  std::string file_;
+  Config config_;
+  std::vector<std::pair<toml::source_position, ConfigError>> errors_;
+};
+
+}  // namespace
+
+std::span<const ConfigKey> config_keys() noexcept { return keys; }
+
+tl::expected<Config, std::vector<ConfigError>> parse_config(const std::string& text,
+                                                            const std::string& name) {
+  try {
+    return Reader(name).read(toml::parse(text, name));
+  } catch (const toml::parse_error& error) {
+    return tl::unexpected(
+        std::vector<ConfigError>{{name + ':' + std::to_string(error.source().begin.line) + ':' +
+                                      std::to_string(error.source().begin.column),
+                                  std::string(error.description()), "write it as TOML"}});
+  }
+}
+
+tl::expected<Config, std::vector<ConfigError>> load_config(const std::string& path) {
+  std::ifstream file(path);
+  (void)file.peek();  // a directory can be opened, not read; a file may be empty
+  if (!file.is_open() || file.bad())
+    return tl::unexpected(std::vector<ConfigError>{
+        {path, std::string("it cannot be read: ") + std::strerror(errno), "ls -l " + path}});
+  file.clear();
+  return parse_config({std::istreambuf_iterator<char>(file), {}}, path);
+}
+
+}  // namespace agnocast::bridge

@@ -1,0 +1,163 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <bridge/program/options.hpp>
+
+#include <agnocast/version.hpp>
+#include <base/text.hpp>
+
+#include <CLI/CLI.hpp>
+
+#include <unistd.h>
+
+#include <cstdio>
+#include <string_view>
+
+namespace agnocast::bridge {
+namespace {
+
+constexpr const char* help_hint = "agnocast-bridge --help";
+constexpr std::uint32_t domain_max = 232;
+
+// What the parser writes to.
+struct Values {
+  std::string config, socket, status_socket, log_level;
+  std::uint32_t domain = 0;
+  bool check_config = false, version = false;
+};
+
+void describe(CLI::App& app, Values& values) {
+  app.add_option("--config", values.config,
+                 "configuration; else /etc/agnocast/bridge-N.toml of the --domain N, else "
+                 "/etc/agnocast/bridge.toml, if it exists")
+      ->type_name("FILE");
+  app.add_option("--domain", values.domain,
+                 "of DDS, and of the nodes of this host that are bridged, 0 to 232; else as the "
+                 "configuration says, else ROS_DOMAIN_ID, else 0")
+      ->check(CLI::Range(0U, domain_max))
+      ->type_name("N");
+  app.add_option("--socket", values.socket, "where agnocastd listens; else AGNOCAST_SOCKET")
+      ->type_name("PATH");
+  app.add_option("--status-socket", values.status_socket,
+                 "where agnocast-ctl bridge asks; else AGNOCAST_BRIDGE_SOCKET, else "
+                 "bridge-N.sock in $RUNTIME_DIRECTORY or beside agnocastd's socket")
+      ->type_name("PATH");
+  app.add_option("--log-level", values.log_level,
+                 "error, warning, notice, info (the default) or debug")
+      ->type_name("LEVEL");
+  app.add_flag("--check-config", values.check_config,
+               "look for mistakes in the configuration and in CYCLONEDDS_URI, and end");
+  app.add_flag("--version", values.version, "print the version and end");
+  app.set_help_flag("--help", "print this and end");
+}
+
+std::string section(const char* title, const std::vector<HelpText>& texts) {
+  std::string text = std::string(title) + ":\n";
+  for (const HelpText& each : texts) {
+    std::string name = "  " + each.name;
+    name.resize(std::max<std::size_t>(name.size() + 2, 30), ' ');
+    text += name + each.meaning + '\n';
+  }
+  return text;
+}
+
+}  // namespace
+
+std::string complaint(const std::string& what, const std::string& hint) {
+  return "agnocast-bridge: " + what + "\nhint: " + hint + '\n';
+}
+
+std::vector<HelpText> option_texts() {
+  Values values;
+  CLI::App app;
+  describe(app, values);
+  std::vector<HelpText> texts;
+  for (const CLI::Option* const option : app.get_options()) {
+    const bool has_value = option->get_expected_max() != 0;
+    // Behind the colon stands what is checked, which the meaning says as well.
+    const std::string value = has_value ? option->get_type_name() : std::string();
+    texts.push_back(
+        {option->get_name(), value.substr(0, value.find(':')), option->get_description()});
+  }
+  return texts;
+}
+
+std::vector<HelpText> environment_texts() {
+  return {
+      {"AGNOCAST_SOCKET", "", "where agnocastd listens"},
+      {"AGNOCAST_BRIDGE_SOCKET", "", "where agnocast-ctl bridge asks"},
+      {"ROS_DOMAIN_ID", "", "the domain"},
+      {"CYCLONEDDS_URI", "", "configuration of Cyclone DDS: interfaces, peers, multicast"},
+      {"AMENT_PREFIX_PATH", "", "where libraries of message packages are, beside type_paths"},
+      {"RUNTIME_DIRECTORY, NOTIFY_SOCKET, WATCHDOG_USEC", "", "what systemd says"},
+  };
+}
+
+std::vector<HelpText> exit_texts() {
+  return {
+      {"0", "", "ended by SIGTERM or SIGINT, or what was asked for is printed"},
+      {"1", "", "it cannot run here: configuration, DDS, or another bridge of this domain"},
+      {"2", "", "wrong usage"},
+  };
+}
+
+std::variant<Options, Exit> parse_options(int argc, const char* const* argv) {
+  Values values;
+  CLI::App app(
+      "Topics and services of this host in a DDS domain, as ROS 2 has them, and the other way "
+      "round.",
+      "agnocast-bridge");
+  describe(app, values);
+  app.footer(section("Signals", {{"SIGHUP", "", "read the configuration again"},
+                                 {"SIGTERM, SIGINT", "", "end"}}) +
+             '\n' + section("Environment", environment_texts()) + '\n' +
+             section("Exit status", exit_texts()));
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::CallForHelp&) {
+    return Exit{0, app.help(), ""};
+  } catch (const CLI::ParseError& error) {
+    return Exit{2, "", complaint(escaped(error.what()), help_hint)};
+  }
+  if (values.version) {
+    char text[64];
+    std::snprintf(text, sizeof text, "agnocast-bridge %d.%d.%d\n", AGNOCAST_VERSION_MAJOR,
+                  AGNOCAST_VERSION_MINOR, AGNOCAST_VERSION_PATCH);
+    return Exit{0, text, ""};
+  }
+  Options options;
+  options.check_config = values.check_config;
+  for (const auto& [name, value, target] :
+       {std::tuple("--config", &values.config, &options.config),
+        std::tuple("--socket", &values.socket, &options.socket),
+        std::tuple("--status-socket", &values.status_socket, &options.status_socket)}) {
+    if (app.count(name) == 0) continue;
+    if (value->empty())
+      return Exit{2, "", complaint(std::string(name) + ": needs a value", help_hint)};
+    *target = *value;
+  }
+  if (app.count("--domain") != 0) options.domain = values.domain;
+  if (app.count("--log-level") != 0) {
+    options.log_level = log_level_of(values.log_level);
+    if (!options.log_level)
+      return Exit{2, "",
+                  complaint("--log-level: " + in_quotes(values.log_level) +
+                                " is no level; known: " + std::string(log_level_names),
+                            "agnocast-bridge --log-level info")};
+  }
+  return options;
+}
+
+std::optional<std::string> choose_config_file(const Options& options,
+                                              const std::string& directory) {
+  if (options.config) return options.config;
+  // A file that exists but cannot be read is an error for whoever reads it, not a reason to go on.
+  const auto exists = [](const std::string& path) { return ::access(path.c_str(), F_OK) == 0; };
+  if (options.domain) {
+    const std::string own = directory + "/bridge-" + std::to_string(*options.domain) + ".toml";
+    if (exists(own)) return own;
+  }
+  if (const std::string common = directory + "/bridge.toml"; exists(common)) return common;
+  return std::nullopt;
+}
+
+}  // namespace agnocast::bridge

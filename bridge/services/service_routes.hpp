@@ -1,0 +1,205 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// ServiceRoutes: carries out what service_plan.hpp plans, and moves requests and responses, in rmw_cyclonedds' form: in
+// front of the body are the client's id and its request's number, which a server gives back.
+//
+//   served   a request comes: kept until it can be sent on, then sent by a client here, whose callback writes the
+//            response under the id and number of the request
+//   asked    a service here gets a request: written under an id of the bridge's own and the next number; the response with
+//            that id and number is its answer
+//
+// A request that nobody can take in time is dropped and counted, as it would be lost on a network; whoever asked
+// decides how long to wait, so as long as a server takes requests, others wait for their turn. Nobody tells when it has
+// room: what is kept is looked at again by and by (room.hpp). Everything but callbacks is run()'s thread.
+#pragma once
+
+#include <agnocast/agnocast.hpp>
+#include <agnocast/generic_service.hpp>
+#include <bridge/outward/outlets.hpp>
+#include <bridge/plan/service_plan.hpp>
+#include <bridge/services/under_way.hpp>
+
+#include <atomic>
+#include <chrono>
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <set>
+#include <span>
+#include <string>
+#include <unordered_map>
+#include <utility>
+#include <vector>
+
+namespace agnocast::bridge {
+
+/// A service type, ready for both directions.
+struct BridgedService {
+  std::shared_ptr<const BridgedType> request, response;
+
+  IntrospectedServiceType introspected() const {
+    return {request->introspected, response->introspected};
+  }
+};
+
+/// One route, since it exists. Any thread.
+struct ServiceTraffic {
+  using Counter = std::atomic<std::uint64_t>;
+  Counter requests{0}, request_bytes{0}, responses{0}, response_bytes{0};
+  Counter malformed{0}, refused{0}, timed_out{0}, forgotten{0}, unasked{0};  // see ServiceNumbers
+  Counter last_ns{0};
+  const std::uint64_t since_ns = monotonic_ns();
+  Seldom tells;  // the log
+
+  void count_request(std::size_t size) noexcept { count(requests, request_bytes, size); }
+  void count_response(std::size_t size) noexcept { count(responses, response_bytes, size); }
+  ServiceNumbers numbers() const noexcept {
+    return {requests, request_bytes, responses, response_bytes, malformed,
+            refused,  timed_out,     forgotten, unasked,        since_ns, last_ns};
+  }
+
+ private:
+  void count(Counter& messages, Counter& bytes, std::size_t size) noexcept {
+    ++messages;
+    bytes += size;
+    last_ns = monotonic_ns();
+  }
+};
+
+class ServiceRoutes {
+ public:
+  using TypeOf = std::function<std::shared_ptr<const BridgedType>(const std::string& type)>;
+  using Refused = std::function<void(const std::string& what, const std::string& why)>;
+  /// All must outlive it; `reaper` ends writers, `refused` is told what could not be made.
+  ServiceRoutes(DdsParticipant& participant, Node& node, const Log& log, Reaper& reaper,
+                Refused refused)
+      : participant_(participant),
+        node_(node),
+        log_(log),
+        reaper_(reaper),
+        refused_(std::move(refused)) {}
+
+  /// `type_of` knows the halves of every type in the plan. daemon_not_running: what is left of the plan is for later.
+  [[nodiscard]] Errc apply(const ServicePlan& plan, const TypeOf& type_of);
+  /// Takes what those readers have that are its own.
+  void move(std::span<DdsReader* const> ready);
+  /// Sends on what was taken, if it is time to look at it. When it is next; nothing is kept: never.
+  std::optional<std::chrono::steady_clock::time_point> send_kept(
+      std::chrono::steady_clock::time_point now);
+  /// Adds endpoints in DDS to the nodes of this host that they are for.
+  void tell(const std::map<std::string, RosNode*>& nodes) const;
+  /// All of them, as they are now.
+  std::vector<BridgeStatus::ServiceNow> look() const;
+
+  std::size_t size() const noexcept { return served_.size() + asked_.size(); }
+
+ private:
+  using Time = std::chrono::steady_clock::time_point;
+  struct Raw {
+    std::vector<std::byte> bytes;
+  };
+  struct Kept {
+    std::shared_ptr<Raw> request;
+    Guid writer;
+    Time end;
+  };
+  /// What callbacks use; it outlives the route as long as they do.
+  struct Answering {
+    BridgedService type;
+    std::unique_ptr<DdsWriter> responses;
+    ServiceTraffic traffic;
+    std::string service;
+  };
+  /// A request that the server had no room for, as it will be sent.
+  struct Decoded {
+    std::shared_ptr<const Raw> request;
+    ServiceHeader header;
+    GenericLoan loan;
+  };
+  struct Served {
+    ServiceRoute plan;
+    std::shared_ptr<Answering> answering;
+    std::unique_ptr<DdsReader> requests;
+    GenericClient::SharedPtr client;
+    std::deque<Kept> kept;
+    std::size_t kept_bytes = 0;
+    std::map<Guid, std::size_t> kept_of;  // messages, by participant
+    // Clients in DDS that have an ear for responses: participant and USER_DATA, when others were at this version.
+    std::set<std::pair<Guid, std::string>> ways_back;
+    std::uint64_t ways_back_at = 0;
+    std::optional<Decoded> next;  // of kept
+    bool has_room = true;         // at the last look at kept
+    Time next_look;
+    std::chrono::nanoseconds interval{0};
+    UnderWay under_way;
+  };
+  struct Asking {
+    BridgedService type;
+    std::unique_ptr<DdsWriter> requests;
+    std::uint64_t client_id = 0;
+    ServiceTraffic traffic;
+    std::string service;
+    std::mutex mutex;  // of the rest
+    std::int64_t newest = 0;
+    struct Pending {
+      GenericServiceRequest request;
+      std::set<Guid> servers;  // that may have got it
+    };
+    std::set<Guid> servers;  // in DDS now
+    std::map<std::int64_t, Pending> pending;
+  };
+  struct Asked {
+    ServiceRoute plan;
+    std::shared_ptr<Asking> asking;
+    std::unique_ptr<DdsReader> responses;
+    GenericService::SharedPtr service;
+  };
+  struct Ends {
+    std::unique_ptr<DdsReader> reader;
+    std::unique_ptr<DdsWriter> writer;
+    Guid id;
+  };
+
+  DdsResult<Ends> make_ends(const ServiceKey& key, ServiceRole role);
+  void serve(const ServiceKey& key, const ServiceRoute& route, const BridgedService& type);
+  void ask(const ServiceKey& key, const ServiceRoute& route, const BridgedService& type);
+  void refuse(const std::string& what, const Failure& why);
+  void keep_requests(const ServiceKey& key);
+  void take_responses(Asked& asked);
+  /// Whether one was sent.
+  bool look_at_kept(Served& served, Time now);
+  enum class Sent : std::uint8_t { sent, dropped, no_server, no_room };
+  Sent send_on(Served& served, const Kept& kept, Time now);
+  void answer(Asked& asked, const Raw& response);
+  bool can_be_answered(Served& served, const Guid& writer) const;
+  /// False, and counted, when there is no room for it.
+  bool keep(Served& served, std::shared_ptr<Raw> request, const Guid& writer);
+  /// Drops the newest request of the client that has most, for one of a client that has less; false if that is nobody.
+  bool make_place(Served& served, const Guid& client);
+  void forget(Served& served, const Kept& kept);
+  /// Whether a request waits for servers that are all gone.
+  static bool is_in_vain(Asking& asking, const std::set<Guid>& servers);
+  static void write_request(const Log& log, Asking& asking, GenericServiceRequest request);
+  static void dropped(const Log& log, ServiceTraffic& traffic, ServiceTraffic::Counter& reason,
+                      const std::string& service, const std::string& why);
+
+  DdsParticipant& participant_;
+  Node& node_;
+  const Log& log_;
+  Reaper& reaper_;
+  const Refused refused_;
+  std::map<ServiceKey, Served> served_;
+  std::map<ServiceKey, Asked> asked_;
+  std::set<ServiceKey> keeping_;  // of served_, those that keep requests
+  std::size_t kept_bytes_ = 0;    // of all of them; at most held_bytes_max, as of topics
+  std::unordered_map<const DdsReader*, ServiceKey> served_by_, asked_by_;
+  std::uint32_t ids_ = 0;
+  Errc refusal_ = Errc::ok;  // the last one of agnocastd in this apply()
+};
+
+}  // namespace agnocast::bridge

@@ -1,0 +1,212 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// The untyped half of Publisher: what its template calls.
+
+#include <agnocast/publisher.hpp>
+#include <base/step.hpp>
+#include <client/api/qos_words.hpp>
+#include <client/executors/runner.hpp>
+#include <client/process/forked_child.hpp>
+#include <client/session/context.hpp>
+
+#include <dlfcn.h>
+
+#include <algorithm>
+#include <chrono>
+#include <thread>
+#include <utility>
+
+namespace agnocast::detail {
+namespace {
+
+// Messages are destroyed when they are old: maybe after the plugin that brought this code was closed.
+// So what holds it stays loaded; an executable does anyway, and is not found by its name here.
+void pin_object_of(void (*code)(const void*, void*) noexcept) noexcept {
+  Dl_info where{};
+  if (::dladdr(reinterpret_cast<const void*>(code), &where) == 0) return;
+  (void)::dlopen(where.dli_fname, RTLD_LAZY | RTLD_NOLOAD | RTLD_NODELETE);
+}
+
+// For a publisher that the present daemon refuses, and that goes on in a former membership: what lies
+// in a further window is foreign there, because nobody in it will ever have that window.
+WindowSet windows_of_former(void* membership) noexcept {
+  const std::uint64_t count = static_cast<const Context*>(membership)->announced_windows();
+  const WindowSet all = Context::instance().shared_heap().windows(nullptr);
+  WindowSet known;
+  for (std::size_t i = 0; i < all.count(); ++i) {
+    for (std::uint64_t w = 0; w < count; ++w) {
+      if (Heap::window(w).base == all[i].begin) (void)known.add(all[i].begin, all[i].end);
+    }
+  }
+  return known;
+}
+std::uint64_t leave_of_former(void* membership) noexcept {
+  const SharedHeap heap = Context::instance().shared_heap();
+  const std::uint64_t strays = heap.leave(heap.context);
+  // A part that nobody can look at may lie in a further window.
+  const bool has_further =
+      windows_of_former(membership).count() != heap.windows(heap.context).count();
+  return strays + (has_further ? 1 : 0);
+}
+
+class PublisherSource final : public CallbackSource {
+ public:
+  PublisherSource(std::shared_ptr<PublisherEndpoint> endpoint, EventCallbacks events) noexcept
+      : endpoint_(std::move(endpoint)), events_(std::move(events)) {}
+  ~PublisherSource() override {
+    const UserSignals as_creator(signals);
+    events_ = {};
+  }
+  bool has_work() const noexcept override { return endpoint_->events().has_pending(); }
+  bool run_one() override { return endpoint_->events().run_one(events_); }
+
+ private:
+  const std::shared_ptr<PublisherEndpoint> endpoint_;
+  EventCallbacks events_;
+};
+
+}  // namespace
+
+Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(const EndpointName& name,
+                                                                   MessageType type, const QoS& qos,
+                                                                   const PublisherOptions& options,
+                                                                   const MessageCode& code) {
+  if (Result<void> depth = check_depth(qos); !depth) return tl::unexpected<Failure>(depth.error());
+  std::shared_ptr<UntypedPublisher> publisher(new UntypedPublisher(std::move(type), name.topic));
+  const Result<bool> off = is_switched_off();
+  if (!off) return tl::unexpected<Failure>(off.error());
+  if (*off) return publisher;
+  if (options.events()) {
+    auto runner = Runner::of_node(name.node);
+    if (!runner) return tl::unexpected<Failure>(runner.error());
+    publisher->runner_ = std::move(*runner);
+  }
+  EndpointRequest request;
+  request.topic = name.topic;
+  request.node = name.node;
+  request.type = publisher->type_.name();
+  request.layout_hash = publisher->type_.layout_hash();
+  request.qos = to_abi(qos);
+  request.uses_shared_allocator = code.uses_shared_allocator;
+  request.lineage = name.lineage;
+  request.says_lineage_later = name.says_lineage_later;
+  auto endpoint = Context::instance().create_publisher(request, code.end);
+  if (!endpoint) return tl::unexpected<Failure>(endpoint.error());
+  publisher->endpoint_ = std::move(*endpoint);
+  pin_object_of(code.end.code);
+  if (options.events()) {
+    publisher->endpoint_->events().wake_for(options.events(), publisher->runner_->sleeper());
+    publisher->source_ = std::make_shared<PublisherSource>(publisher->endpoint_, options.events());
+    publisher->runner_->callbacks().add(publisher->source_);
+  }
+  return publisher;
+}
+
+UntypedPublisher::~UntypedPublisher() {
+  if (source_ != nullptr) runner_->callbacks().remove(*source_, runner_);
+  if (endpoint_ != nullptr) Context::instance().destroy(endpoint_, end_);
+}
+
+Errc UntypedPublisher::state() const noexcept {
+  if (endpoint_ == nullptr) return Errc::switched_off;
+  return service_state();
+}
+
+bool UntypedPublisher::is_active() const noexcept { return endpoint_ != nullptr && !is_revoked(); }
+
+Errc UntypedPublisher::publish(void* message, std::size_t object_bytes,
+                               std::uint64_t message_bytes) noexcept {
+  switch (endpoint_->publish(message, object_bytes, message_bytes)) {
+    case dataplane::PublishOutcome::published:
+      return Errc::ok;
+    case dataplane::PublishOutcome::no_slot:
+      return Errc::no_slot;
+    case dataplane::PublishOutcome::would_block:
+      return Errc::would_block;
+  }
+  return Errc::internal;
+}
+
+void UntypedPublisher::make_room() const noexcept {
+  if (state() != Errc::ok) return;
+  if (endpoint_->context() == &Context::instance()) [[likely]]
+    endpoint_->make_room();
+  else
+    endpoint_->present(endpoint_)->make_room();
+}
+
+bool UntypedPublisher::has_more_room() const noexcept {
+  Context& present = Context::instance();
+  bool some = present.has_more_room();
+  const auto endpoint = endpoint_->present(endpoint_);
+  if (endpoint->context() != &present) some = endpoint->has_more_room() || some;
+  endpoint->lacked_room();
+  return some;
+}
+
+void UntypedPublisher::count_adoption(const Result<Adoption>& adopted) noexcept {
+  AGNOCAST_CRASH_POINT(C_original);
+  if (adopted) {
+    endpoint_->count_adopted(adopted->adopted_bytes);
+  } else if (adopted.error().code != Errc::user_code_threw) {
+    endpoint_->count_heap_exhausted();
+  }
+}
+
+SharedHeap UntypedPublisher::heap() const noexcept {
+  Context& present = Context::instance();
+  SharedHeap heap = present.shared_heap();
+  if (endpoint_ == nullptr || endpoint_->context() == &present) [[likely]]
+    return heap;
+  Context* const publishes_in = endpoint_->present(endpoint_)->context();
+  if (publishes_in == &present) return heap;
+  heap.context = publishes_in;
+  heap.windows = windows_of_former;
+  heap.leave = leave_of_former;
+  return heap;
+}
+std::size_t UntypedPublisher::subscription_count() const noexcept {
+  return endpoint_ != nullptr ? endpoint_->subscription_count() : 0;
+}
+
+std::uint64_t UntypedPublisher::lineage() const noexcept {
+  return endpoint_ != nullptr ? endpoint_->lineage() : 0;
+}
+void UntypedPublisher::say_lineage() noexcept {
+  if (endpoint_ != nullptr) endpoint_->say_lineage();
+}
+std::vector<std::uint64_t> UntypedPublisher::reader_lineages() const {
+  return endpoint_ != nullptr ? endpoint_->reader_lineages() : std::vector<std::uint64_t>();
+}
+void UntypedPublisher::tell(std::shared_ptr<Watch> watch) noexcept {
+  if (endpoint_ != nullptr) endpoint_->events().tell(std::move(watch));
+}
+
+bool Patience::wait() noexcept {
+  const auto left = end_ - std::chrono::steady_clock::now();
+  if (left <= left.zero()) return false;
+  std::this_thread::sleep_for(std::min<std::chrono::steady_clock::duration>(left, step_));
+  step_ = std::min(step_ * 2, std::chrono::microseconds(1000));
+  return true;
+}
+
+std::uint64_t UntypedPublisher::callback_exception_count() const noexcept {
+  return source_ != nullptr ? source_->exception_count.load(std::memory_order_relaxed) : 0;
+}
+MatchedInfo UntypedPublisher::matched_status() noexcept {
+  return endpoint_ != nullptr ? endpoint_->events().matched_status() : MatchedInfo{};
+}
+IncompatibleQosInfo UntypedPublisher::incompatible_qos_status() noexcept {
+  return endpoint_ != nullptr ? endpoint_->events().incompatible_qos_status()
+                              : IncompatibleQosInfo{};
+}
+HeapCollisionInfo UntypedPublisher::heap_collision_status() noexcept {
+  return endpoint_ != nullptr ? endpoint_->events().heap_collision_status() : HeapCollisionInfo{};
+}
+
+IncompatibleTypeInfo UntypedPublisher::incompatible_type_status() noexcept {
+  return endpoint_ != nullptr ? endpoint_->events().incompatible_type_status()
+                              : IncompatibleTypeInfo{};
+}
+
+}  // namespace agnocast::detail

@@ -1,0 +1,255 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// The untyped half of Subscription and ipc_shared_ptr: what their templates call.
+
+#include <agnocast/message_windows.hpp>
+#include <agnocast/subscription.hpp>
+#include <client/api/qos_words.hpp>
+#include <client/executors/runner.hpp>
+#include <client/heap/address_users.hpp>
+#include <client/process/forked_child.hpp>
+#include <client/session/context.hpp>
+
+#include <time.h>
+
+#include <memory>
+#include <new>
+#include <utility>
+
+namespace agnocast {
+namespace {
+
+std::uint64_t now_ns(clockid_t clock) noexcept {
+  timespec now{};
+  ::clock_gettime(clock, &now);
+  return static_cast<std::uint64_t>(now.tv_sec) * 1'000'000'000 +
+         static_cast<std::uint64_t>(now.tv_nsec);
+}
+
+}  // namespace
+
+std::uint64_t MessageInfo::source_timestamp() const noexcept {
+  return now_ns(CLOCK_REALTIME) - now_ns(CLOCK_MONOTONIC) + publish_time_ns;
+}
+
+namespace {
+
+// In the hands of its last user.
+void end_block(detail::Block* last) noexcept {
+  auto* const own = static_cast<ReceivedBlock*>(last);
+  const Received received = std::move(own->received);
+  own->users.store(1, std::memory_order_relaxed);
+  Context::instance().release(received);
+  received.link->keep(own);
+}
+
+}  // namespace
+
+namespace detail {
+
+WindowSet windows_of(const Block* block) noexcept {
+  if (block == nullptr || block->end != end_block) return {};
+  const auto& received = static_cast<const ReceivedBlock*>(block)->received;
+  return received.link->peer().heap().group_of(received.taken.address);
+}
+
+WindowSet windows_of_another(const void* object) noexcept {
+  const auto address = reinterpret_cast<std::uintptr_t>(object);
+  AddressUsers& users = AddressUsers::instance();
+  // In a forked child somebody may have its lock for ever.
+  if (!users.may_be_of_another(address) || is_forked_child()) return {};
+  return users.group_of_another(address);
+}
+
+}  // namespace detail
+
+namespace {
+
+// Received messages, chained in order.
+class BlockReceiver final : public Receiver {
+ public:
+  explicit BlockReceiver(std::size_t wanted) noexcept : Receiver(wanted) {}
+  BlockReceiver(const BlockReceiver&) = delete;
+  BlockReceiver& operator=(const BlockReceiver&) = delete;
+  ~BlockReceiver() { delete block_; }
+  Received* place(Link& link) noexcept override {
+    finish_last();
+    if (block_ == nullptr) block_ = static_cast<ReceivedBlock*>(link.spare());
+    if (block_ == nullptr) block_ = new (std::nothrow) ReceivedBlock;
+    return block_ != nullptr ? &block_->received : nullptr;
+  }
+  detail::Block* take_out() noexcept {
+    finish_last();
+    return chain_;
+  }
+
+ private:
+  void finish_last() noexcept {
+    if (block_ == nullptr || block_->received.link == nullptr) return;
+    const dataplane::Taken& taken = block_->received.taken;
+    const Link& link = *block_->received.link;
+    block_->message.store(reinterpret_cast<void*>(taken.address), std::memory_order_relaxed);
+    block_->end = end_block;
+    block_->info.sequence = taken.sequence - link.first_sequence();
+    block_->info.publisher = link.generation();
+    block_->info.publish_time_ns = taken.stamp_ns;
+    block_->info.object_bytes = taken.size;
+    *end_ = block_;
+    end_ = &block_->next;
+    block_ = nullptr;
+  }
+
+  ReceivedBlock* block_ = nullptr;  // placed last
+  detail::Block* chain_ = nullptr;
+  detail::Block** end_ = &chain_;
+};
+
+/// Up to `wanted` (not 0) received messages as a chain of Blocks, or null when there is none (or no
+/// memory for it: then it stays unread).
+detail::Block* take_blocks(SubscriptionEndpoint& subscription, std::size_t wanted) noexcept {
+  BlockReceiver receiver(wanted);
+  return subscription.take(receiver) ? receiver.take_out() : nullptr;
+}
+
+class SubscriptionSource final : public CallbackSource {
+ public:
+  SubscriptionSource(std::shared_ptr<SubscriptionEndpoint> endpoint,
+                     detail::UntypedSubscription::Callback callback,
+                     detail::EventCallbacks events) noexcept
+      : endpoint_(std::move(endpoint)),
+        callback_(std::move(callback)),
+        events_(std::move(events)) {}
+  ~SubscriptionSource() override {
+    const UserSignals as_creator(signals);
+    callback_ = nullptr;
+    events_ = {};
+  }
+
+  bool has_work() const noexcept override {
+    return endpoint_->events().has_pending() || (callback_ != nullptr && endpoint_->has_news());
+  }
+  bool run_one() override {
+    if (endpoint_->events().run_one(events_)) return true;
+    if (callback_ == nullptr) return false;
+    detail::Block* const block = take_blocks(*endpoint_, 1);
+    if (block == nullptr) return false;
+    callback_(block);
+    return true;
+  }
+
+ private:
+  const std::shared_ptr<SubscriptionEndpoint> endpoint_;
+  detail::UntypedSubscription::Callback callback_;
+  detail::EventCallbacks events_;
+};
+
+}  // namespace
+
+namespace detail {
+
+Result<std::shared_ptr<UntypedSubscription>> UntypedSubscription::create(
+    const EndpointName& name, const MessageType& type, const QoS& qos,
+    const SubscriptionOptions& options, Callback callback) {
+  if (Result<void> depth = check_depth(qos); !depth) return tl::unexpected<Failure>(depth.error());
+  if (options.hold_quota() == 0)
+    return fail(Errc::invalid_argument, "with a hold quota of 0 nothing can be taken");
+  std::shared_ptr<UntypedSubscription> subscription(new UntypedSubscription);
+  subscription->topic_ = name.topic;
+  const Result<bool> off = is_switched_off();
+  if (!off) return tl::unexpected<Failure>(off.error());
+  if (*off) return subscription;
+  std::shared_ptr<Sleeper> sleeper;
+  if (callback || options.events()) {
+    auto runner = Runner::of_node(name.node);
+    if (!runner) return tl::unexpected<Failure>(runner.error());
+    subscription->runner_ = std::move(*runner);
+    sleeper = subscription->runner_->sleeper();
+  }
+  if (!callback) {
+    auto idle = Context::instance().idle_sleeper();
+    if (!idle) return tl::unexpected<Failure>(idle.error());
+    sleeper = std::move(*idle);
+  }
+  EndpointRequest request;
+  request.topic = name.topic;
+  request.node = name.node;
+  request.type = type.name();
+  request.layout_hash = type.layout_hash();
+  request.qos = to_abi_of_subscription(qos);
+  request.quota = options.hold_quota();
+  request.quota_or_less = !options.is_hold_quota_set();
+  request.depth_per_publisher = options.is_depth_per_publisher();
+  request.lineage = name.lineage;
+  request.message_bytes = type.message_bytes();
+  request.message_alignment = type.message_alignment();
+  auto endpoint = Context::instance().create_subscription(request, std::move(sleeper));
+  if (!endpoint) return tl::unexpected<Failure>(endpoint.error());
+  subscription->endpoint_ = std::move(*endpoint);
+  if (subscription->runner_ != nullptr) {
+    subscription->endpoint_->events().wake_for(options.events(), subscription->runner_->sleeper());
+    subscription->source_ = std::make_shared<SubscriptionSource>(
+        subscription->endpoint_, std::move(callback), options.events());
+    subscription->runner_->callbacks().add(subscription->source_);
+  }
+  return subscription;
+}
+
+UntypedSubscription::~UntypedSubscription() { end(); }
+
+void UntypedSubscription::end(std::chrono::steady_clock::time_point end) noexcept {
+  if (endpoint_ == nullptr || std::exchange(has_ended_, true)) return;
+  if (source_ != nullptr) runner_->callbacks().remove(*source_, runner_);
+  Context::instance().destroy(endpoint_, end);
+}
+
+bool UntypedSubscription::is_own() const noexcept { return is_served(); }
+bool UntypedSubscription::is_active() const noexcept {
+  return endpoint_ != nullptr && !is_revoked();
+}
+Block* UntypedSubscription::take(std::size_t count) noexcept {
+  return endpoint_ != nullptr && count != 0 ? take_blocks(*endpoint_, count) : nullptr;
+}
+std::uint64_t UntypedSubscription::lost() const noexcept {
+  return endpoint_ != nullptr ? endpoint_->lost() : 0;
+}
+std::size_t UntypedSubscription::publisher_count() const noexcept {
+  return endpoint_ != nullptr ? endpoint_->publisher_count() : 0;
+}
+std::uint64_t UntypedSubscription::callback_exception_count() const noexcept {
+  return source_ != nullptr ? source_->exception_count.load(std::memory_order_relaxed) : 0;
+}
+std::uint64_t UntypedSubscription::lineage() const noexcept {
+  return endpoint_ != nullptr ? endpoint_->identity().lineage : 0;
+}
+std::vector<UntypedSubscription::Writer> UntypedSubscription::writers() const {
+  std::vector<Writer> all;
+  if (endpoint_ != nullptr)
+    endpoint_->for_each_writer([&](std::uint64_t lineage, bool is_gone) {
+      all.push_back({lineage, is_gone});
+    });
+  return all;
+}
+void UntypedSubscription::look_again() noexcept {
+  if (endpoint_ != nullptr) endpoint_->events().drained();
+}
+void UntypedSubscription::tell(std::shared_ptr<Watch> watch) noexcept {
+  if (endpoint_ != nullptr) endpoint_->events().tell(std::move(watch));
+}
+MatchedInfo UntypedSubscription::matched_status() noexcept {
+  return endpoint_ != nullptr ? endpoint_->events().matched_status() : MatchedInfo{};
+}
+IncompatibleQosInfo UntypedSubscription::incompatible_qos_status() noexcept {
+  return endpoint_ != nullptr ? endpoint_->events().incompatible_qos_status()
+                              : IncompatibleQosInfo{};
+}
+HeapCollisionInfo UntypedSubscription::heap_collision_status() noexcept {
+  return endpoint_ != nullptr ? endpoint_->events().heap_collision_status() : HeapCollisionInfo{};
+}
+
+IncompatibleTypeInfo UntypedSubscription::incompatible_type_status() noexcept {
+  return endpoint_ != nullptr ? endpoint_->events().incompatible_type_status()
+                              : IncompatibleTypeInfo{};
+}
+
+}  // namespace detail
+}  // namespace agnocast

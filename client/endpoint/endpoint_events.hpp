@@ -1,0 +1,94 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// EndpointEvents: what happened to one endpoint besides messages: matched, incompatible QoS,
+// incompatible type, the state of the process's connection, heap collision.
+//
+// The control thread counts; status getters read in any thread; callbacks are run by whoever runs
+// the callbacks of the node. Counts are cumulative, so an event that comes before anybody waits for
+// it (the daemon tells a new endpoint at once what is incompatible) is not missed: getters and
+// callbacks each remember what they have told. The callbacks themselves are kept elsewhere: an
+// endpoint may end in the control thread, where no user code is destroyed.
+#pragma once
+
+#include <agnocast/events.hpp>
+#include <client/process/sleeper.hpp>
+#include <client/process/watch.hpp>
+
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <mutex>
+
+namespace agnocast {
+
+class EndpointEvents {
+ public:
+  EndpointEvents() = default;
+  EndpointEvents(const EndpointEvents&) = delete;
+  EndpointEvents& operator=(const EndpointEvents&) = delete;
+
+  // --- control thread
+
+  void gained() noexcept;
+  void ceased() noexcept;
+  void incompatible_qos(QosPolicyKind policy) noexcept;
+  void incompatible_type() noexcept;
+  void connection(const ConnectionInfo& info) noexcept;
+  void heap_collision(const char* text) noexcept;
+  /// What was unread of a publisher that is gone is lost: a take has found nothing to deliver. Any thread.
+  void drained() noexcept;
+  /// What it has matched in a newer membership counts from now on; that was told before.
+  void moved() noexcept;
+
+  // --- any thread
+
+  MatchedInfo matched_status() noexcept;
+  IncompatibleQosInfo incompatible_qos_status() noexcept;
+  IncompatibleTypeInfo incompatible_type_status() noexcept;
+  HeapCollisionInfo heap_collision_status() noexcept;
+  /// From now on a change for which there is a callback ends the sleep of whoever runs them.
+  void wake_for(const detail::EventCallbacks& callbacks, std::shared_ptr<Sleeper> sleeper) noexcept;
+  /// From now on it is told when what is matched has changed.
+  void tell(std::shared_ptr<Watch> watch) noexcept;
+
+  // --- whoever runs the callbacks of the node
+
+  bool has_pending() const noexcept { return pending_.load(std::memory_order_acquire); }
+  /// At most one callback; true if there was one. Throws what it throws.
+  bool run_one(const detail::EventCallbacks& callbacks);
+
+ private:
+  struct Counts {
+    std::uint64_t matched = 0;  // ever
+    std::uint64_t ceased = 0;
+    std::uint64_t qos = 0;
+    std::uint64_t types = 0;
+    std::uint64_t connections = 0;
+    std::uint64_t collisions = 0;
+    std::uint64_t drained = 0;
+  };
+  MatchedInfo matched_since(Counts& told) const noexcept;
+  IncompatibleQosInfo qos_since(Counts& told) const noexcept;
+  IncompatibleTypeInfo types_since(Counts& told) const noexcept;
+  HeapCollisionInfo collisions_since(Counts& told) const noexcept;
+  void changed() noexcept;
+  bool matched_changed() const noexcept {
+    return now_.matched != told_by_callback_.matched || now_.ceased != told_by_callback_.ceased;
+  }
+  bool look_for_pending() const noexcept;
+
+  mutable std::mutex mutex_;
+  Counts now_, told_by_status_, told_by_callback_;
+  QosPolicyKind last_policy_ = QosPolicyKind::invalid;
+  ConnectionInfo connection_;
+  HeapCollisionInfo last_collision_;
+  std::atomic<bool> pending_{false};
+  struct {
+    bool matched = false, qos = false, types = false, connections = false, collisions = false,
+         drained = false;
+  } wanted_;
+  std::shared_ptr<Sleeper> sleeper_;
+  std::shared_ptr<Watch> watch_;
+};
+
+}  // namespace agnocast

@@ -1,0 +1,599 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <base/step.hpp>
+#include <client/endpoint/subscription_endpoint.hpp>
+#include <client/process/forked_child.hpp>
+
+#include <algorithm>
+#include <new>
+#include <utility>
+
+namespace agnocast {
+
+namespace {
+
+// Of publishers that are gone, beyond the depth, where that counts for each of them: the last words of as many as end together.
+constexpr std::uint64_t gone_unread_max = 64;
+
+}  // namespace
+
+Link::~Link() {
+  for (detail::Block* chain : {kept_.load(std::memory_order_acquire), spares_}) {
+    while (chain != nullptr) delete static_cast<ReceivedBlock*>(std::exchange(chain, chain->next));
+  }
+}
+
+SubscriptionEndpoint::SubscriptionEndpoint(const Identity& identity,
+                                           std::shared_ptr<Sleeper> sleeper)
+    : self_(identity),
+      sleeper_(std::move(sleeper)),
+      events_(identity.events != nullptr ? identity.events : std::make_shared<EndpointEvents>()) {
+  // Before any link: publishers that see one see this.
+  region::SubscriptionWords<SharedMemory>{self_.region, self_.extent}.lineage().store(
+      self_.lineage, std::memory_order_relaxed);
+}
+
+bool SubscriptionEndpoint::add_publisher(const Publisher& publisher, std::shared_ptr<Peer> peer) {
+  if (publisher.index >= abi::publisher_count_max) return false;
+  const std::lock_guard lock(mutex_);
+  if (publisher.index >= books_.size()) books_.resize(publisher.index + 1);
+  Book& book = books_[publisher.index];
+  const Book::Action action = book.on_announce(publisher.generation);
+  if (action == Book::Action::nothing) {
+    sleeper_->wake();  // a message may have waited for a window that came with the announcement
+    return true;
+  }
+  // The line is another link's: rule RU excludes that.
+  if (action == Book::Action::say_unlinked || book.current() != 0 || closed_) return false;
+  const Link::Core::Identity identity{self_.topic,
+                                      {peer->region(), publisher.extent},
+                                      {self_.region, self_.extent, publisher.index},
+                                      publisher.index,
+                                      publisher.generation,
+                                      publisher.first_sequence,
+                                      publisher.qos,
+                                      self_.qos,
+                                      self_.message_bytes,
+                                      self_.message_alignment,
+                                      self_.index};
+  auto link =
+      std::make_shared<Link>(identity, std::move(peer), sleeper_,
+                             std::min(self_.quota, publisher.quota), self_.wake_control);
+  links_.reserve(links_.size() + 1);
+  AGNOCAST_CRASH_POINT(C_link);
+  if (!link->core_.link(publisher.from_start)) return false;
+  AGNOCAST_CRASH_POINT(C_linked);
+  links_.push_back(std::move(link));
+  book.linked(publisher.generation);
+  events_->gained();
+  sleeper_->wake();  // what was committed before the link existed could not ring for it
+  return true;
+}
+
+void SubscriptionEndpoint::orphan(std::uint64_t publisher, std::uint64_t generation,
+                                  bool give_up) noexcept {
+  const std::lock_guard lock(mutex_);
+  for (const auto& link : links_) {
+    if (link->publisher() != publisher || link->generation() != generation) continue;
+    AGNOCAST_CRASH_POINT(C_orphaned);
+    link->core_.observe_publisher();
+    link->is_orphaned_ = true;
+    if (!std::exchange(link->ceased_, true)) events_->ceased();
+    if (!give_up) continue;
+    while (link->core_.unread() > 0) link->core_.skip();
+    note_losses(*link);
+  }
+  // Publishers that come and go must not pile up behind a subscription that nobody looks at: beyond
+  // its depth it owes nothing to those that are gone.
+  drop_beyond_depth();
+  sleeper_->wake();
+}
+
+void SubscriptionEndpoint::revoke() noexcept {
+  const std::lock_guard lock(mutex_);
+  for (const auto& link : links_) {
+    if (!std::exchange(link->ceased_, true)) events_->ceased();
+  }
+}
+
+void SubscriptionEndpoint::close() noexcept {
+  const std::lock_guard lock(mutex_);
+  closed_ = true;
+  for (const auto& link : links_) {
+    link->closing_.store(true, std::memory_order_release);
+    if (is_alone_) link->core_.stand_aside();
+  }
+  for (const auto& successor : successors_) successor->close();
+}
+
+std::vector<std::shared_ptr<Link>> SubscriptionEndpoint::collect_unlinked() {
+  const std::lock_guard lock(mutex_);
+  std::vector<std::shared_ptr<Link>> over;
+  for (const auto& link : links_) {
+    // Of a line that is not linked publishers know less than of one that stands still: what they
+    // keep for it they keep until the daemon says that the subscription has left.
+    if (!departure_.is_known() && !link->core_.drained()) continue;
+    link->closing_.store(true, std::memory_order_release);
+    if (link->held_count() == 0) over.push_back(link);
+  }
+  for (const auto& link : over) {
+    AGNOCAST_CRASH_POINT(C_unlink);
+    link->core_.unlink();
+    books_[link->publisher()].unlinked(link->generation());
+    lost_before_ += link->core_.lost();
+    malformed_before_ += link->core_.malformed();
+    unreachable_before_ += link->core_.unreachable();
+    links_.erase(std::find(links_.begin(), links_.end(), link));
+  }
+  return over;
+}
+
+bool SubscriptionEndpoint::is_linked_to(std::uint64_t publisher,
+                                        std::uint64_t generation) const noexcept {
+  const std::lock_guard lock(mutex_);
+  return std::any_of(links_.begin(), links_.end(), [&](const auto& link) {
+    return link->publisher() == publisher && link->generation() == generation;
+  });
+}
+
+bool SubscriptionEndpoint::is_empty() const noexcept {
+  const std::lock_guard lock(mutex_);
+  return closed_ && departure_.is_known() && links_.empty();
+}
+
+const std::shared_ptr<Link>* SubscriptionEndpoint::oldest() const noexcept {
+  const std::shared_ptr<Link>* best = nullptr;
+  std::uint64_t best_stamp = 0;
+  for (const auto& link : links_) {
+    const auto stamp = link->next_stamp_;
+    if (!stamp || (best != nullptr && *stamp >= best_stamp)) continue;
+    best = &link;
+    best_stamp = *stamp;
+  }
+  return best;
+}
+
+// keep-last counts over all publishers, as the history of a DDS reader does. If it counts for each of them by itself, its own queue is
+// the bound, and together are those that are gone.
+void SubscriptionEndpoint::drop_beyond_depth() noexcept {
+  if (links_.size() < 2 || self_.qos.keep_all) return;
+  const bool of_gone = self_.depth_per_publisher;
+  const std::uint64_t bound = of_gone ? self_.qos.depth + gone_unread_max : self_.qos.depth;
+  std::uint64_t unread = 0;
+  for (const auto& link : links_) {
+    if (!of_gone || link->ceased_) unread += link->core_.unread();
+  }
+  for (; unread > bound; --unread) {
+    Link* oldest_link = nullptr;
+    std::uint64_t oldest_stamp = 0;
+    for (const auto& link : links_) {
+      if (of_gone && !link->ceased_) continue;
+      const auto stamp = link->core_.next_stamp();
+      if (!stamp || (oldest_link != nullptr && *stamp >= oldest_stamp)) continue;
+      oldest_link = link.get();
+      oldest_stamp = *stamp;
+    }
+    if (oldest_link == nullptr) return;
+    oldest_link->core_.skip();
+    note_losses(*oldest_link);
+  }
+}
+
+// Into the client region, where agnocast-ctl reads it.
+void SubscriptionEndpoint::note_losses(Link& link) noexcept {
+  const std::uint64_t lost = link.core_.lost() - std::exchange(link.lost_noted_, link.core_.lost());
+  if (lost == 0) return;  // what is malformed or unreachable is lost as well
+  const std::uint64_t malformed =
+      link.core_.malformed() - std::exchange(link.malformed_noted_, link.core_.malformed());
+  const region::SubscriptionWords<SharedMemory> words{self_.region, self_.extent};
+  using Counters = abi::SubscriptionCounters;
+  words.counter(offsetof(Counters, lost)).fetch_add(lost, std::memory_order_relaxed);
+  words.counter(offsetof(Counters, malformed)).fetch_add(malformed, std::memory_order_relaxed);
+  const std::uint64_t unreachable =
+      link.core_.unreachable() - std::exchange(link.unreachable_noted_, link.core_.unreachable());
+  words.counter(offsetof(Counters, unreachable)).fetch_add(unreachable, std::memory_order_relaxed);
+}
+
+// A process that was stopped while it was revoked may come here before its control thread has read
+// of it; publishers keep nothing for it any more.
+inline bool SubscriptionEndpoint::is_member() const noexcept {
+  return self_.topic.subscription(self_.index, offsetof(abi::SubscriptionEntry, word))
+             .load(std::memory_order_acquire) ==
+         abi::pack_member(self_.generation, abi::MemberState::active);
+}
+
+bool SubscriptionEndpoint::take(Receiver& receiver) noexcept {
+  if (!is_served()) return false;
+  const std::lock_guard lock(mutex_);
+  if (!successors_.empty()) [[unlikely]]
+    return take_in_order(receiver);
+  return take_here(receiver);
+}
+
+inline bool SubscriptionEndpoint::may_take() const noexcept {
+  return !closed_ && !has_finished_ && is_member();
+}
+
+/// False at the quota, and until a missing window is there: asking again would only turn in circles.
+bool SubscriptionEndpoint::can_take(const Link& link) const noexcept {
+  return link.held_count() < link.quota() &&
+         (!link.core_.is_awaiting_window() || link.is_orphaned_ || is_alone_ ||
+          link.peer().heap().window_count() != link.windows_seen_);
+}
+
+void SubscriptionEndpoint::look_at(Link& link) const noexcept {
+  link.head_ = link.core_.look();
+  see_next(link);
+}
+void SubscriptionEndpoint::see_next(Link& link) const noexcept {
+  link.next_stamp_ = can_take(link) ? link.core_.next_stamp(link.head_) : std::nullopt;
+}
+
+// Of one publisher nothing has to be compared, and most takes that find nothing end here.
+inline bool SubscriptionEndpoint::take_here(Receiver& receiver) noexcept {
+  if (!may_take()) return false;
+  if (links_.size() != 1) return take_oldest(receiver);
+  const std::shared_ptr<Link>& link = links_.front();
+  if (!link->core_.has_news() || !can_take(*link)) return false;
+  link->head_ = link->core_.look();
+  return take_from<false>(link, receiver, receiver.wanted()) == Attempt::taken;
+}
+
+/// Once more at those that had nothing to take.
+void SubscriptionEndpoint::look_at_empty() const noexcept {
+  for (const auto& link : links_) {
+    if (!link->next_stamp_) look_at(*link);
+  }
+}
+
+// One look at link after link may see what a thread has published last and not what it published before
+// that elsewhere. So a message is only taken when every link without one was looked at after that message
+// had been seen: what was published before it had been committed by then, and is seen. What such a look
+// finds itself may be older than all that was seen, and is taken: then whatever its publisher's thread
+// published before is older than that as well, and was committed before the look began.
+bool SubscriptionEndpoint::take_oldest(Receiver& receiver) noexcept {
+  drop_beyond_depth();
+  for (const auto& link : links_) look_at(*link);
+  bool has_taken = false;
+  // A link whose candidate was gone when looked at closely is asked again. Were its publisher faster than
+  // that, the next call goes on.
+  for (std::uint64_t lost = 0; lost < 2 * abi::ring_count;) {
+    if (oldest() == nullptr) break;
+    look_at_empty();
+    const std::shared_ptr<Link>* const link = oldest();
+    const Attempt attempt = take_from<true>(*link, receiver, 1);
+    if (attempt == Attempt::no_room) break;
+    if (attempt == Attempt::lost) {
+      ++lost;
+      look_at(**link);
+      continue;
+    }
+    has_taken = true;
+    if (receiver.wanted() == 0) break;
+    see_next(**link);
+  }
+  return has_taken;
+}
+
+/// By the look at the link that was had. `taken`: at least one, `most` at most.
+template <bool only_next>
+SubscriptionEndpoint::Attempt SubscriptionEndpoint::take_from(const std::shared_ptr<Link>& link,
+                                                              Receiver& receiver,
+                                                              std::size_t most) noexcept {
+  Attempt attempt = Attempt::lost;
+  do {
+    Received* const place = receiver.place(*link);
+    if (place == nullptr) return attempt == Attempt::taken ? attempt : Attempt::no_room;
+    link->windows_seen_ = link->peer().heap().window_count();
+    link->windows_.expect(link->is_orphaned_ ? Unannounced::ignored
+                          : is_alone_        ? Unannounced::lost
+                                             : Unannounced::awaited);
+    const auto taken = link->core_.take<only_next>(link->windows_, link->head_);
+    note_losses(*link);
+    if (!taken) {
+      if (link->ceased_ && !link->core_.has_news()) events_->drained();
+      return attempt;
+    }
+    link->held_.fetch_add(1, std::memory_order_relaxed);
+    // The last message of a publisher that is gone: its release is what the control thread waits for.
+    if (link->core_.drained()) link->closing_.store(true, std::memory_order_release);
+    place->taken = *taken;
+    place->link = link;
+    receiver.took();
+    attempt = Attempt::taken;
+  } while (--most != 0 && link->core_.has_news(link->head_) && can_take(*link));
+  return attempt;
+}
+
+bool SubscriptionEndpoint::has_news() const noexcept {
+  if (!is_served()) return false;
+  const std::lock_guard lock(mutex_);
+  return successors_.empty() ? has_news_here() : has_news_in_order();
+}
+
+bool SubscriptionEndpoint::has_news_here() const noexcept {
+  return may_take() && std::any_of(links_.begin(), links_.end(), [this](const auto& link) {
+           return can_take(*link) && link->core_.has_news();
+         });
+}
+
+std::uint64_t SubscriptionEndpoint::lost() const noexcept {
+  if (is_forked_child()) return 0;
+  const std::lock_guard lock(mutex_);
+  std::uint64_t sum = lost_before_;
+  for (const auto& link : links_) sum += link->core_.lost();
+  for (const auto& successor : successors_) sum += successor->lost();
+  return sum;
+}
+
+std::uint64_t SubscriptionEndpoint::malformed() const noexcept {
+  if (is_forked_child()) return 0;
+  const std::lock_guard lock(mutex_);
+  std::uint64_t sum = malformed_before_;
+  for (const auto& link : links_) sum += link->core_.malformed();
+  for (const auto& successor : successors_) sum += successor->malformed();
+  return sum;
+}
+
+std::uint64_t SubscriptionEndpoint::unreachable() const noexcept {
+  if (is_forked_child()) return 0;
+  const std::lock_guard lock(mutex_);
+  std::uint64_t sum = unreachable_before_;
+  for (const auto& link : links_) sum += link->core_.unreachable();
+  for (const auto& successor : successors_) sum += successor->unreachable();
+  return sum;
+}
+
+std::size_t SubscriptionEndpoint::publisher_count() const noexcept {
+  if (is_forked_child()) return 0;
+  const std::lock_guard lock(mutex_);
+  return with_successors_locked([this] {
+    std::size_t count = 0;
+    for (std::size_t age = 0; age <= successors_.size(); ++age) {
+      for (const auto& link : in_age(age).links_) count += !link->ceased_ && !has_next(*link, age);
+    }
+    return count;
+  });
+}
+
+/// A queue of the same publisher is in a newer membership: while publishers move, one may be in two.
+bool SubscriptionEndpoint::has_next(const Link& link, std::size_t age) const noexcept {
+  for (std::size_t i = age + 1; i <= successors_.size(); ++i) {
+    const auto& links = in_age(i).links_;
+    if (std::any_of(links.begin(), links.end(), [&](const auto& other) {
+          return !other->ceased_ && other->origin() == link.origin();
+        }))
+      return true;
+  }
+  return false;
+}
+
+std::size_t SubscriptionEndpoint::link_count() const noexcept {
+  if (is_forked_child()) return 0;
+  const std::lock_guard lock(mutex_);
+  std::size_t sum = links_.size();
+  for (const auto& successor : successors_) sum += successor->link_count();
+  return sum;
+}
+
+void SubscriptionEndpoint::for_each_writer(
+    const std::function<void(std::uint64_t, bool)>& see) const {
+  if (!is_served()) return;
+  const std::lock_guard lock(mutex_);
+  with_successors_locked([&] {
+    for (std::size_t age = 0; age <= successors_.size(); ++age) {
+      for (const auto& link : in_age(age).links_) {
+        if (!link->ceased_ || link->core_.has_news()) see(link->lineage(), link->ceased_);
+      }
+    }
+  });
+}
+
+// --- after the daemon's store was lost
+
+template <class Do>
+auto SubscriptionEndpoint::with_successors_locked(Do work, std::size_t locked) const
+    -> decltype(work()) {
+  if (locked == successors_.size()) return work();
+  const std::lock_guard lock(successors_[locked]->mutex_);
+  return with_successors_locked(work, locked + 1);
+}
+
+/// A queue of the same publisher was here in an older membership, with what goes along as history: it
+/// is, or was, read to its end. One that its publisher never moved to had nothing.
+bool SubscriptionEndpoint::has_former(const Link& link, std::size_t age) const noexcept {
+  const Link::Origin origin = link.origin();
+  for (std::size_t i = 0; i < age; ++i) {
+    const SubscriptionEndpoint& former = in_age(i);
+    if (std::find(former.followed_.begin(), former.followed_.end(), origin) !=
+            former.followed_.end() ||
+        std::any_of(former.links_.begin(), former.links_.end(), [&](const auto& other) {
+          return other->origin() == origin && other->core_.has_begun();
+        }))
+      return true;
+  }
+  return false;
+}
+
+// A publisher commits to its former queue, marks it, and then commits to the next one. So whoever sees
+// something in the next one, and looks at the former afterwards, sees the mark and all that is there.
+// Other publishers' queues hold nothing back.
+bool SubscriptionEndpoint::is_held_back(const Link& link, std::size_t age) const noexcept {
+  for (std::size_t i = 0; i < age; ++i) {
+    const SubscriptionEndpoint& former = in_age(i);
+    if (former.may_take() &&
+        std::any_of(former.links_.begin(), former.links_.end(), [&](const auto& other) {
+          return other->origin() == link.origin() && other->has_moved() && other->core_.has_news();
+        }))
+      return true;
+  }
+  return false;
+}
+
+SubscriptionEndpoint::Candidate SubscriptionEndpoint::oldest_in_order() noexcept {
+  Candidate best;
+  for (std::size_t age = successors_.size() + 1; age-- > 0;) {
+    SubscriptionEndpoint& of = in_age(age);
+    if (!of.may_take()) continue;
+    for (const auto& link : of.links_) {
+      if (link->continues_ || !link->keeps_history() || !has_former(*link, age)) continue;
+      link->continues_ = true;
+      link->core_.want_history(0);
+    }
+    of.drop_beyond_depth();
+    for (const auto& link : of.links_) {
+      of.look_at(*link);
+      const auto stamp = link->next_stamp_;
+      if (!stamp || (best.link != nullptr && *stamp > best.stamp) || is_held_back(*link, age))
+        continue;
+      best = {&of, &link, *stamp};
+    }
+  }
+  return best;
+}
+
+bool SubscriptionEndpoint::take_in_order(Receiver& receiver) noexcept {
+  return with_successors_locked([&] {
+    bool has_taken = false;
+    // Each round takes, loses or passes over something. Were a publisher faster than that, or is more
+    // wanted, the next call goes on.
+    for (std::uint64_t round = 0; round < 2 * abi::ring_count; ++round) {
+      if (oldest_in_order().link == nullptr) break;
+      Candidate next = oldest_in_order();  // a second look: see take_oldest
+      if (next.link == nullptr) break;
+      const Attempt attempt = next.of->take_from<true>(*next.link, receiver, 1);
+      has_taken |= attempt == Attempt::taken;
+      if (attempt == Attempt::no_room || receiver.wanted() == 0) break;
+    }
+    return has_taken;
+  });
+}
+
+// What is held back is no news: whoever asks would turn in circles.
+bool SubscriptionEndpoint::has_news_in_order() const noexcept {
+  return with_successors_locked([this] {
+    for (std::size_t age = successors_.size() + 1; age-- > 0;) {
+      const SubscriptionEndpoint& of = in_age(age);
+      if (of.may_take() && std::any_of(of.links_.begin(), of.links_.end(), [&](const auto& link) {
+            return of.can_take(*link) && link->core_.has_news() && !is_held_back(*link, age);
+          }))
+        return true;
+    }
+    return false;
+  });
+}
+
+void SubscriptionEndpoint::be_alone() noexcept {
+  {
+    const std::lock_guard lock(mutex_);
+    is_alone_ = true;
+    if (closed_) {
+      for (const auto& link : links_) link->core_.stand_aside();
+    }
+  }
+  sleeper_->wake();
+}
+
+void SubscriptionEndpoint::expect_successor() {
+  const std::lock_guard lock(mutex_);
+  successors_.reserve(successors_.size() + 1);
+}
+
+bool SubscriptionEndpoint::add_successor(const std::shared_ptr<SubscriptionEndpoint>& successor) {
+  {
+    const std::lock_guard lock(mutex_);
+    if (closed_) return false;
+    if (!successors_.empty()) successors_.back()->be_succeeded();
+    successors_.push_back(successor);
+  }
+  AGNOCAST_CRASH_POINT(C_succeeded);
+  be_succeeded();
+  sleeper_->wake();  // what it got meanwhile rang for nobody who knew it
+  events_->moved();
+  return true;
+}
+
+std::shared_ptr<SubscriptionEndpoint> SubscriptionEndpoint::in_membership(
+    const Context* context, const std::shared_ptr<SubscriptionEndpoint>& self) const {
+  if (self_.context == context) return self;
+  const std::lock_guard lock(mutex_);
+  for (const auto& successor : successors_) {
+    if (successor->context() == context) return successor;
+  }
+  return nullptr;
+}
+
+std::size_t SubscriptionEndpoint::successor_count() const noexcept {
+  const std::lock_guard lock(mutex_);
+  return successors_.size();
+}
+
+std::shared_ptr<SubscriptionEndpoint> SubscriptionEndpoint::successor(
+    std::size_t number) const noexcept {
+  const std::lock_guard lock(mutex_);
+  return number < successors_.size() ? successors_[number] : nullptr;
+}
+
+void SubscriptionEndpoint::collect_alone() {
+  bool found = false;
+  {
+    const std::lock_guard lock(mutex_);
+    for (auto at = links_.begin(); at != links_.end();) {
+      const std::shared_ptr<Link>& link = *at;
+      if (!link->ceased_ && (link->has_moved() || !link->peer().is_alive())) {
+        link->ceased_ = true;
+        found = true;
+        events_->ceased();
+      }
+      const bool over = closed_ || (link->ceased_ && !link->core_.has_news());
+      link->closing_.store(over, std::memory_order_release);
+      if (!over || link->held_count() != 0) {
+        ++at;
+        continue;
+      }
+      if (link->keeps_history() && link->has_moved() && link->core_.has_begun() &&
+          std::find(followed_.begin(), followed_.end(), link->origin()) == followed_.end())
+        followed_.push_back(link->origin());
+      lost_before_ += link->core_.lost();
+      malformed_before_ += link->core_.malformed();
+      unreachable_before_ += link->core_.unreachable();
+      at = links_.erase(at);
+    }
+  }
+  if (found) sleeper_->wake();
+}
+
+bool SubscriptionEndpoint::is_finished() const noexcept {
+  const std::lock_guard lock(mutex_);
+  return (closed_ || is_succeeded_.load(std::memory_order_acquire)) && links_.empty();
+}
+
+void SubscriptionEndpoint::finish() noexcept {
+  {
+    const std::lock_guard lock(mutex_);
+    has_finished_ = true;
+  }
+  if (const auto first = first_.lock()) first->absorb(*this);
+}
+
+/// A successor of this one has finished.
+void SubscriptionEndpoint::absorb(SubscriptionEndpoint& successor) noexcept {
+  std::shared_ptr<SubscriptionEndpoint> gone;  // after the lock
+  const std::lock_guard lock(mutex_);
+  const auto found = std::find_if(successors_.begin(), successors_.end(),
+                                  [&](const auto& entry) { return entry.get() == &successor; });
+  if (found == successors_.end()) return;
+  const std::lock_guard its_lock(successor.mutex_);
+  lost_before_ += std::exchange(successor.lost_before_, 0);
+  malformed_before_ += std::exchange(successor.malformed_before_, 0);
+  unreachable_before_ += std::exchange(successor.unreachable_before_, 0);
+  try {
+    followed_.insert(followed_.end(), successor.followed_.begin(), successor.followed_.end());
+  } catch (const std::bad_alloc&) {
+    // History may come twice.
+  }
+  gone = std::move(*found);
+  successors_.erase(found);
+}
+
+}  // namespace agnocast

@@ -1,0 +1,139 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <base/kept_fd.hpp>
+#include <client/process/forked_child.hpp>
+#include <client/process/sleeper.hpp>
+
+#include <sys/epoll.h>
+#include <sys/eventfd.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+
+namespace agnocast {
+
+Result<std::shared_ptr<Sleeper>> Sleeper::make() {
+  UniqueFd eventfd = keep(UniqueFd(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)));
+  if (!eventfd) return fail(Errc::os_failure, "making an eventfd", errno);
+  return std::make_shared<Sleeper>(std::move(eventfd));
+}
+
+Sleeper::~Sleeper() {
+  // Sleep words and epoll sets are the parent's, and the mutex may be held for ever.
+  if (is_forked_child()) return;
+  disarm();  // the next user of a place begins awake
+  for (const Set& set : sets_) leave(set.epoll);
+}
+
+void Sleeper::leave(int epoll) const noexcept {
+  if (has_lost_kept()) return;  // these numbers may be others'
+  ::epoll_ctl(epoll, EPOLL_CTL_DEL, eventfd_.get(), nullptr);
+  for (const auto& [membership, place] : places_) place->bells.remove_from(epoll);
+}
+
+Result<void> Sleeper::add(Membership membership, std::shared_ptr<Place> place) {
+  const std::lock_guard lock(mutex_);
+  places_.reserve(places_.size() + 1);
+  for (const Set& set : sets_) {
+    Result<void> added = place->bells.add_to(set.epoll, set.eventfd_tag, set.datagram_tag);
+    if (added) continue;
+    for (const Set& before : sets_) place->bells.remove_from(before.epoll);
+    return added;
+  }
+  places_.emplace_back(membership, std::move(place));
+  wake();  // who sleeps has not armed this one
+  return {};
+}
+
+void Sleeper::remove(Membership membership) noexcept {
+  std::shared_ptr<Place> gone;  // its end takes locks
+  const std::lock_guard lock(mutex_);
+  const auto found = std::find_if(places_.begin(), places_.end(),
+                                  [&](const auto& entry) { return entry.first == membership; });
+  if (found == places_.end()) return;
+  gone = std::move(found->second);
+  places_.erase(found);
+  for (const Set& set : sets_) gone->bells.remove_from(set.epoll);
+  wake();  // a ring that nobody has noticed yet goes with the bell
+}
+
+bool Sleeper::renew(Membership membership, DoorbellReceiver& bells) noexcept {
+  const std::lock_guard lock(mutex_);
+  const auto found = std::find_if(places_.begin(), places_.end(),
+                                  [&](const auto& entry) { return entry.first == membership; });
+  if (found == places_.end()) return false;
+  for (const Set& set : sets_) {
+    if (bells.add_to(set.epoll, set.eventfd_tag, set.datagram_tag)) continue;
+    for (const Set& before : sets_) bells.remove_from(before.epoll);
+    return false;
+  }
+  for (const Set& set : sets_) found->second->bells.remove_from(set.epoll);
+  std::swap(found->second->bells, bells);
+  wake();  // nobody has rung the new ones for what is there
+  return true;
+}
+
+std::optional<std::uint64_t> Sleeper::index_in(Membership membership) const noexcept {
+  const std::lock_guard lock(mutex_);
+  for (const auto& [where, place] : places_) {
+    if (where == membership) return place->index;
+  }
+  return std::nullopt;
+}
+
+Result<void> Sleeper::add_to(int epoll, std::uint64_t eventfd_tag, std::uint64_t datagram_tag) {
+  const std::lock_guard lock(mutex_);
+  sets_.reserve(sets_.size() + 1);
+  epoll_event event{};
+  event.events = EPOLLIN | EPOLLET;
+  event.data.u64 = eventfd_tag;
+  if (::epoll_ctl(epoll, EPOLL_CTL_ADD, eventfd_.get(), &event) != 0)
+    return fail(Errc::os_failure, "adding an eventfd to an epoll set", errno);
+  for (const auto& [membership, place] : places_) {
+    Result<void> added = place->bells.add_to(epoll, eventfd_tag, datagram_tag);
+    if (added) continue;
+    leave(epoll);
+    return added;
+  }
+  sets_.push_back({epoll, eventfd_tag, datagram_tag});
+  return {};
+}
+
+void Sleeper::remove_from(int epoll) noexcept {
+  const std::lock_guard lock(mutex_);
+  std::erase_if(sets_, [&](const Set& set) { return set.epoll == epoll; });
+  leave(epoll);
+}
+
+void Sleeper::drain() noexcept {
+  const std::lock_guard lock(mutex_);
+  for (const auto& [membership, place] : places_) {
+    if (place->bells.drain()) continue;
+    // Who rings by datagram alone is heard at the next look around.
+    for (const Set& set : sets_) place->bells.mute(set.epoll);
+  }
+}
+
+void Sleeper::wake() const noexcept {
+  if (!may_use(eventfd_.get())) return;
+  const std::uint64_t one = 1;
+  [[maybe_unused]] const ssize_t written = ::write(eventfd_.get(), &one, sizeof one);
+}
+
+void Sleeper::arm() noexcept {
+  const std::lock_guard lock(mutex_);
+  for (const auto& [membership, place] : places_) {
+    place->core.arm();
+    place->is_armed = true;
+  }
+}
+
+void Sleeper::disarm() noexcept {
+  const std::lock_guard lock(mutex_);
+  for (const auto& [membership, place] : places_) {
+    if (std::exchange(place->is_armed, false)) place->core.disarm();
+  }
+}
+
+}  // namespace agnocast

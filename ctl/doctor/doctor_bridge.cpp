@@ -1,0 +1,242 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// The checks of the bridges to DDS.
+
+#include <base/text.hpp>
+#include <ctl/cli/console.hpp>
+#include <ctl/doctor/doctor_facts.hpp>
+
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <set>
+#include <sstream>
+
+namespace agnocast::ctl {
+namespace {
+
+using Ailments = std::vector<Ailment>;
+
+// In whose name a bridge's own endpoints are.
+constexpr std::string_view bridge_node = "_agnocast_bridge";
+// A received message lies in the buffer in fragments, each with what the kernel keeps about it.
+constexpr std::uint64_t buffer_factor = 2;
+
+std::string start_of(const Facts& facts, std::uint64_t domain) {
+  const std::string number = std::to_string(domain);
+  if (facts.door.is_systems)
+    return "sudo systemctl enable --now agnocast-bridge" +
+           (domain == facts.unit_domain ? std::string() : '@' + number);
+  return "agnocast-bridge --socket " + shell_word(facts.door.path) + " --domain " + number + " &";
+}
+
+Ailments not_running(const Facts& facts) {
+  Ailments found;
+  for (const std::string& unit : facts.idle_bridge_units)
+    found.push_back(
+        {escaped(unit) + " is enabled, and no bridge of it answers",
+         {{"BRIDGE", "sudo systemctl restart " + shell_word(unit) + " || journalctl -u " +
+                         shell_word(unit) + " -n 20 --no-pager"}}});
+  if (!facts.rival_bridge_unit.empty())
+    found.push_back(
+        {"agnocast-bridge.service and " + escaped(facts.rival_bridge_unit) +
+             " are both enabled, for domain " + std::to_string(facts.unit_domain),
+         {{"BRIDGE", "sudo systemctl disable --now " + shell_word(facts.rival_bridge_unit) +
+                         " && sudo systemctl restart agnocast-bridge"}},
+         "one of them has the domain, and the other one cannot have it as well"});
+  const auto has_idle_unit = [&](std::uint64_t domain) {
+    const std::string instance = "agnocast-bridge@" + std::to_string(domain) + ".service";
+    const auto& idle = facts.idle_bridge_units;
+    return std::any_of(idle.begin(), idle.end(), [&](const std::string& unit) {
+      return unit == instance || (unit == "agnocast-bridge.service" && domain == facts.unit_domain);
+    });
+  };
+  for (const auto& [path, domain] : facts.dead_bridges)
+    if (!has_idle_unit(domain))
+      found.push_back(
+          {"nobody listens at " + escaped(path), {{"BRIDGE", start_of(facts, domain)}}});
+  return found;
+}
+
+Ailments elsewhere(const Facts& facts) {
+  if (facts.bridges.empty()) return {};
+  std::set<std::uint64_t> bridged, used;
+  for (const BridgeState& bridge : facts.bridges) bridged.insert(bridge.domain);
+  for (const auto& [index, topic] : facts.system().topics) {
+    const auto is_a_nodes = [](const Endpoint& endpoint) {
+      return !endpoint.node_name.starts_with(bridge_node);
+    };
+    if (std::any_of(topic.publishers.begin(), topic.publishers.end(), is_a_nodes) ||
+        std::any_of(topic.subscriptions.begin(), topic.subscriptions.end(), is_a_nodes))
+      used.insert(topic.facts.domain);
+  }
+  const auto is_bridged = [&](std::uint64_t domain) { return bridged.count(domain) != 0; };
+  if (std::any_of(used.begin(), used.end(), is_bridged)) return {};
+  Ailments found;
+  for (const std::uint64_t domain : used)
+    found.push_back(
+        {"nodes of this host are in domain " + std::to_string(domain) + ", and no bridge is",
+         {{"BRIDGE", start_of(facts, domain)}}});
+  return found;
+}
+
+std::vector<std::string> prefixes_in(const std::string& path) {
+  std::vector<std::string> prefixes;
+  std::istringstream in(path);
+  for (std::string prefix; std::getline(in, prefix, ':');)
+    if (!prefix.empty()) prefixes.push_back(prefix);
+  return prefixes;
+}
+
+/// Directories on the way that only their owner and group may walk through.
+std::vector<std::string> closed_on_the_way_to(const std::string& path) {
+  std::vector<std::string> closed;
+  for (std::size_t at = path.find('/', 1); at != std::string::npos; at = path.find('/', at + 1)) {
+    struct stat facts {};
+    const std::string directory = path.substr(0, at);
+    if (::stat(directory.c_str(), &facts) == 0 && (facts.st_mode & S_IXOTH) == 0)
+      closed.push_back(directory);
+  }
+  return closed;
+}
+
+/// How a bridge gets the libraries that this shell has; and why it has not.
+Ailment with_remedy(const Facts& facts, const BridgeState& bridge, const std::string& package,
+                    Ailment ailment) {
+  const std::string library = "/lib/lib" + package + "__rosidl_typesupport_introspection_cpp.so";
+  std::string where;
+  std::vector<std::string> prefixes = prefixes_in(facts.prefix_path);
+  for (const std::string& prefix : prefixes)
+    if (where.empty() && ::access((prefix + library).c_str(), F_OK) == 0) where = prefix;
+  std::string& remedy = ailment.words["PATHS"];
+  if (where.empty()) {
+    ailment.cause +=
+        "; this shell does not have it either. With its workspace sourced here, doctor "
+        "says how the bridge gets it";
+    remedy = ". WORKSPACE/setup.sh && agnocast-ctl doctor  # WORKSPACE has " + shell_word(package);
+    return ailment;
+  }
+  const auto command = facts.bridge_commands.find(bridge.pid);
+  if (command != facts.bridge_commands.end()) {
+    ailment.cause += "; this shell has it in " + escaped(where);
+    remedy = "kill " + std::to_string(bridge.pid) + " && flock " +
+             shell_word(bridge.path + ".lock") + " true && " + command->second + " &";
+    return ailment;
+  }
+  for (const std::string& old : prefixes_in(facts.units_prefix_path))
+    if (std::find(prefixes.begin(), prefixes.end(), old) == prefixes.end()) prefixes.push_back(old);
+  std::string all;
+  for (const std::string& prefix : prefixes) all += (all.empty() ? "" : ":") + prefix;
+  const std::vector<std::string> closed = closed_on_the_way_to(where + library);
+  for (const std::string& directory : closed) {
+    ailment.cause += "; the user agnocast-bridge may not walk through " + escaped(directory);
+    remedy += "sudo chmod o+x " + shell_word(directory) + " && ";
+  }
+  if (closed.empty()) ailment.cause += "; this shell has it in " + escaped(where);
+  const auto unit = facts.bridge_units.find(bridge.pid);
+  // The last line of a variable counts, and this one has what the former one had.
+  remedy += "echo " + shell_word("AMENT_PREFIX_PATH=" + all) +
+            " | sudo tee -a /etc/default/agnocast-bridge && sudo systemctl restart " +
+            (unit == facts.bridge_units.end() ? "'agnocast-bridge*'" : shell_word(unit->second));
+  return ailment;
+}
+
+Ailments type_not_found(const Facts& facts) {
+  Ailments found;
+  for (const BridgeState& bridge : facts.bridges) {
+    for (const BridgeLack& lack : bridge.unbridged) {
+      // What is refused is found, and no command mends it.
+      if (lack.why != "unknown_type" || lack.detail.starts_with(sentence_of(Errc::type_refused)))
+        continue;
+      found.push_back(with_remedy(
+          facts, bridge, lack.type.substr(0, lack.type.find('/')),
+          {escaped(lack.topic) + ": the bridge of domain " + std::to_string(bridge.domain) +
+               " finds no " + escaped(lack.type),
+           {},
+           lack.detail.empty() ? "it is not below AMENT_PREFIX_PATH or type_paths of the bridge"
+                               : escaped(lack.detail)}));
+    }
+  }
+  return found;
+}
+
+Ailments configuration(const Facts& facts) {
+  Ailments found;
+  for (const auto& [file, what] : facts.bridge_faults)
+    found.push_back({what, {{"CONFIG", shell_word(file)}}});
+  return found;
+}
+Ailments cyclonedds(const Facts& facts) {
+  Ailments found;
+  if (!facts.hidden_cyclonedds_file.empty()) {
+    const std::string& file = facts.hidden_cyclonedds_file;
+    const std::string place = "/etc/agnocast/cyclonedds.xml";
+    found.push_back(
+        {"CYCLONEDDS_URI of the units names " + escaped(file) + ", which they do not see",
+         {{"URI", "sudo install -D -m 644 " + shell_word(file) + ' ' + place + " && sudo sed -i " +
+                      shell_word("/^CYCLONEDDS_URI=/s|" + file + '|' + place + '|') +
+                      " /etc/default/agnocast-bridge && sudo systemctl restart "
+                      "'agnocast-bridge*'"}},
+         "units of the bridge have a /tmp and /var/tmp of their own (PrivateTmp=)"});
+  }
+  if (!facts.cyclonedds_fault.empty())
+    found.push_back({facts.cyclonedds_fault,
+                     {{"URI",
+                       "agnocast-bridge --check-config  # then: unset CYCLONEDDS_URI, or "
+                       "/etc/default/agnocast-bridge"}}});
+  return found;
+}
+
+Ailments receive_buffer(const Facts& facts) {
+  Ailments found;
+  if (facts.receive_buffer_max == 0) return found;
+  std::set<std::string> named;
+  for (const BridgeState& bridge : facts.bridges) {
+    for (const BridgeEndpoint& endpoint : bridge.endpoints) {
+      if (endpoint.is_out || endpoint.messages == 0) continue;
+      const std::uint64_t mean = endpoint.bytes / endpoint.messages;
+      if (mean <= facts.receive_buffer_max / buffer_factor || !named.insert(endpoint.topic).second)
+        continue;
+      found.push_back({escaped(endpoint.topic) + " has messages of " + bytes_for_people(mean) +
+                       " from DDS, and a socket may have " +
+                       bytes_for_people(facts.receive_buffer_max)});
+    }
+  }
+  return found;
+}
+
+constexpr auto failed = Check::Severity::failed;
+constexpr auto warning = Check::Severity::warning;
+constexpr auto always = Check::Needs::nothing;
+constexpr auto daemon = Check::Needs::daemon;
+
+// clang-format off
+constexpr Check table[] = {
+    {"bridge-configuration", "the configuration of the bridge has no mistake", failed, always,
+     "the file was changed after the bridge had read it, or keeps it from starting; its next start fails",
+     "sudo \"${EDITOR:-vi}\" CONFIG && agnocast-bridge --check-config --config CONFIG", configuration},
+    {"cyclonedds-uri", "Cyclone DDS takes CYCLONEDDS_URI", failed, always,
+     "what the variable says, or the file that it names, is no configuration of Cyclone DDS: nothing with it can join a domain",
+     "URI", cyclonedds},
+    {"bridge-not-running", "every bridge that should run does", failed, always,
+     "it has ended or cannot start: topics do not go to DDS; what it said last is in its log",
+     "BRIDGE", not_running},
+    {"bridge-elsewhere", "bridges are in a domain that nodes of this host have", warning, daemon,
+     "a bridge connects its domain of DDS with nodes of the same domain here, and with no others",
+     "BRIDGE", elsewhere},
+    {"bridge-type", "bridges find the types of what both sides have", failed, always,
+     "the library of the message package is neither below AMENT_PREFIX_PATH nor in type_paths of the bridge",
+     "PATHS", type_not_found},
+    {"receive-buffer", "sockets may hold the messages that come from DDS", warning, always,
+     "fragments that find no room are lost and sent again, best-effort messages are lost as a whole",
+     "echo 'net.core.rmem_max = 16777216' | sudo tee /etc/sysctl.d/60-agnocast-bridge.conf && sudo sysctl --load /etc/sysctl.d/60-agnocast-bridge.conf",
+     receive_buffer},
+};
+// clang-format on
+
+}  // namespace
+
+const std::span<const Check> bridge_checks = table;
+
+}  // namespace agnocast::ctl

@@ -1,0 +1,229 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// The checks of the daemon, its limits, and the host.
+
+#include <agnocast/error.hpp>
+#include <base/text.hpp>
+#include <ctl/cli/console.hpp>
+#include <ctl/doctor/doctor_facts.hpp>
+
+#include <algorithm>
+#include <charconv>
+#include <limits>
+#include <set>
+
+namespace agnocast::ctl {
+namespace {
+
+using Ailments = std::vector<Ailment>;
+
+constexpr std::uint64_t unlimited = std::numeric_limits<std::uint64_t>::max();
+// Updates and changed configurations restart it as well.
+constexpr std::uint64_t restarts_max = 3;
+// Of everything that is bounded: time enough to do something.
+constexpr std::uint64_t near_in_tenths = 9;
+constexpr std::uint64_t log_level_debug = 7;
+// LimitNOFILE= of the unit, and four times the kernel's usual number of mappings.
+constexpr std::uint64_t usual_descriptors = 65536, many_mappings = 262144;
+
+bool is_near(std::uint64_t used, std::uint64_t limit) {
+  return limit != unlimited && limit != 0 && used * 10 >= limit * near_in_tenths;
+}
+
+std::string pid_of(const Facts& facts) { return std::to_string(facts.system().daemon.pid); }
+
+std::uint64_t doubled(std::uint64_t limit) { return limit > unlimited / 4 ? limit : limit * 2; }
+
+/// What a refusal says of the limit that it met: "[quota] topics is 3", and nothing else.
+struct Named {
+  std::string section, key;
+  std::uint64_t value = 0;
+};
+std::optional<Named> named_in(const std::string& why) {
+  const std::size_t open = why.find('['), close = why.find("] ", open);
+  if (open == std::string::npos || close == std::string::npos) return std::nullopt;
+  constexpr std::string_view is = " is ";
+  const std::size_t end = why.find(is, close + 2);
+  if (end == std::string::npos) return std::nullopt;
+  Named named{why.substr(open + 1, close - open - 1), why.substr(close + 2, end - close - 2)};
+  const char* const digits = why.data() + end + is.size();
+  if (std::from_chars(digits, why.data() + why.size(), named.value).ec != std::errc() ||
+      (named.section != "quota" && named.section != "limits" && named.section != "heap") ||
+      named.key.find_first_not_of("abcdefghijklmnopqrstuvwxyz_") != std::string::npos)
+    return std::nullopt;  // it becomes part of a command, and a name of others may be in the text
+  return named;
+}
+
+/// What was refused lately with this code, for a limit that has not been named before.
+void add_refused(const Facts& facts, Errc code, std::set<std::string>& keys, Ailments& found) {
+  for (const wire::DumpRefusal& refusal : facts.system().refusals) {
+    if (static_cast<Errc>(refusal.code) != code || refusal.age_ns > lately_ns) continue;
+    const std::string why = text_of(refusal.why);
+    const auto named = named_in(why);
+    if (!named || !keys.insert(named->key + std::to_string(refusal.uid)).second) continue;
+    found.push_back(
+        {"uid " + std::to_string(refusal.uid) + " was refused: " + escaped(why),
+         {{"CONFIGURE", facts.configure(named->section, named->key, doubled(named->value))}}});
+  }
+}
+
+Ailments configuration_wrong(const Facts& facts) {
+  if (facts.configuration_fault.empty()) return {};
+  return {{facts.configuration_fault}};
+}
+Ailments program_replaced(const Facts& facts) {
+  if (!facts.program_replaced) return {};
+  return {{"agnocastd (pid " + pid_of(facts) + ") runs a program that has been replaced since"}};
+}
+Ailments nothing_kept(const Facts& facts) {
+  if (facts.system().daemon.kept_descriptors_max != 0) return {};
+  return {{"nobody keeps the descriptors of agnocastd (pid " + pid_of(facts) + ")"}};
+}
+Ailments restarts(const Facts& facts) {
+  if (facts.restarts_lately < restarts_max) return {};
+  return {{"agnocastd was restarted " + std::to_string(facts.restarts_lately) +
+           " times within ten minutes"}};
+}
+Ailments descriptors(const Facts& facts) {
+  if (facts.descriptors == 0 || !is_near(facts.descriptors, facts.descriptor_limit)) return {};
+  const std::uint64_t count =
+      std::min(std::max(doubled(facts.descriptor_limit), usual_descriptors), facts.descriptors_max);
+  return {{"agnocastd (pid " + pid_of(facts) + ") has " + std::to_string(facts.descriptors) +
+               " descriptors of " + std::to_string(facts.descriptor_limit),
+           {{"PID", pid_of(facts)}, {"COUNT", std::to_string(count)}}}};
+}
+Ailments debug_log(const Facts& facts) {
+  if (facts.system().daemon.log_level < log_level_debug) return {};
+  return {{"agnocastd logs at level debug"}};
+}
+
+Ailments quota(const Facts& facts) {
+  Ailments found;
+  std::set<std::string> keys;
+  const wire::UserShare& quota = facts.system().daemon.quota;
+  for (const wire::DumpUser& user : facts.system().users) {
+    const wire::UserShare& use = user.use;
+    const struct {
+      const char* key;
+      std::uint64_t used, limit;
+    } shares[] = {{"clients", use.clients, quota.clients},
+                  {"topics", use.topics, quota.topics},
+                  {"publishers", use.publishers, quota.publishers},
+                  {"subscriptions", use.subscriptions, quota.subscriptions},
+                  {"publishers_per_topic", use.publishers_per_topic, quota.publishers_per_topic},
+                  {"subscriptions_per_topic", use.subscriptions_per_topic,
+                   quota.subscriptions_per_topic},
+                  {"executors", use.executors, quota.executors},
+                  {"heap_bytes", use.heap_bytes, quota.heap_bytes},
+                  {"held_messages", use.held_messages, quota.held_messages}};
+    for (const auto& share : shares) {
+      if (!is_near(share.used, share.limit)) continue;
+      keys.insert(share.key + std::to_string(user.uid));
+      found.push_back({"uid " + std::to_string(user.uid) + " has " + std::to_string(share.used) +
+                           " of [quota] " + share.key + " = " + std::to_string(share.limit),
+                       {{"CONFIGURE", facts.configure("quota", share.key, doubled(share.limit))}}});
+    }
+  }
+  add_refused(facts, Errc::quota_exceeded, keys, found);
+  return found;
+}
+
+Ailments tables(const Facts& facts) {
+  Ailments found;
+  std::set<std::string> keys;
+  const System& system = facts.system();
+  const wire::DaemonLimits& limits = system.daemon.limits;
+  const auto look = [&](const std::string& where, const char* key, std::uint64_t used,
+                        std::uint64_t limit, std::uint64_t most) {
+    if (!is_near(used, limit)) return;
+    for (const wire::DumpUser& user : system.users) keys.insert(key + std::to_string(user.uid));
+    found.push_back(
+        {where + std::to_string(used) + " of [limits] " + key + " = " + std::to_string(limit),
+         {{"CONFIGURE", facts.configure("limits", key, std::min(doubled(limit), most))}}});
+  };
+  look("there are ", "clients", system.processes.size(), limits.clients, abi::client_count_max);
+  look("there are ", "topics", system.topics.size(), limits.topics, abi::topic_count_max);
+  for (const auto& [index, topic] : system.topics) {
+    const std::string has = escaped(topic.name) + " has ";
+    look(has, "publishers_per_topic", topic.publishers.size(), limits.publishers_per_topic,
+         abi::publisher_count_max);
+    look(has, "subscriptions_per_topic", topic.subscriptions.size(), limits.subscriptions_per_topic,
+         abi::subscription_count_max);
+  }
+  add_refused(facts, Errc::limit_reached, keys, found);
+  return found;
+}
+
+Ailments depth(const Facts& facts) {
+  Ailments found;
+  std::set<std::string> keys;
+  add_refused(facts, Errc::depth_refused, keys, found);
+  return found;
+}
+
+Ailments huge_pages(const Facts& facts) {
+  if (facts.huge_pages != "never" && facts.huge_pages != "deny") return {};
+  return {{"huge pages of shared memory are off (shmem_enabled is " + facts.huge_pages + ")"}};
+}
+
+Ailments mappings(const Facts& facts) {
+  Ailments found;
+  for (const auto& [pid, member] : facts.members) {
+    if (!is_near(member.map_count, facts.map_count_max)) continue;
+    found.push_back(
+        {"process " + std::to_string(pid) + " has " + std::to_string(member.map_count) +
+             " mappings of " + std::to_string(facts.map_count_max),
+         {{"COUNT", std::to_string(std::max(doubled(facts.map_count_max), many_mappings))}}});
+  }
+  return found;
+}
+
+constexpr auto failed = Check::Severity::failed;
+constexpr auto warning = Check::Severity::warning;
+constexpr auto always = Check::Needs::nothing;
+constexpr auto daemon = Check::Needs::daemon;
+
+// clang-format off
+constexpr Check table[] = {
+    {"configuration-wrong", "the daemon's configuration has no mistake", failed, always,
+     "the file was changed after the daemon had read it, or keeps it from starting; its next start fails",
+     "sudo \"${EDITOR:-vi}\" FILE && agnocastd --check-config --config FILE", configuration_wrong},
+    {"old-daemon", "agnocastd runs the program that is installed", warning, daemon,
+     "an update has replaced the file; the daemon goes on as the former version",
+     "RELOAD", program_replaced},
+    {"nothing-kept", "the descriptors of agnocastd are kept over its death", warning, daemon,
+     "it was started with --fd-store=none, or its service manager keeps none (FileDescriptorStoreMax=): its death ends every membership",
+     "ANEW", nothing_kept},
+    {"daemon-restarts", "agnocastd lives", failed, daemon,
+     "it dies again and again: what it says before is in its log",
+     "journalctl --identifier=agnocastd --priority=err --since=-10min", restarts},
+    {"descriptor-limit", "agnocastd may open more descriptors", warning, daemon,
+     "each process costs it about nine; without any left it turns new ones away (LimitNOFILE= of the unit)",
+     "sudo prlimit --pid PID --nofile=COUNT", descriptors},
+    {"debug-log", "agnocastd does not log at level debug", warning, daemon,
+     "a line for every registration and endpoint slows it down and fills the log",
+     "agnocast-ctl log-level info", debug_log},
+    {"quota", "no user is at the bound of a quota", failed, daemon,
+     "what comes next is refused with quota_exceeded",
+     "CONFIGURE && RELOAD", quota},
+    {"table-full", "the daemon's tables have room", failed, daemon,
+     "what comes next is refused with limit_reached",
+     "CONFIGURE && RELOAD", tables},
+    {"depth", "no history was refused for its depth lately", failed, daemon,
+     "a publisher or subscription wants more than [limits] allows: depth_refused",
+     "CONFIGURE && RELOAD", depth},
+    {"huge-pages", "huge pages of shared memory can be used", warning, always,
+     "large messages cost thirty times the page faults while the kernel does not let shared memory have huge pages",
+     "echo 'w /sys/kernel/mm/transparent_hugepage/shmem_enabled - - - - advise' | sudo tee /etc/tmpfiles.d/agnocast.conf "
+     "&& sudo systemd-tmpfiles --create /etc/tmpfiles.d/agnocast.conf", huge_pages},
+    {"mapping-limit", "no process is at the bound of its mappings", failed, daemon,
+     "each process with which messages are exchanged costs about ten mappings; without any left they are lost. Those of one other user get a quarter, those of all others half",
+     "sudo sysctl -w vm.max_map_count=COUNT", mappings},
+};
+// clang-format on
+
+}  // namespace
+
+const std::span<const Check> host_checks = table;
+
+}  // namespace agnocast::ctl

@@ -1,0 +1,562 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <agnocast/topic_pattern.hpp>
+#include <base/text.hpp>
+#include <base/unique_fd.hpp>
+#include <daemon/config/config_keys.hpp>
+#include <daemon/state/hold_pool.hpp>
+
+#include <toml++/toml.h>
+
+#include <fcntl.h>
+#include <grp.h>
+#include <pwd.h>
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <charconv>
+#include <cstring>
+#include <utility>
+
+namespace agnocast::daemon {
+namespace {
+
+using config_keys::Key;
+using config_keys::Kind;
+
+constexpr std::uint64_t domain_count = std::uint64_t{1} << 32;  // ROS_DOMAIN_ID, with room
+constexpr std::size_t file_bytes_max = 1 << 20;                 // anything longer is not ours
+
+constexpr std::string_view sections[] = {"daemon", "heap", "limits", "quota", "access"};
+constexpr std::string_view access_keys[] = {"topic", "domain", "publish", "subscribe"};
+
+std::string joined(std::span<const std::string_view> words) {
+  std::string text;
+  for (const std::string_view word : words) {
+    if (!text.empty()) text += ", ";
+    text += word;
+  }
+  return text;
+}
+
+std::string number_text(const Key& key, std::uint64_t value) {
+  return key.kind == Kind::bytes ? bytes_text(value) : std::to_string(value);
+}
+
+std::string_view type_name(toml::node_type type) {
+  switch (type) {
+    case toml::node_type::table:
+      return "a table";
+    case toml::node_type::array:
+      return "a list";
+    case toml::node_type::string:
+      return "a string";
+    case toml::node_type::integer:
+      return "an integer";
+    case toml::node_type::floating_point:
+      return "a number with a fraction";
+    case toml::node_type::boolean:
+      return "true or false";
+    default:
+      return "a date or time";
+  }
+}
+
+class Reader {
+ public:
+  Reader(const std::string& file, const NameLookup& names) : file_(file), names_(names) {}
+
+  ConfigResult read(const toml::table& root) {
+    for (const auto& [key, node] : root) read_section(key, node);
+    if (errors_.empty()) check_together();
+    if (errors_.empty()) return std::move(config_);
+    std::stable_sort(errors_.begin(), errors_.end(), [](const auto& a, const auto& b) {
+      return std::pair(a.line, a.column) < std::pair(b.line, b.column);
+    });
+    return tl::unexpected(std::move(errors_));
+  }
+
+ private:
+  using Place = toml::source_position;
+
+  void report(const Place& place, std::string key, std::string what, std::string remedy) {
+    errors_.push_back({file_, static_cast<std::uint32_t>(place.line),
+                       static_cast<std::uint32_t>(place.column), std::move(key), std::move(what),
+                       std::move(remedy)});
+  }
+  void wrong_type(const toml::node& node, const std::string& key, std::string_view expected) {
+    report(node.source().begin, key, std::string(type_name(node.type())) + " cannot stand here",
+           "write " + std::string(expected));
+  }
+  void unknown(const toml::key& key, const std::string& full,
+               std::span<const std::string_view> known) {
+    const std::string_view meant = nearest(key.str(), known);
+    report(key.source().begin, full, "unknown key",
+           meant.empty() ? "known here: " + joined(known)
+                         : "did you mean \"" + std::string(meant) + "\"?");
+  }
+
+  void read_section(const toml::key& key, const toml::node& node) {
+    const std::string_view name = key.str();
+    if (std::find(std::begin(sections), std::end(sections), name) == std::end(sections)) {
+      unknown_section(key);
+      return;
+    }
+    if (name == "access") {
+      read_access(node);
+      return;
+    }
+    const toml::table* const table = node.as_table();
+    if (table == nullptr) {
+      wrong_type(node, std::string(name), "a section: [" + std::string(name) + "]");
+      return;
+    }
+    for (const auto& [inner, value] : *table) read_key(name, inner, value);
+  }
+
+  void unknown_section(const toml::key& key) {
+    // A key that was written outside of its section is the likelier mistake.
+    for (const Key& known : config_keys::all()) {
+      if (known.name != key.str()) continue;
+      report(key.source().begin, escaped(key.str()), "stands outside of its section",
+             "write it below [" + std::string(known.section) + "]");
+      return;
+    }
+    unknown(key, escaped(key.str()), sections);
+  }
+
+  void read_key(std::string_view section, const toml::key& name, const toml::node& node) {
+    for (const Key& key : config_keys::all()) {
+      if (key.section != section || key.name != name.str()) continue;
+      places_.push_back({&key, node.source().begin});
+      if (key.text != nullptr) {
+        read_text(key, node);
+      } else {
+        read_number(key, node);
+      }
+      return;
+    }
+    unknown(name, std::string(section) + '.' + escaped(name.str()), config_keys::names_in(section));
+  }
+
+  void read_number(const Key& key, const toml::node& node) {
+    const Place& place = node.source().begin;
+    if (key.kind == Kind::level) {
+      const auto* const text = node.as_string();
+      if (text == nullptr) {
+        wrong_type(node, key.full(), "one of " + std::string(log_level_names));
+      } else if (const auto level = log_level_of(text->get())) {
+        key.set_number(config_, static_cast<std::uint64_t>(*level));
+      } else {
+        report(place, key.full(), in_quotes(text->get()) + " is no level",
+               "use " + std::string(log_level_names));
+      }
+      return;
+    }
+    std::uint64_t value = 0;
+    std::string written;
+    if (const auto* const integer = node.as_integer()) {
+      written = std::to_string(integer->get());
+      if (integer->get() < 0) return out_of_range(key, place, written);
+      value = static_cast<std::uint64_t>(integer->get());
+      if (key.kind == Kind::mode && (value < key.least || value > key.most)) {
+        report(place, key.full(), written + " is no mode of a socket",
+               "write it octal, with the owner's rights in it: \"0660\" or 0o660");
+        return;
+      }
+    } else if (const auto* const text = node.as_string()) {
+      written = in_quotes(text->get());
+      if (const auto number = key.number_of_word(text->get())) {
+        key.set_number(config_, *number);
+        return;
+      }
+      const auto parsed = number_in(key, text->get());
+      if (!parsed) {
+        report(place, key.full(), written + " is no " + noun_of(key), "write " + form_of(key));
+        return;
+      }
+      value = *parsed;
+    } else {
+      wrong_type(node, key.full(), form_of(key));
+      return;
+    }
+    if (value < key.least || value > key.most) return out_of_range(key, place, written);
+    if (key.unit != 0 && value % key.unit != 0) {
+      report(place, key.full(), written + " is no multiple of " + bytes_text(key.unit),
+             "the next ones are " + bytes_text(value / key.unit * key.unit) + " and " +
+                 bytes_text((value / key.unit + 1) * key.unit));
+      return;
+    }
+    key.set_number(config_, value);
+  }
+
+  static std::optional<std::uint64_t> number_in(const Key& key, std::string_view text) {
+    if (key.kind == Kind::bytes) return parse_bytes(text);
+    if (key.kind != Kind::mode) return std::nullopt;
+    std::uint64_t mode = 0;
+    const auto end = text.data() + text.size();
+    const auto parsed = std::from_chars(text.data(), end, mode, 8);
+    if (text.empty() || parsed.ec != std::errc() || parsed.ptr != end) return std::nullopt;
+    if (mode < key.least || mode > key.most) return std::nullopt;
+    return mode;
+  }
+  static std::string noun_of(const Key& key) {
+    return key.kind == Kind::bytes  ? "size"
+           : key.kind == Kind::mode ? "mode of a socket"
+                                    : "number";
+  }
+  static std::string form_of(const Key& key) {
+    std::string form = "an integer";
+    if (key.kind == Kind::bytes)
+      form = "an integer of bytes, or a size like \"16GiB\" (B, KiB, MiB, GiB, TiB)";
+    if (key.kind == Kind::mode) form = "it octal, with the owner's rights in it: \"0660\" or 0o660";
+    return form + key.or_words();
+  }
+  void out_of_range(const Key& key, const Place& place, const std::string& written) {
+    const std::string remedy =
+        "use " + number_text(key, key.least) + " to " + number_text(key, key.most);
+    report(place, key.full(), written + " is out of range", remedy + key.or_words());
+  }
+
+  void read_text(const Key& key, const toml::node& node) {
+    const auto* const value = node.as_string();
+    if (value == nullptr) {
+      wrong_type(
+          node, key.full(),
+          key.kind == Kind::path ? "a path, or \"auto\"" : "the name of a group, or \"auto\"");
+      return;
+    }
+    const std::string& text = value->get();
+    const Place& place = node.source().begin;
+    if (text == key.word) {
+      key.text(config_).clear();
+      return;
+    }
+    if (key.kind == Kind::group) {
+      if (!names_.group(text)) {
+        report(place, key.full(), "there is no group " + in_quotes(text),
+               "create it (groupadd --system), or use another one");
+        return;
+      }
+    } else if (!check_path(key, place, text)) {
+      return;
+    }
+    key.text(config_) = text;
+  }
+
+  bool check_path(const Key& key, const Place& place, const std::string& text) {
+    const bool is_printable = std::none_of(text.begin(), text.end(), [](char c) {
+      return static_cast<unsigned char>(c) < ' ' || c == 0x7f;
+    });
+    if (text.empty() || text.front() != '/' || text.back() == '/' || !is_printable) {
+      report(place, key.full(), in_quotes(text) + " is not the absolute path of a file",
+             "start with a slash, end without one, and use no control characters");
+      return false;
+    }
+    if (text.size() > key.most) {
+      report(place, key.full(), "a path of " + std::to_string(text.size()) + " bytes is too long",
+             "use at most " + std::to_string(key.most) + " (the kernel's bound for sockets)");
+      return false;
+    }
+    return true;
+  }
+
+  void read_access(const toml::node& node) {
+    const toml::array* const rules = node.as_array();
+    if (rules == nullptr) return wrong_type(node, "access", "each rule as a table: [[access]]");
+    for (const toml::node& rule : *rules) {
+      const toml::table* const table = rule.as_table();
+      if (table == nullptr) {
+        wrong_type(rule, "access", "each rule as a table: [[access]]");
+      } else {
+        read_rule(*table);
+      }
+    }
+  }
+
+  void read_rule(const toml::table& table) {
+    AccessRule rule;
+    const Place& place = table.source().begin;
+    rule.line = static_cast<std::uint32_t>(place.line);
+    const std::size_t errors_before = errors_.size();
+    for (const auto& [key, node] : table) {
+      if (key.str() == "topic") {
+        read_topic(node, rule);
+      } else if (key.str() == "domain") {
+        read_domain(node, rule);
+      } else if (key.str() == "publish") {
+        rule.publish = read_principals(node, "access.publish");
+      } else if (key.str() == "subscribe") {
+        rule.subscribe = read_principals(node, "access.subscribe");
+      } else {
+        unknown(key, "access." + escaped(key.str()), access_keys);
+      }
+    }
+    if (!table.contains("topic"))
+      report(place, "access.topic", "is missing", "say which topics: topic = \"/lidar/**\"");
+    if (!table.contains("publish") && !table.contains("subscribe"))
+      report(place, "access", "the rule says nothing", "add publish or subscribe with a list");
+    if (errors_.size() != errors_before) return;
+    check_shadowed(rule, place);
+    config_.access.push_back(std::move(rule));
+  }
+
+  void read_topic(const toml::node& node, AccessRule& rule) {
+    const auto* const text = node.as_string();
+    if (text == nullptr)
+      return wrong_type(node, "access.topic", "a pattern of topic names: \"/lidar/**\"");
+    rule.topic = text->get();
+    if (const auto problem = topic_pattern_problem(rule.topic)) {
+      report(node.source().begin, "access.topic", in_quotes(rule.topic) + ": " + *problem,
+             "write a pattern of topic names: \"/lidar/**\"");
+    }
+  }
+
+  void read_domain(const toml::node& node, AccessRule& rule) {
+    const auto* const number = node.as_integer();
+    if (number == nullptr) return wrong_type(node, "access.domain", "an integer, a ROS_DOMAIN_ID");
+    if (number->get() < 0 || number->get() >= static_cast<std::int64_t>(domain_count)) {
+      return report(node.source().begin, "access.domain",
+                    std::to_string(number->get()) + " is out of range",
+                    "use 0 to " + std::to_string(domain_count - 1));
+    }
+    rule.domain = static_cast<std::uint64_t>(number->get());
+  }
+
+  Principals read_principals(const toml::node& node, const std::string& key) {
+    Principals who;
+    const toml::array* const list = node.as_array();
+    if (list == nullptr) {
+      wrong_type(node, key, "a list: [" + std::string(principal_examples) + "]");
+      return who;
+    }
+    for (const toml::node& element : *list) {
+      const auto* const text = element.as_string();
+      if (text == nullptr) {
+        wrong_type(element, key, "strings: " + std::string(principal_examples));
+      } else if (read_principal(element.source().begin, key, text->get(), who)) {
+        who.written.push_back(text->get());
+      }
+    }
+    return who;
+  }
+
+  bool read_principal(const Place& place, const std::string& key, const std::string& text,
+                      Principals& who) {
+    if (text == "*") {
+      who.everybody = true;
+      return true;
+    }
+    const std::size_t colon = text.find(':');
+    const std::string kind = text.substr(0, colon == std::string::npos ? 0 : colon);
+    const std::string name = colon == std::string::npos ? text : text.substr(colon + 1);
+    if (kind == "uid" || kind == "gid") {
+      std::uint32_t number = 0;
+      const auto end = name.data() + name.size();
+      const auto parsed = std::from_chars(name.data(), end, number);
+      // The largest number means "nobody" to the kernel's calls.
+      if (parsed.ec == std::errc() && parsed.ptr == end && !name.empty() && number != UINT32_MAX) {
+        kind == "uid" ? who.uids.push_back(number) : who.gids.push_back(number);
+        return true;
+      }
+      report(place, key,
+             in_quotes(text) + " has no number of a " + (kind == "uid" ? "user" : "group"),
+             "use 0 to 4294967294");
+      return false;
+    }
+    if (kind == "user") {
+      if (const auto uid = names_.user(name)) {
+        who.uids.push_back(*uid);
+        return true;
+      }
+      report(place, key, "there is no user " + in_quotes(name),
+             "correct the name, or use uid:NUMBER");
+      return false;
+    }
+    if (kind == "group") {
+      if (const auto gid = names_.group(name)) {
+        who.gids.push_back(*gid);
+        return true;
+      }
+      report(place, key, "there is no group " + in_quotes(name),
+             "correct the name, or use gid:NUMBER");
+      return false;
+    }
+    report(place, key, in_quotes(text) + " names nobody",
+           "write " + std::string(principal_examples));
+    return false;
+  }
+
+  // A rule that never decides is a mistake about the order.
+  void check_shadowed(const AccessRule& rule, const Place& place) {
+    for (const AccessRule& earlier : config_.access) {
+      const bool covers =
+          earlier.topic == rule.topic && (!earlier.domain || earlier.domain == rule.domain);
+      if (!covers) continue;
+      for (const auto& [is_said_twice, action] :
+           {std::pair(earlier.publish && rule.publish, "publish"),
+            std::pair(earlier.subscribe && rule.subscribe, "subscribe")}) {
+        if (!is_said_twice) continue;
+        report(place, std::string("access.") + action,
+               "never decides: line " + std::to_string(earlier.line) +
+                   " has the same topics and comes first",
+               "join both rules, or put the narrower one first");
+      }
+    }
+  }
+
+  // What is wrong only together; reported at the place of the key that the file has.
+
+  Place place_of(std::string_view section, std::string_view name) const {
+    for (const auto& [key, place] : places_) {
+      if (key->section == section && key->name == name) return place;
+    }
+    return {};
+  }
+  void conflict(std::string_view section, std::string_view first, std::string_view second,
+                std::string what, std::string remedy) {
+    Place place = place_of(section, first);
+    std::string key = std::string(section) + '.' + std::string(first);
+    if (place.line == 0) {
+      place = place_of(section, second);
+      key = std::string(section) + '.' + std::string(second);
+    }
+    report(place, std::move(key), std::move(what), std::move(remedy));
+  }
+
+  void check_together() {
+    const Config::Limits& limits = config_.limits;
+    if (limits.slots_per_publisher <= limits.depth_max) {
+      conflict("limits", "slots_per_publisher", "depth_max",
+               "slots_per_publisher (" + std::to_string(limits.slots_per_publisher) +
+                   ") has no room beside a history of depth_max (" +
+                   std::to_string(limits.depth_max) + ")",
+               "make slots_per_publisher larger than depth_max");
+    } else if (const std::uint64_t needed = std::uint64_t{limits.depth_max} + slots_beside_history +
+                                            limits.subscriptions_per_topic;
+               limits.slots_per_publisher < needed) {
+      conflict("limits", "slots_per_publisher", "subscriptions_per_topic",
+               "slots_per_publisher (" + std::to_string(limits.slots_per_publisher) +
+                   ") has no room for a message of each of subscriptions_per_topic (" +
+                   std::to_string(limits.subscriptions_per_topic) +
+                   ") beside a history of depth_max (" + std::to_string(limits.depth_max) + ")",
+               "make it at least " + std::to_string(needed) + ", or one of the others less");
+    }
+    const Config::Heap& heap = config_.heap;
+    if (heap.window_bytes != 0 && heap.arena_bytes != 0 && heap.arena_bytes < heap.window_bytes) {
+      conflict("heap", "arena_bytes", "window_bytes",
+               "arena_bytes (" + bytes_text(heap.arena_bytes) +
+                   ") is less than one window_bytes (" + bytes_text(heap.window_bytes) + ")",
+               "use one window for each process at least");
+    }
+    if (heap.window_bytes != 0 && config_.quota.heap_bytes != 0 &&
+        config_.quota.heap_bytes < heap.window_bytes) {
+      conflict("quota", "heap_bytes", "heap_bytes",
+               "heap_bytes (" + bytes_text(config_.quota.heap_bytes) +
+                   ") is less than one window (" + bytes_text(heap.window_bytes) + ")",
+               "nobody could publish; use a multiple of heap.window_bytes");
+    }
+  }
+
+  static constexpr std::string_view principal_examples =
+      "\"user:NAME\", \"group:NAME\", \"uid:1000\", \"gid:1000\" or \"*\"";
+
+  const std::string& file_;
+  const NameLookup& names_;
+  Config config_;
+  std::vector<ConfigError> errors_;
+  std::vector<std::pair<const Key*, Place>> places_;
+};
+
+// Where a character beyond ASCII stands outside a comment: line and column from 1, or nothing. TOML
+// allows them in strings too, but toml++ 3.3 has undefined behaviour for them wherever a space may
+// stand, and none of our values needs them (a string may say \uXXXX).
+std::optional<std::pair<std::uint32_t, std::uint32_t>> foreign_character(std::string_view text) {
+  std::uint32_t line = 1, column = 0;
+  char quote = '\0';
+  bool comment = false, escaped_one = false;
+  for (const char c : text) {
+    ++column;
+    if (c == '\n') {
+      ++line;
+      column = 0;
+      quote = '\0';
+      comment = escaped_one = false;
+    } else if (comment) {
+      continue;
+    } else if ((static_cast<unsigned char>(c) & 0x80) != 0) {
+      return std::pair(line, column);
+    } else if (escaped_one) {
+      escaped_one = false;
+    } else if (quote == '\0') {
+      comment = c == '#';
+      if (c == '"' || c == '\'') quote = c;
+    } else if (c == quote) {
+      quote = '\0';
+    } else {
+      escaped_one = quote == '"' && c == '\\';
+    }
+  }
+  return std::nullopt;
+}
+
+ConfigResult unreadable(const std::string& file, int error) {
+  const char* remedy = "name another file with --config";
+  if (error == EACCES || error == EPERM) remedy = "let the user of agnocastd read it";
+  return tl::unexpected(std::vector<ConfigError>{
+      {file, 0, 0, "", std::string("cannot be read: ") + std::strerror(error), remedy}});
+}
+
+}  // namespace
+
+std::string ConfigError::text() const {
+  std::string text = escaped(file);
+  if (line != 0) text += ':' + std::to_string(line) + ':' + std::to_string(column);
+  text += ": ";
+  if (!key.empty()) text += key + ": ";
+  return text + what + "; " + remedy;
+}
+
+NameLookup NameLookup::system() {
+  return {[](const std::string& name) -> std::optional<uid_t> {
+            const passwd* const entry = ::getpwnam(name.c_str());
+            return entry != nullptr ? std::optional(entry->pw_uid) : std::nullopt;
+          },
+          [](const std::string& name) -> std::optional<gid_t> {
+            const struct ::group* const entry = ::getgrnam(name.c_str());
+            return entry != nullptr ? std::optional(entry->gr_gid) : std::nullopt;
+          }};
+}
+
+ConfigResult parse_config(std::string_view text, const std::string& file, const NameLookup& names) {
+  if (const auto place = foreign_character(text))
+    return tl::unexpected(std::vector<ConfigError>{{file, place->first, place->second, "",
+                                                    "a character that is not ASCII",
+                                                    "write it in a comment, or as \\uXXXX"}});
+  try {
+    return Reader(file, names).read(toml::parse(text));
+  } catch (const toml::parse_error& error) {
+    const auto& place = error.source().begin;
+    return tl::unexpected(std::vector<ConfigError>{
+        {file, static_cast<std::uint32_t>(place.line), static_cast<std::uint32_t>(place.column), "",
+         escaped(error.description(), 400), "correct the TOML there"}});
+  }
+}
+
+ConfigResult load_config(const std::string& file, const NameLookup& names) {
+  const UniqueFd fd(::open(file.c_str(), O_RDONLY | O_CLOEXEC));
+  if (!fd) return unreadable(file, errno);
+  std::string text;
+  std::array<char, 4096> buffer;
+  for (;;) {
+    const ssize_t bytes = ::read(fd.get(), buffer.data(), buffer.size());
+    if (bytes < 0 && errno == EINTR) continue;
+    if (bytes < 0) return unreadable(file, errno);
+    if (bytes == 0) return parse_config(text, file, names);
+    text.append(buffer.data(), static_cast<std::size_t>(bytes));
+    if (text.size() > file_bytes_max) return unreadable(file, EFBIG);
+  }
+}
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,253 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <base/unix_address.hpp>
+#include <daemon/config/config_keys.hpp>
+
+#include <charconv>
+#include <utility>
+
+namespace agnocast::daemon {
+namespace config_keys {
+namespace {
+
+constexpr std::uint64_t granule = abi::window_granule_bytes;
+constexpr std::uint64_t mib = std::uint64_t{1} << 20;
+constexpr std::uint64_t tib = std::uint64_t{1} << 40;
+// A doorbell is a socket two names below: "/doorbells/" and up to 16 bytes.
+constexpr std::size_t runtime_directory_bytes_max = socket_path_bytes_max - 27;
+
+#define AGNOCAST_NUMBER(field)                                                   \
+  [](const Config& config) { return static_cast<std::uint64_t>(config.field); }, \
+      [](Config& config, std::uint64_t value) {                                  \
+        config.field = static_cast<decltype(config.field)>(value);               \
+      },                                                                         \
+      nullptr
+#define AGNOCAST_TEXT(field) \
+  nullptr, nullptr, [](Config& config) -> std::string& { return config.field; }
+
+constexpr std::uint64_t many = std::uint64_t{1} << 32;  // beyond anything; keeps sums from overflow
+
+constexpr Key keys[] = {
+    {"daemon", "socket", Kind::path, 0, socket_path_bytes_max, 0, "auto", 0,
+     AGNOCAST_TEXT(daemon.socket),
+     "where clients connect; auto: /run/agnocast/agnocastd.sock, of another user than root "
+     "$XDG_RUNTIME_DIR/agnocast/agnocastd.sock"},
+    {"daemon", "runtime_directory", Kind::path, 0, runtime_directory_bytes_max, 0, "auto", 0,
+     AGNOCAST_TEXT(daemon.runtime_directory), "for doorbells; auto: the directory of the socket"},
+    {"daemon", "socket_mode", Kind::mode, 0600, 0777, 0, "", 0, AGNOCAST_NUMBER(daemon.socket_mode),
+     "who may connect, as chmod has it"},
+    {"daemon", "socket_group", Kind::group, 0, 0, 0, "auto", 0, AGNOCAST_TEXT(daemon.socket_group),
+     "group of the socket; auto: agnocast where there is such a group"},
+    {"daemon", "log_level", Kind::level, 0, 0, 0, "", 0, AGNOCAST_NUMBER(daemon.log_level),
+     "error, warning, notice, info or debug"},
+    {"daemon", "watchdog_seconds", Kind::count, 1, 3600, 0, "off", 0,
+     AGNOCAST_NUMBER(daemon.watchdog_seconds),
+     "without systemd: a daemon whose loop has not turned for so long is killed and started again"},
+
+    {"heap", "window_bytes", Kind::bytes, 64 * mib, 16 * tib, granule, "auto", 0,
+     AGNOCAST_NUMBER(heap.window_bytes),
+     "addresses of one heap window, memory only as it is used; auto: 16GiB, at most a quarter of "
+     "the memory"},
+    {"heap", "windows_per_process", Kind::count, 1, abi::window_count_max, 0, "", 0,
+     AGNOCAST_NUMBER(heap.windows_per_process), "the first and its growth"},
+    // Below 4 GiB lie programs that are not position-independent; 2^56 is more than any machine
+    // has.
+    {"heap", "arena_base", Kind::bytes, std::uint64_t{1} << 32, std::uint64_t{1} << 56, granule,
+     "auto", 0, AGNOCAST_NUMBER(heap.arena_base),
+     "where the range of all windows begins in every client; auto: what this machine leaves free"},
+    {"heap", "arena_bytes", Kind::bytes, 64 * mib, std::uint64_t{1} << 55, granule, "auto", 0,
+     AGNOCAST_NUMBER(heap.arena_bytes), "length of that range; auto: from the address bits"},
+
+    {"limits", "depth_max", Kind::count, 1, abi::depth_max, 0, "", 0,
+     AGNOCAST_NUMBER(limits.depth_max), "deepest history of a publisher or subscription"},
+    {"limits", "slots_per_publisher", Kind::count, 2, abi::slot_count_max, 0, "", 0,
+     AGNOCAST_NUMBER(limits.slots_per_publisher),
+     "messages of one publisher that exist at once, held ones included; more than depth_max"},
+    {"limits", "clients", Kind::count, 1, abi::client_count_max, 0, "", 0,
+     AGNOCAST_NUMBER(limits.clients), "processes"},
+    {"limits", "topics", Kind::count, 1, abi::topic_count_max, 0, "", 0,
+     AGNOCAST_NUMBER(limits.topics), "topics of all domains"},
+    {"limits", "publishers_per_topic", Kind::count, 1, abi::publisher_count_max, 0, "", 0,
+     AGNOCAST_NUMBER(limits.publishers_per_topic), ""},
+    {"limits", "subscriptions_per_topic", Kind::count, 1, abi::subscription_count_max, 0, "", 0,
+     AGNOCAST_NUMBER(limits.subscriptions_per_topic), ""},
+
+    {"quota", "clients", Kind::count, 1, many, 0, "unlimited", unlimited,
+     AGNOCAST_NUMBER(quota.clients), "processes of one user"},
+    {"quota", "topics", Kind::count, 1, many, 0, "unlimited", unlimited,
+     AGNOCAST_NUMBER(quota.topics), "topics in which one user has publishers or subscriptions"},
+    {"quota", "publishers", Kind::count, 0, many, 0, "unlimited", unlimited,
+     AGNOCAST_NUMBER(quota.publishers), ""},
+    {"quota", "subscriptions", Kind::count, 0, many, 0, "unlimited", unlimited,
+     AGNOCAST_NUMBER(quota.subscriptions), ""},
+    {"quota", "publishers_per_topic", Kind::count, 1, many, 0, "auto", 0,
+     AGNOCAST_NUMBER(quota.publishers_per_topic),
+     "publishers of one user in one topic; auto: three quarters of what [limits] allows, or unlimited",
+     "unlimited", unlimited},
+    {"quota", "subscriptions_per_topic", Kind::count, 1, many, 0, "auto", 0,
+     AGNOCAST_NUMBER(quota.subscriptions_per_topic), "likewise", "unlimited", unlimited},
+    {"quota", "heap_bytes", Kind::bytes, 64 * mib, std::uint64_t{1} << 55, 0, "auto", 0,
+     AGNOCAST_NUMBER(quota.heap_bytes),
+     "sum of the lengths of all heap windows of one user; auto: three quarters of the arena, or "
+     "unlimited",
+     "unlimited", unlimited},
+    {"quota", "held_messages", Kind::count, 1, many, 0, "unlimited", unlimited,
+     AGNOCAST_NUMBER(quota.held_messages),
+     "sum of what the subscriptions of one user may hold at most"},
+    {"quota", "executors", Kind::count, 1, many, 0, "unlimited", unlimited,
+     AGNOCAST_NUMBER(quota.executors), "each costs the daemon two descriptors"},
+    {"quota", "queued_bytes", Kind::bytes, 1 * mib, std::uint64_t{1} << 40, 0, "unlimited",
+     unlimited, AGNOCAST_NUMBER(quota.queued_bytes),
+     "what the daemon keeps for the processes of one user that do not read what it says to them; "
+     "beyond that the one with most of it loses its connection"},
+    {"quota", "queued_seconds", Kind::count, 1, 86'400, 0, "unlimited", unlimited,
+     AGNOCAST_NUMBER(quota.queued_seconds),
+     "how long it is kept; then the process loses its connection, and is told again when it comes "
+     "back"},
+    {"quota", "dumps_per_second", Kind::count, 1, 1000, 0, "unlimited", unlimited,
+     AGNOCAST_NUMBER(quota.dumps_per_second),
+     "how often observers of one user are answered at length; beyond that they wait"},
+};
+
+#undef AGNOCAST_NUMBER
+#undef AGNOCAST_TEXT
+
+}  // namespace
+
+std::span<const Key> all() noexcept { return keys; }
+
+std::vector<std::string_view> names_in(std::string_view section) {
+  std::vector<std::string_view> names;
+  for (const Key& key : keys) {
+    if (key.section == section) names.push_back(key.name);
+  }
+  return names;
+}
+
+}  // namespace config_keys
+
+namespace {
+
+using config_keys::Key;
+using config_keys::Kind;
+
+constexpr std::string_view section_meanings[] = {
+    "The process itself.", "Shared heaps: addresses that every client reserves.",
+    "Bounds of the whole, for everybody together.", "Bounds for each user (uid)."};
+
+std::string mode_text(std::uint64_t mode) {
+  std::string text = "0";
+  for (int shift = 6; shift >= 0; shift -= 3)
+    text += static_cast<char>('0' + static_cast<char>(mode >> shift & 7));
+  return text;
+}
+
+// A TOML string; what is in it comes from a checked configuration, so there is little to escape.
+std::string toml_string(std::string_view text) {
+  std::string result = "\"";
+  for (const char c : text) {
+    if (c == '"' || c == '\\') result += '\\';
+    result += c;
+  }
+  return result + '"';
+}
+
+std::string value_text(const Key& key, const Config& config) {
+  if (key.text != nullptr) {
+    Config copy = config;
+    const std::string& text = key.text(copy);
+    return toml_string(text.empty() ? key.word : std::string_view(text));
+  }
+  const std::uint64_t value = key.number(config);
+  for (const std::string_view word : {key.word, key.other_word}) {
+    if (key.number_of_word(word) == value) return toml_string(word);
+  }
+  switch (key.kind) {
+    case Kind::level:
+      return toml_string(name_of(static_cast<LogLevel>(value)));
+    case Kind::mode:
+      return toml_string(mode_text(value));
+    case Kind::bytes:
+      return toml_string(bytes_text(value));
+    default:
+      return std::to_string(value);
+  }
+}
+
+std::string list_text(const Principals& who) {
+  std::string text = "[";
+  for (const std::string& name : who.written) {
+    if (text.size() > 1) text += ", ";
+    text += toml_string(name);
+  }
+  return text + ']';
+}
+
+constexpr std::pair<std::string_view, std::uint64_t> units[] = {{"TiB", std::uint64_t{1} << 40},
+                                                                {"GiB", std::uint64_t{1} << 30},
+                                                                {"MiB", std::uint64_t{1} << 20},
+                                                                {"KiB", std::uint64_t{1} << 10},
+                                                                {"B", 1}};
+
+}  // namespace
+
+std::string to_toml(const Config& config) {
+  std::string text =
+      "# Configuration of agnocastd; every key may be left out. agnocastd --check-config looks "
+      "for\n"
+      "# mistakes, agnocastd --print-config prints what is in force.\n";
+  std::size_t section = 0;
+  std::string_view current;
+  for (const Key& key : config_keys::all()) {
+    if (key.section != current) {
+      current = key.section;
+      text +=
+          "\n# " + std::string(section_meanings[section++]) + "\n[" + std::string(current) + "]\n";
+    }
+    if (!key.meaning.empty()) text += "# " + std::string(key.meaning) + '\n';
+    text += std::string(key.name) + " = " + value_text(key, config) + '\n';
+  }
+  text +=
+      "\n# Who may use which topics. The first rule that matches the topic and speaks of the "
+      "action\n"
+      "# decides; without one, everybody may. * and ? stand for characters of one name between\n"
+      "# slashes, ** for anything. A list that is empty means nobody. A process publishes on topics\n"
+      "# with the same subscribers only: they share its memory.\n"
+      "#\n"
+      "# [[access]]\n"
+      "# topic = \"/lidar/**\"\n"
+      "# domain = 0                          # ROS_DOMAIN_ID; every one if left out\n"
+      "# publish = [\"user:lidar\", \"uid:1000\"]\n"
+      "# subscribe = [\"group:perception\", \"gid:1000\", \"*\"]\n";
+  for (const AccessRule& rule : config.access) {
+    text += "\n[[access]]\ntopic = " + toml_string(rule.topic) + '\n';
+    if (rule.domain) text += "domain = " + std::to_string(*rule.domain) + '\n';
+    if (rule.publish) text += "publish = " + list_text(*rule.publish) + '\n';
+    if (rule.subscribe) text += "subscribe = " + list_text(*rule.subscribe) + '\n';
+  }
+  return text;
+}
+
+std::optional<std::uint64_t> parse_bytes(std::string_view text) noexcept {
+  std::uint64_t count = 0;
+  const char* const end = text.data() + text.size();
+  const auto parsed = std::from_chars(text.data(), end, count);
+  if (parsed.ec != std::errc()) return std::nullopt;
+  std::string_view rest(parsed.ptr, static_cast<std::size_t>(end - parsed.ptr));
+  if (rest.starts_with(' ')) rest.remove_prefix(1);
+  for (const auto& [unit, bytes] : units) {
+    if (rest != unit) continue;
+    if (count > std::numeric_limits<std::uint64_t>::max() / bytes) return std::nullopt;
+    return count * bytes;
+  }
+  return std::nullopt;
+}
+
+std::string bytes_text(std::uint64_t bytes) {
+  for (const auto& [unit, size] : units) {
+    if (bytes >= size && bytes % size == 0) return std::to_string(bytes / size) + std::string(unit);
+  }
+  return "0B";
+}
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,97 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Options: the command line of agnocastd, and the three decisions that need it: which
+// configuration, which socket, which runtime directory.
+//
+//   agnocastd [--socket PATH] [--config FILE] [--foreground] [--log-level LEVEL]
+//             [--fd-store=own|manager|none] [--check-config] [--print-config] [--version] [--help]
+//
+// Nothing here prints or exits: what to print and the status are values, main() does the rest.
+#pragma once
+
+#include <daemon/config/config.hpp>
+
+#include <tl/expected.hpp>
+
+#include <sys/types.h>
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <variant>
+#include <vector>
+
+namespace agnocast::daemon {
+
+/// Who keeps descriptors over the daemon's death.
+enum class FdStore : std::uint8_t {
+  own,      // our supervisor, which this process is to become
+  manager,  // whoever started this process: systemd, or our supervisor
+  none,     // nobody
+};
+inline constexpr std::string_view fd_store_names = "own, manager, none";
+
+struct Options {
+  std::optional<std::string> socket;
+  std::optional<std::string> config;
+  std::optional<LogLevel> log_level;
+  FdStore fd_store = FdStore::own;
+  bool foreground = false;
+  bool check_config = false;
+  bool print_config = false;
+};
+
+/// The program is to end at once.
+struct Exit {
+  int status = 0;
+  std::string out;  // for stdout
+  std::string err;  // for stderr
+};
+
+/// What a user did that cannot be, in the two lines that all our programs use.
+struct UsageError {
+  std::string what;
+  std::string why;
+  std::string hint;  // a command
+
+  /// "agnocastd: what: why\nhint: command\n"
+  std::string text() const;
+};
+
+/// One option as --help and the manual page show it; `value` is empty if it takes none.
+struct OptionText {
+  std::string name;
+  std::string value;
+  std::string meaning;
+};
+std::vector<OptionText> option_texts();
+
+/// Exit status 0 for --help and --version, 2 for wrong usage.
+std::variant<Options, Exit> parse_options(int argc, const char* const* argv);
+
+/// What is outside of us and decides where things lie.
+struct Surroundings {
+  uid_t euid = 0;
+  std::optional<std::string> xdg_runtime_dir;
+  std::optional<std::string> agnocast_socket;
+  /// Of this process: geteuid, XDG_RUNTIME_DIR, AGNOCAST_SOCKET.
+  static Surroundings of_process();
+};
+
+inline constexpr const char* default_config_file = "/etc/agnocast/agnocastd.toml";
+
+/// --config, else `default_file` if it exists; empty: the defaults.
+std::optional<std::string> choose_config_file(
+    const Options& options, const std::string& default_file = default_config_file);
+
+/// --socket, else AGNOCAST_SOCKET, else [daemon] socket, else by user: root has
+/// /run/agnocast/agnocastd.sock, others $XDG_RUNTIME_DIR/agnocast/agnocastd.sock.
+[[nodiscard]] tl::expected<std::string, UsageError> choose_socket(const Options& options,
+                                                                  const Config& config,
+                                                                  const Surroundings& around);
+
+/// [daemon] runtime_directory, else the directory of the socket.
+std::string choose_runtime_directory(const Config& config, std::string_view socket);
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,121 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <daemon/death/hold_watch.hpp>
+
+#include <region/views.hpp>
+
+#include <algorithm>
+#include <bit>
+
+namespace agnocast::daemon {
+namespace {
+
+// Lines and places that one look goes over, of all users: below a millisecond.
+constexpr std::uint32_t steps_per_look = 4096;
+// And of one user. So the lines of each are looked at once in as many looks as there are shares in them, times one
+// for each eight users. A subscription that is begun is finished: at most 254 lines more.
+constexpr std::uint32_t steps_per_turn = 512;
+// Looks in a row above the quota that make it certain. One a second: there is no hurry, and somebody
+// who looks with agnocast-ctl verify can still see it.
+constexpr unsigned looks_needed = 6;
+
+}  // namespace
+
+/// 0 when it is not above its quota, or not there.
+std::uint64_t HoldWatch::held_beyond_quota(TopicIndex topic, std::uint32_t subscription,
+                                           std::uint32_t publisher) const {
+  const SubscriptionRecord& record = registry_.subscription(topic, subscription);
+  if ((record.state != EndpointState::active && record.state != EndpointState::leaving) ||
+      !regions_.is_open(record.client))
+    return 0;
+  const region::LinkWords<SharedMemory> line{regions_.region(record.client), record.extent,
+                                                publisher};
+  // The words behind the line have memory only when there are slots for them.
+  const std::uint64_t slots = std::max<std::uint64_t>(
+      registry_.publisher(topic, publisher).slot_count, abi::near_slot_count);
+  const std::uint64_t words = (slots + 63) / 64;
+  std::uint64_t seen[abi::slot_count_max / 64] = {};
+  std::uint64_t held = 0;
+  for (std::uint64_t word = 0; word < words; ++word)
+    seen[word] = line.hold(word).load(std::memory_order_acquire);
+  for (std::uint64_t word = 0; word < words; ++word)
+    held += static_cast<std::uint64_t>(
+        std::popcount(seen[word] & line.hold(word).load(std::memory_order_acquire)));
+  return held > registry_.hold_quota(record, registry_.publisher(topic, publisher)) ? held : 0;
+}
+
+std::uint32_t HoldWatch::look_at(TopicIndex topic, std::uint32_t subscription) {
+  std::uint32_t steps = 1;
+  registry_.for_each_publisher(topic, [&](std::uint32_t publisher, const PublisherRecord&) {
+    ++steps;
+    if (held_beyond_quota(topic, subscription, publisher) != 0)
+      suspects_.try_emplace(Key{number(topic), subscription, publisher},
+                            Suspect{registry_.subscription(topic, subscription).generation, 0});
+  });
+  return steps;
+}
+
+// Nothing is looked at twice in one turn: it ends with the last topic of the user.
+std::uint32_t HoldWatch::take_turn(std::uint32_t uid, Position& at) {
+  std::uint32_t steps = 0;
+  while (steps < steps_per_turn) {
+    const auto next = at.topic && registry_.takes_part(uid, *at.topic)
+                          ? registry_.next_place(Kind::subscription, *at.topic, at.place)
+                          : std::nullopt;
+    ++steps;
+    if (!next) {
+      at = {registry_.next_topic_of(uid, at.topic), 0};
+      if (!at.topic) break;
+      continue;
+    }
+    at.place = *next + 1;
+    const ClientIndex owner = registry_.subscription(*at.topic, *next).client;
+    if (registry_.client(owner).uid == uid) steps += look_at(*at.topic, *next);
+  }
+  return steps;
+}
+
+void HoldWatch::go_on() {
+  std::erase_if(positions_, [&](const auto& one) { return !registry_.has_user(one.first); });
+  std::uint32_t steps = 0;
+  for (std::size_t turn = 0; turn < registry_.user_count() && steps < steps_per_look; ++turn) {
+    last_user_ = registry_.next_user(last_user_);
+    if (!last_user_) last_user_ = registry_.next_user(std::nullopt);
+    steps += take_turn(*last_user_, positions_[*last_user_]);
+  }
+}
+
+std::vector<HoldWatch::Finding> HoldWatch::look() {
+  go_on();
+  std::map<std::uint32_t, Finding> found;  // by uid
+  for (auto at = suspects_.begin(); at != suspects_.end();) {
+    const auto [topic, subscription, publisher] = at->first;
+    const EndpointRef ref{Kind::subscription, TopicIndex{topic}, subscription};
+    const bool is_there =
+        registry_.is_used(ref) &&
+        registry_.subscription(ref.topic, subscription).generation == at->second.generation &&
+        registry_.is_used({Kind::publisher, ref.topic, publisher});
+    const std::uint64_t held = is_there ? held_beyond_quota(ref.topic, subscription, publisher) : 0;
+    if (held == 0) {
+      at = suspects_.erase(at);
+      continue;
+    }
+    const SubscriptionRecord& record = registry_.subscription(ref.topic, subscription);
+    if (++at->second.looks >= looks_needed &&
+        found
+            .try_emplace(
+                registry_.client(record.client).uid,
+                Finding{ref, held,
+                        registry_.hold_quota(record, registry_.publisher(ref.topic, publisher))})
+            .second) {
+      at = suspects_.erase(at);
+    } else {
+      ++at;
+    }
+  }
+  std::vector<Finding> all;
+  for (const auto& [uid, finding] : found) all.push_back(finding);
+  return all;
+}
+
+}  // namespace agnocast::daemon

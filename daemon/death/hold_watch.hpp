@@ -1,0 +1,69 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// HoldWatch: finds subscriptions that hold more messages of a publisher than they asked for.
+//
+// The library takes nothing beyond the quota, so only a process that writes its lines itself gets
+// there; what it holds is slots and memory of its publisher, who was promised a bound. Looking is
+// for now and then and costs a bounded number of lines each time. Users have their turns, each with a
+// share of the lines, and go on where their last turn ended: one who has very many lines is looked at as
+// often as the others, and only its own round takes longer.
+//
+// A line is several words that its owner changes while they are read. So a bit counts only if it was
+// set in two passes, and a subscription is reported only when that came out above its quota in
+// several looks in a row: an honest one would have to release and take the same slots again between
+// the words of each of them.
+#pragma once
+
+#include <daemon/lifecycle/regions.hpp>
+#include <daemon/state/registry.hpp>
+
+#include <cstdint>
+#include <map>
+#include <optional>
+#include <tuple>
+#include <vector>
+
+namespace agnocast::daemon {
+
+class HoldWatch {
+ public:
+  HoldWatch(const Registry& registry, const Regions& regions) noexcept
+      : registry_(registry), regions_(regions) {}
+
+  struct Finding {
+    EndpointRef subscription;
+    std::uint64_t held = 0;  // of one publisher
+    std::uint64_t quota = 0;
+  };
+  /// Looks at the next lines in turn, and again at those that were above their quota the last time. At
+  /// most one of each user: the end of its process is work, and others are not to wait behind it.
+  std::vector<Finding> look();
+
+ private:
+  using Key = std::tuple<std::uint32_t, std::uint32_t, std::uint32_t>;  // topic, subscription,
+                                                                        // publisher
+  struct Suspect {
+    std::uint64_t generation = 0;  // of the subscription
+    unsigned looks = 0;
+  };
+
+  std::uint64_t held_beyond_quota(TopicIndex topic, std::uint32_t subscription,
+                                  std::uint32_t publisher) const;
+  /// Where the round of a user is: the topic, and the first place there that was not looked at.
+  struct Position {
+    std::optional<TopicIndex> topic;
+    std::uint32_t place = 0;
+  };
+  void go_on();
+  /// Returns how many steps that took.
+  std::uint32_t take_turn(std::uint32_t uid, Position& at);
+  std::uint32_t look_at(TopicIndex topic, std::uint32_t subscription);
+
+  const Registry& registry_;
+  const Regions& regions_;
+  std::optional<std::uint32_t> last_user_;  // who had the last turn
+  std::map<std::uint32_t, Position> positions_;  // by uid
+  std::map<Key, Suspect> suspects_;
+};
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,138 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <daemon/death/let_go_watch.hpp>
+
+#include <region/views.hpp>
+
+#include <algorithm>
+#include <set>
+#include <utility>
+
+namespace agnocast::daemon {
+namespace {
+
+// Looks in a row that make it certain of one that is deaf, at most one a second: five seconds are long
+// for a thread that only has to read a packet.
+constexpr unsigned deaf_looks_needed = 5;
+// The same of any other. A library that was refused asks every five seconds
+// (Reconnection::pause_refused), and a slow machine has hundreds of them to take back and to tell.
+constexpr unsigned looks_needed = 30;
+// Records and words of shared memory that one call looks at: below a millisecond. An endpoint that is
+// begun is finished: another 25,000 at most.
+constexpr std::uint64_t steps_per_call = 16'384;
+// And for one user, so that four have a turn in each call.
+constexpr std::uint64_t steps_per_turn = steps_per_call / 4;
+
+}  // namespace
+
+// Its own lines say so. A process that sets bits for nothing is bounded by its quota: see hold_watch.hpp.
+bool LetGoWatch::holds(const SubscriptionRecord& subscription, const EndpointRef& of) {
+  if ((subscription.state != EndpointState::active &&
+       subscription.state != EndpointState::leaving) ||
+      !regions_.is_open(subscription.client))
+    return false;
+  const region::LinkWords<SharedMemory> line{regions_.region(subscription.client),
+                                                subscription.extent, of.index};
+  // The words behind the line have memory only when there are slots for them.
+  const std::uint64_t slots = std::max<std::uint64_t>(
+      registry_.publisher(of.topic, of.index).slot_count, abi::near_slot_count);
+  for (std::uint64_t word = 0; word < (slots + 63) / 64; ++word) {
+    ++steps_;
+    if (line.hold(word).load(std::memory_order_acquire) != 0) return true;
+  }
+  return false;
+}
+
+void LetGoWatch::note_debtors(Round& round, std::uint64_t generation, const EndpointRef& ref) {
+  const AnnounceSet& told = registry_.told_of(ref);
+  std::set<ClientIndex> holders;
+  if (ref.kind == Kind::publisher) {
+    registry_.for_each_subscription(
+        ref.topic, [&](std::uint32_t, const SubscriptionRecord& subscription) {
+          ++steps_;
+          if (told.contains(number(subscription.client)) &&
+              holders.count(subscription.client) == 0 && holds(subscription, ref))
+            holders.insert(subscription.client);
+        });
+  }
+  steps_ += registry_.client_high() / 64 + 1;
+  for (std::uint32_t i = 0; i < registry_.client_high(); ++i) {
+    const ClientIndex client{i};
+    if (told.contains(i) && registry_.is_alive(client) && holders.count(client) == 0)
+      ++round.debts.try_emplace(client, Finding{client, ref, generation, 0}).first->second.count;
+  }
+}
+
+void LetGoWatch::take_turn(std::uint32_t uid, Round& round,
+                           std::map<ClientIndex, Finding>& found) {
+  const auto of_user = membership_.given_up().find(uid);
+  const std::uint64_t until = steps_ + steps_per_turn;
+  for (; steps_ < until; ++round.next) {
+    if (of_user == membership_.given_up().end()) return conclude(round, found);
+    const auto oldest = of_user->second.lower_bound(round.next);
+    if (oldest == of_user->second.end()) return conclude(round, found);
+    round.next = oldest->first;
+    note_debtors(round, oldest->first, oldest->second);
+  }
+}
+
+std::vector<LetGoWatch::Finding> LetGoWatch::look() {
+  const auto& given_up = membership_.given_up();
+  std::map<ClientIndex, Finding> found;
+  std::erase_if(rounds_, [&](const auto& one) { return !given_up.contains(one.first); });
+  steps_ = 0;
+  for (std::size_t turn = 0; turn < given_up.size() && steps_ < steps_per_call; ++turn) {
+    auto user = given_up.lower_bound(next_user_);
+    if (user == given_up.end()) user = given_up.begin();
+    take_turn(user->first, rounds_[user->first], found);
+    next_user_ = user->first + 1;  // 0 behind the last number there is
+  }
+  std::vector<Finding> all;
+  for (const auto& [client, finding] : found) all.push_back(finding);
+  return all;
+}
+
+void LetGoWatch::told_again(ClientIndex client) {
+  for (auto& [uid, round] : rounds_) {
+    const auto found = round.suspects.find(client);
+    if (found != round.suspects.end()) found->second.deaf = 0;
+  }
+}
+
+bool LetGoWatch::is_true(const Finding& finding) const {
+  const EndpointRef& ref = finding.oldest;
+  return registry_.is_used(ref) && registry_.generation_of(ref) == finding.generation &&
+         registry_.told_of(ref).contains(number(finding.client));
+}
+
+LetGoWatch::Suspect LetGoWatch::looked_at(const Round& round, const Finding& debt) const {
+  const auto before = round.suspects.find(debt.client);
+  const bool same = before != round.suspects.end() && before->second.generation == debt.generation;
+  Suspect suspect = same ? before->second : Suspect{debt.generation};
+  ++suspect.looks;
+  const Session* const session = post_.session_of(debt.client);
+  const std::uint64_t sent =
+      session == nullptr ? 0 : session->packet_count() - session->queued_count();
+  const bool is_deaf = session != nullptr && !session->held_back() &&
+                       (!session->has_output() || (same && sent == suspect.sent));
+  suspect.deaf = is_deaf ? suspect.deaf + 1 : 0;
+  suspect.sent = sent;
+  return suspect;
+}
+
+void LetGoWatch::conclude(Round& round, std::map<ClientIndex, Finding>& found) {
+  std::map<ClientIndex, Suspect> suspects;
+  for (const auto& [client, debt] : round.debts) {
+    const Suspect suspect = looked_at(round, debt);
+    if (suspect.deaf >= deaf_looks_needed || suspect.looks >= looks_needed) {
+      found.try_emplace(client, debt);
+    } else {
+      suspects.emplace(client, suspect);
+    }
+  }
+  round.suspects = std::move(suspects);
+  round.debts.clear();
+  round.next = 0;
+}
+
+}  // namespace agnocast::daemon

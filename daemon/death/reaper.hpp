@@ -1,0 +1,82 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Reaper: what happens after the end of a process.
+//
+// A dead process leaves (a) holds on other people's messages, (b) at most one open intent per
+// publisher, (c) a region and windows that others still map. They are undone in exactly this order,
+// and a window may be used again only when everybody who was told about it has let go (rule RU):
+//
+//     journal the death → its subscriptions dead → its intents back or forward, its publishers
+//     orphans, everybody rung and told → topic by topic it leaves the announce sets, and what became
+//     free is freed → it leaves those of regions
+//
+// Every step may be repeated. The reaper never trusts a value that the dead process wrote, and
+// never takes the end of a connection for a death: only the pidfd says it, or a process that has no
+// trace of its region any more (after exec).
+//
+// Revoking is the same work on a process that lives, and may go on storing: its heads are copied
+// once and nothing is repaired in its region, because an interrupted publish may yet be completed.
+// What lies behind the copied head is read by nobody who has heard of the end.
+#pragma once
+
+#include <daemon/lifecycle/membership.hpp>
+
+#include <sys/types.h>
+
+#include <cstdint>
+#include <optional>
+#include <set>
+#include <vector>
+
+namespace agnocast::daemon {
+
+/// What a death left to repair, for the log.
+struct Reaped {
+  std::uint64_t subscriptions = 0;
+  std::uint64_t publishers = 0;
+  std::uint64_t rolled_back = 0;
+  std::uint64_t rolled_forward = 0;
+  std::uint64_t corrupt = 0;
+};
+
+/// The end of one process, endpoint by endpoint, and topic by topic of what it knew. `client` is alive in the tables, or was being reaped when
+/// the daemon died, and its process stores no more, unless the reason is `revoked`. A process whose region was
+/// lost has no queues to repair: its publishers end as they are. Between two calls others are served; what is
+/// left of the process looks to them as if it lived.
+class Reaping {
+ public:
+  /// Journals the death.
+  Reaping(ClientIndex client, journal::DeathReason reason, Registry& registry, Regions& regions,
+          Doorbells& doorbells, Membership& membership);
+
+  /// Goes on until that time (CLOCK_MONOTONIC), with one step at least. True: it is done.
+  bool go_on(std::uint64_t until_ns);
+  ClientIndex client() const noexcept { return client_; }
+  const Reaped& reaped() const noexcept { return reaped_; }
+
+ private:
+  bool is_ours(const EndpointRef& ref) const noexcept;
+  bool end_subscription(const EndpointRef& ref);
+  bool end_publisher(const EndpointRef& ref);
+  bool settle_next();
+  void finish();
+
+  ClientIndex client_;
+  journal::DeathReason reason_;
+  Registry& registry_;
+  Regions& regions_;
+  Doorbells& doorbells_;
+  Membership& membership_;
+  std::vector<EndpointRef> endpoints_;  // as they were at the beginning: they go one by one
+  std::size_t next_subscription_ = 0, next_publisher_ = 0;
+  std::set<TopicIndex> topics_;       // of those endpoints, yet to be settled
+  std::vector<EndpointRef> to_settle_;  // of one topic, the last one first
+  bool buried_ = false, done_ = false;
+  Reaped reaped_;
+};
+
+/// Whether the process has a mapping of this file. True as well when it cannot be known; nothing when
+/// there is no descriptor or no memory to look now.
+std::optional<bool> maps_file(pid_t pid, const Regions::FileId& file) noexcept;
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,359 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <daemon/lifecycle/regions.hpp>
+
+#include <agnocast/abi/fingerprint.hpp>
+#include <base/closing.hpp>
+#include <base/map_count.hpp>
+#include <base/memfd.hpp>
+#include <base/populate.hpp>
+#include <base/step.hpp>
+#include <daemon/transport/requests.hpp>
+
+#include <fcntl.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <memory>
+#include <new>
+#include <string>
+#include <utility>
+
+namespace agnocast::daemon {
+namespace {
+
+constexpr std::uint64_t journal_bytes = journal::RedoLog::bytes + tables_bytes;
+static_assert(journal::RedoLog::bytes % abi::page_bytes == 0, "the tables begin with a page");
+
+std::uint64_t bytes_of(int fd) noexcept {
+  struct stat file {};
+  return ::fstat(fd, &file) == 0 ? static_cast<std::uint64_t>(file.st_size) : 0;
+}
+
+// The kernel keeps the name that a memfd is made with, for ever and for everybody to see. So each window
+// says where it belongs, and has one place; and to whom, because places are given out again, and who
+// has kept a former window could bring it. Without a space: people cut lines of /proc/PID/maps.
+std::string name_of_window(std::uint64_t base, uid_t owner) {
+  return "agnocast-heap-" + hexadecimal(base) + "-" + std::to_string(owner);
+}
+
+std::string file_of(int fd) {
+  char file[96];  // of ours, and a few bytes more
+  const std::string entry = "/proc/self/fd/" + std::to_string(fd);
+  const ssize_t bytes = ::readlink(entry.c_str(), file, sizeof file);
+  return bytes < 0 ? std::string() : std::string(file, static_cast<std::size_t>(bytes));
+}
+
+// Of the daemon's own: libraries, stacks, blocks that malloc maps one by one, board and tables. Some
+// hundred; where there are fewer than this left, it is malloc that fails next.
+constexpr std::uint64_t mappings_kept = 2048;
+
+// More than this is not freed between two requests: 16 MiB take a millisecond or two.
+constexpr std::uint64_t freed_at_once_bytes = 16 << 20;
+
+// Zero, whatever kind of endpoint was here. What was never written stays without memory.
+Result<void> clear_memory(int fd, std::byte* region, const Regions::Extent& extent) noexcept {
+  alignas(std::uint64_t) std::byte page[abi::page_bytes];
+  static constexpr std::byte zero[abi::page_bytes] = {};
+  for (std::uint64_t at = extent.offset; at < extent.offset + extent.bytes; at += abi::page_bytes) {
+    const ssize_t read = ::pread(fd, page, sizeof page, static_cast<off_t>(at));  // makes no memory of holes
+    if (read < 0) return fail(Errc::os_failure, "clearing an extent", errno);
+    if (read == 0) break;  // nothing is as long as that yet
+    if (std::memcmp(page, zero, sizeof page) != 0) std::memset(region + at, 0, sizeof page);
+  }
+  // The daemon's own view of the pages costs page tables.
+  ::madvise(region + extent.offset, extent.bytes, MADV_DONTNEED);
+  return {};
+}
+// Lengthening waits for the lock of the file, which the process keeps while it writes to it by system calls.
+Result<void> clear_extent(int fd, const std::weak_ptr<Mapping>& region, const Regions::Extent& extent) noexcept {
+  AGNOCAST_CRASH_POINT(B_clear);
+  if (const auto mapped = region.lock()) {
+    if (auto cleared = clear_memory(fd, mapped->base(), extent); !cleared) return cleared;
+  }
+  return lengthen(fd, extent.offset + extent.bytes);
+}
+
+std::uint64_t memory_of(int fd) noexcept {
+  struct stat file {};
+  return ::fstat(fd, &file) == 0 ? static_cast<std::uint64_t>(file.st_blocks) * 512 : 0;
+}
+
+}  // namespace
+
+Result<Regions> Regions::map(DescriptorStore& store, UniqueFd board, UniqueFd journal) {
+  auto reader = reopen_read_only(board.get());
+  if (!reader) return tl::unexpected(reader.error());
+  auto board_mapping = Mapping::map(board.get(), abi::board_bytes, Mapping::Access::read_write);
+  if (!board_mapping) return tl::unexpected(board_mapping.error());
+  auto journal_mapping = Mapping::map(journal.get(), journal_bytes, Mapping::Access::read_write);
+  if (!journal_mapping) return tl::unexpected(journal_mapping.error());
+  Regions regions(store);
+  regions.board_fd_ = std::move(board);
+  regions.board_reader_ = share(std::move(*reader));
+  regions.board_ = std::move(*board_mapping);
+  regions.journal_fd_ = std::move(journal);
+  regions.journal_ = std::move(*journal_mapping);
+  regions.map_count_max_ = read_map_count_max();
+  return regions;
+}
+
+Result<Regions> Regions::create(DescriptorStore& store) {
+  auto board = make_memfd("agnocast-board", abi::board_bytes);
+  if (!board) return tl::unexpected(board.error());
+  auto journal = make_memfd("agnocast-journal", journal_bytes);
+  if (!journal) return tl::unexpected(journal.error());
+  return map(store, std::move(*board), std::move(*journal));
+}
+
+Result<Regions> Regions::adopt(DescriptorStore& store, UniqueFd board, UniqueFd journal) {
+  if (bytes_of(board.get()) == abi::board_bytes && bytes_of(journal.get()) == journal_bytes)
+    return map(store, std::move(board), std::move(journal));
+  // Another build has other sizes. Its log begins like ours and says which build it is.
+  struct alignas(abi::page_bytes) Copy {
+    std::byte bytes[journal::RedoLog::bytes];
+  };
+  const auto copy = std::make_unique<Copy>();
+  static_cast<void>(::pread(journal.get(), copy->bytes, sizeof copy->bytes, 0));
+  if (auto checked = Registry::check_log(journal::RedoLog(copy->bytes)); !checked)
+    return tl::unexpected(checked.error());
+  return fail_with(Errc::store_damaged, "what the former agnocastd left has the wrong sizes");
+}
+
+Result<void> Regions::keep() const {
+  if (auto kept = store_->put("board", board_fd_.get()); !kept) return kept;
+  return store_->put("journal", journal_fd_.get());
+}
+
+Registry::Memory Regions::memory() const noexcept {
+  return {journal_.base(), journal_.base() + journal::RedoLog::bytes, board_.base()};
+}
+
+Result<void> Regions::map_region(ClientMemory& memory, UniqueFd writer) const {
+  auto reader = reopen_read_only(writer.get());
+  if (!reader) return tl::unexpected(reader.error());
+  auto mapping =
+      Mapping::map(writer.get(), Registry::client_region_bytes, Mapping::Access::read_write);
+  if (!mapping) return tl::unexpected(mapping.error());
+  // A writable mapping is not left out of core dumps by Mapping; this one is other people's memory.
+  ::madvise(mapping->base(), mapping->bytes(), MADV_DONTDUMP);
+  AGNOCAST_CRASH_POINT(B_region_made);
+  struct stat file {};
+  if (::fstat(writer.get(), &file) != 0) return fail(Errc::os_failure, "looking at a memfd", errno);
+  memory.file = {file.st_dev, file.st_ino};
+  memory.region = std::make_shared<Mapping>(std::move(*mapping));
+  memory.region_writer = share(std::move(writer));
+  memory.region_reader = share(std::move(*reader));
+  return {};
+}
+
+Result<void> Regions::can_forbid_holes() {
+  const auto file = make_memfd("agnocast-region", 0);
+  if (!file) return tl::unexpected(file.error());
+  return forbid_holes(file->get());
+}
+
+std::uint64_t Regions::regions_max(std::uint64_t map_count_max) noexcept {
+  return map_count_max > mappings_kept ? map_count_max - mappings_kept : 0;
+}
+static_assert(65'530 - mappings_kept >= abi::client_count_max, "as the kernel has it by default");
+
+Result<void> Regions::open_client(ClientIndex client, std::uint64_t generation) {
+  close_client(client);
+  const auto mapped = static_cast<std::uint64_t>(
+      std::count_if(clients_.begin(), clients_.end(),
+                    [](const ClientMemory& one) { return static_cast<bool>(one.region); }));
+  if (mapped >= regions_max(map_count_max_))
+    return fail_with(Errc::limit_reached, "agnocastd maps a region for each process, and has " +
+                                              std::to_string(mapped) + "; vm.max_map_count is " +
+                                              std::to_string(map_count_max_));
+  auto writer = make_memfd("agnocast-region", abi::page_bytes, Length::may_grow);
+  if (!writer) return tl::unexpected(writer.error());
+  const int fd = writer->get();
+  static_cast<void>(forbid_holes(fd));
+  // The process that is given this description says by the lock that it lives. Everybody who can
+  // read the region could lock it for reading, and so keep the process from joining: its lock is
+  // there before a descriptor for reading is.
+  if (auto locked = lock_for_writing(fd); !locked) return locked;
+  ClientMemory& memory = clients_[number(client)];
+  auto opened = map_region(memory, std::move(*writer));
+  if (opened) opened = back(client, 0, abi::page_bytes);
+  if (opened) opened = store_->put(DescriptorStore::region(client), fd);
+  if (!opened) {
+    close_client(client);
+    return opened;
+  }
+  auto* const header = reinterpret_cast<abi::ClientRegionHeader*>(memory.region->base());
+  AGNOCAST_CRASH_POINT(B_region_sign);
+  header->fingerprint.store(abi::fingerprint(), std::memory_order_relaxed);
+  AGNOCAST_CRASH_POINT(B_region_sign);
+  header->generation.store(generation, std::memory_order_relaxed);
+  AGNOCAST_CRASH_POINT(B_region_sign);
+  header->magic.store(abi::client_region_magic, std::memory_order_release);
+  return {};
+}
+
+Result<void> Regions::adopt_client(ClientIndex client, std::uint64_t window_count,
+                                   std::uint64_t used_bytes) {
+  ClientMemory& memory = clients_[number(client)];
+  bool whole = true;
+  for (std::uint64_t w = 0; w < window_count; ++w) {
+    UniqueFd reader = store_->take(DescriptorStore::window(client, w));
+    whole = whole && reader;
+    if (whole) {
+      memory.window_readers.push_back(share(std::move(reader)));
+    } else if (reader) {
+      store_->remove(DescriptorStore::window(client, w));  // close_client() would not
+    }
+  }
+  UniqueFd writer = store_->take(DescriptorStore::region(client));
+  if (!writer || bytes_of(writer.get()) < used_bytes)
+    return fail(Errc::endpoint_gone, "the region of a process was not kept");
+  if (auto mapped = map_region(memory, std::move(writer)); !mapped) return mapped;
+  if (!whole) return fail(Errc::endpoint_gone, "a window of a process was not kept");
+  return {};
+}
+
+Result<void> Regions::back(ClientIndex client, std::uint64_t offset, std::uint64_t bytes) {
+  ClientMemory& memory = clients_[number(client)];
+  std::uint64_t& before = memory.backed_bytes[offset];
+  if (before >= bytes) return {};
+  std::byte* const at = memory.region->base() + offset;
+  AGNOCAST_CRASH_POINT(B_back);
+  if (auto backed = populate(at, bytes); !backed) return backed;
+  // The pages stay where they are; the daemon's own view of them costs page tables.
+  ::madvise(at, bytes, MADV_DONTNEED);
+  before = bytes;
+  return {};
+}
+
+bool Regions::is_clear(ClientIndex client, const Extent& extent) const noexcept {
+  const auto& cleared = of(client).cleared;
+  return cleared && cleared->extent == extent;
+}
+
+// An errand that waits keeps no file: what its process has put there goes with the process.
+Result<void> Regions::clear(ClientIndex client, std::uint32_t uid, const Extent& extent,
+                            std::function<void()> then) {
+  if (errands_->waiting(Errands::Lane::clearing, uid) >= clearing_waiting_max)
+    return fail(Errc::limit_reached, "too many processes of this user wait for memory");
+  ClientMemory& memory = clients_[number(client)];
+  const auto result = std::make_shared<Result<void>>();
+  const std::uint64_t clear = memory.last_clear + 1;
+  const bool runs = errands_->try_run(
+      Errands::Lane::clearing, uid,
+      [waits = std::weak_ptr(memory.region_writer), mapped = std::weak_ptr(memory.region), extent, result] {
+        const SharedFd file = waits.lock();
+        if (!file) return;
+        use_in_own_table(file->get(), [&](int fd) { *result = clear_extent(fd, mapped, extent); });
+      },
+      [this, here = std::weak_ptr(here_), client, region = memory.file, clear, extent, result,
+       then = std::move(then)] {
+        if (here.expired()) return;
+        ClientMemory& now = clients_[number(client)];
+        // Another one may still clear what an endpoint was given since.
+        if (now.file == region && now.last_clear == clear) now.cleared = Cleared{extent, *result};
+        then();
+      });
+  if (!runs) throw std::bad_alloc();
+  memory.last_clear = clear;
+  memory.cleared.reset();
+  return {};
+}
+
+Result<void> Regions::renew(ClientIndex client, const Extent& extent, std::uint64_t backed_bytes) {
+  ClientMemory& memory = clients_[number(client)];
+  const bool is_clear_now = is_clear(client, extent);
+  const auto cleared = std::exchange(memory.cleared, std::nullopt);
+  auto result = is_clear_now
+                    ? cleared->result
+                    : clear_extent(memory.region_writer->get(), memory.region, extent);
+  if (!result) return result;
+  memory.backed_bytes.erase(extent.offset);
+  return back(client, extent.offset, backed_bytes);
+}
+
+Result<SharedFd> Regions::open_window(ClientIndex client, std::uint64_t base, uid_t owner) {
+  // Its owner makes it longer as it uses more of it.
+  auto writer = make_memfd(name_of_window(base, owner).c_str(), 0, Length::may_grow);
+  if (!writer) return tl::unexpected(writer.error());
+  auto reader = reopen_read_only(writer->get());
+  if (!reader) return tl::unexpected(reader.error());
+  std::vector<SharedFd>& readers = clients_[number(client)].window_readers;
+  if (auto kept = store_->put(DescriptorStore::window(client, readers.size()), reader->get());
+      !kept)
+    return tl::unexpected(kept.error());
+  readers.push_back(share(std::move(*reader)));
+  return share(std::move(*writer));
+}
+
+Result<void> Regions::check_window(int window, std::uint64_t base, std::uint64_t bytes,
+                                   uid_t owner) {
+  struct stat file {};
+  constexpr int seals = F_SEAL_SHRINK | F_SEAL_SEAL;
+  const bool is_ours = ::fcntl(window, F_GET_SEALS) >= 0 && ::fstat(window, &file) == 0 &&
+                       S_ISREG(file.st_mode) && (file.st_mode & 07777) == 0600 &&
+                       file.st_uid == ::geteuid() &&
+                       static_cast<std::uint64_t>(file.st_size) <= bytes &&
+                       (::fcntl(window, F_GET_SEALS) & seals) == seals &&
+                       (::fcntl(window, F_GETFL) & (O_ACCMODE | O_PATH)) == O_RDWR &&
+                       file_of(window) == "/memfd:" + name_of_window(base, owner) + " (deleted)";
+  if (is_ours) return {};
+  return fail_with(Errc::permission_denied,
+                   "this is no window that an agnocastd has made for that place and this user");
+}
+
+Result<void> Regions::bring_window(ClientIndex client, const UniqueFd& window) {
+  auto reader = reopen_read_only(window.get());
+  if (!reader) return tl::unexpected(reader.error());
+  std::vector<SharedFd>& readers = clients_[number(client)].window_readers;
+  if (auto kept = store_->put(DescriptorStore::window(client, readers.size()), reader->get());
+      !kept)
+    return kept;
+  readers.push_back(share(std::move(*reader)));
+  return {};
+}
+
+Result<SharedFd> Regions::window_writer(ClientIndex client, std::uint64_t window) {
+  auto& on_its_way = clients_[number(client)].window_writers[window];
+  if (SharedFd same = on_its_way.lock()) return same;
+  const std::string path =
+      "/proc/self/fd/" + std::to_string(of(client).window_readers[window]->get());
+  UniqueFd writer(::open(path.c_str(), O_RDWR | O_CLOEXEC));
+  if (!writer) return fail(Errc::os_failure, "re-opening a window", errno);
+  SharedFd shared = share(std::move(writer));
+  on_its_way = shared;
+  return shared;
+}
+
+void Regions::bury_client(ClientIndex client) noexcept {
+  ClientMemory& memory = clients_[number(client)];
+  if (memory.region_writer && memory_of(memory.region_writer->get()) > freed_at_once_bytes)
+    closer_->close({std::move(memory.region_writer)}, std::move(memory.region));
+  memory.region.reset();
+  memory.region_writer.reset();
+}
+
+void Regions::close_client(ClientIndex client) noexcept {
+  ClientMemory& memory = clients_[number(client)];
+  if (memory.region_reader) store_->remove(DescriptorStore::region(client));
+  std::uint64_t bytes = 0;
+  for (std::size_t w = 0; w < memory.window_readers.size(); ++w) {
+    store_->remove(DescriptorStore::window(client, w));
+    bytes += memory_of(memory.window_readers[w]->get());
+  }
+  if (memory.region_reader) bytes += memory_of(memory.region_reader->get());
+  if (bytes > freed_at_once_bytes) {
+    std::vector<SharedFd> fds = std::move(memory.window_readers);
+    fds.push_back(std::move(memory.region_reader));
+    fds.push_back(std::move(memory.region_writer));
+    closer_->close(std::move(fds), std::move(memory.region));
+  }
+  memory = ClientMemory();
+}
+
+}  // namespace agnocast::daemon

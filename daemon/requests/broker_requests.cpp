@@ -1,0 +1,772 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Broker: requests of clients, and why they are refused. docs/control-plane.md.
+//
+// A request is a parsed packet: bounded, but true only as far as it was checked here against quotas,
+// access rules and the tables. What it changes is journaled before it is answered.
+
+#include <daemon/requests/broker.hpp>
+
+#include <agnocast/abi/fingerprint.hpp>
+#include <base/check.hpp>
+#include <base/clock.hpp>
+#include <base/names.hpp>
+#include <base/step.hpp>
+#include <daemon/state/memory_reserve.hpp>
+#include <journal/cases.hpp>
+
+#include <fcntl.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <memory>
+#include <type_traits>
+#include <utility>
+
+namespace agnocast::daemon {
+
+using journal::DeathReason;
+
+namespace {
+
+// Places that a hello waits for: a daemon that died twice while it welcomed a process has left two.
+constexpr std::size_t unused_count_max = 4;
+// Its region and its pidfd.
+constexpr std::uint64_t kept_per_client = 2;
+
+const char* name_of_kind(Kind kind) noexcept {
+  return kind == Kind::publisher ? "publisher" : "subscription";
+}
+
+}  // namespace
+
+tl::unexpected<Failure> Broker::refusal(Errc code, const std::string& text) {
+  return fail_with(code, text);
+}
+
+std::string Broker::clients_text() const {
+  return "[quota] clients is " + std::to_string(options_.config.quota.clients) +
+         ", this user has as many";
+}
+
+std::uint64_t Broker::heap_quota() const noexcept {
+  const std::uint64_t quota = options_.config.quota.heap_bytes;
+  return quota != 0 ? quota : share_of_one_user(plan_.window_count()) * options_.arena.window_bytes;
+}
+
+Result<void> Broker::check_kept(std::uint32_t uid, std::uint64_t more) {
+  if (!store_.keeps()) return {};
+  const Usage usage = registry_.usage_of(uid);
+  return check_limit(kept_per_client * usage.clients + usage.windows + usage.executors, more,
+                     share_of_one_user(store_.capacity()),
+                     "three quarters of FileDescriptorStoreMax");
+}
+
+Result<void> Broker::check_limit(std::uint64_t used, std::uint64_t more, std::uint64_t limit,
+                                 std::string_view name) {
+  if (used <= limit && more <= limit - used) return {};
+  return over_quota({name, limit, used, more},
+                    std::string(name) + " is " + std::to_string(limit) + ", this user has " +
+                        std::to_string(used) + " and asks for " + std::to_string(more) + " more");
+}
+
+tl::unexpected<Failure> Broker::over_quota(const Exceeded& exceeded, const std::string& text) {
+  exceeded_ = exceeded;
+  return refusal(Errc::quota_exceeded, text);
+}
+
+void Broker::refuse(Peer& peer, const Request& request, std::uint64_t id, Errc code, int os_errno,
+                    std::string_view text) {
+  auto packet = make_body<wire::Refused>(wire::Opcode::refused, id);
+  packet.code = static_cast<std::uint32_t>(code);
+  packet.os_errno = static_cast<std::uint32_t>(os_errno);
+  packet.text = name_of(text);
+  const std::uint32_t uid = peer.session.identity().uid;
+  ++registry_.counters().requests_refused;
+  std::optional<std::string_view> topic, limit;
+  std::optional<std::uint64_t> value, used, asked;
+  if (const auto* const create = std::get_if<CreateRequest>(&request)) topic = create->topic;
+  if (code == Errc::quota_exceeded && !exceeded_.limit.empty()) {
+    limit = exceeded_.limit;
+    value = exceeded_.value;
+    used = exceeded_.used;
+    asked = exceeded_.asked;
+  }
+  log_.write_limited("refused uid=" + std::to_string(uid), LogLevel::warning, "request refused",
+                     {{"pid", peer.session.identity().pid},
+                      {"uid", uid},
+                      {"topic", topic},
+                      {"limit", limit},
+                      {"value", value},
+                      {"used", used},
+                      {"asked", asked},
+                      {"code", word_of(code)},
+                      {"errno", os_errno},
+                      {"why", text}});
+  reply(peer, packet_of(packet));
+}
+
+void Broker::remember(const Peer& peer, const Request& request, Errc code, std::string_view why) {
+  const PeerIdentity& who = peer.session.identity();
+  Refusals::Refusal refusal;
+  refusal.code = code;
+  refusal.uid = who.uid;
+  refusal.pid = static_cast<std::uint32_t>(who.pid);
+  refusal.why = why;
+  refusal.stamp_ns = monotonic_ns();
+  if (const auto client = peer.session.client()) {
+    refusal.domain = registry_.client(*client).domain;
+    refusal.process_name = registry_.client(*client).name;
+  }
+  if (const auto* const create = std::get_if<CreateRequest>(&request)) {
+    refusal.kind = create->kind;
+    refusal.topic = create->topic;
+  }
+  refusals_.add(std::move(refusal));
+}
+
+void Broker::serve(Peer& peer, const Request& request, std::span<UniqueFd> fds) {
+  Result<void> served;
+  std::uint64_t id = 0;
+  exceeded_ = {};
+  why_not_moved_.clear();
+  if (std::holds_alternative<CreateRequest>(request) ||
+      std::holds_alternative<wire::WindowRequest>(request) ||
+      std::holds_alternative<ExecutorRequest>(request))
+    expect_no_windows(peer);
+  const auto handle = [&](const auto& body) {
+    using Body = std::decay_t<decltype(body)>;
+    if constexpr (std::is_same_v<Body, wire::Hello>) {
+      id = body.header.request;
+      served = hello(peer, body);
+    } else if constexpr (std::is_same_v<Body, wire::Rejoin>) {
+      id = body.header.request;
+      served = rejoin(peer, body);
+    } else if constexpr (std::is_same_v<Body, wire::WindowRequest>) {
+      id = body.header.request;
+      served = open_window(peer, body);
+    } else if constexpr (std::is_same_v<Body, wire::BringWindow>) {
+      id = body.header.request;
+      served = bring_window(peer, body, fds[0]);  // decode() has counted them
+    } else if constexpr (std::is_same_v<Body, ExecutorRequest>) {
+      id = body.request;
+      served = open_executor(peer, body);
+    } else if constexpr (std::is_same_v<Body, CreateRequest>) {
+      id = body.request;
+      served = create(peer, body);
+    } else if constexpr (std::is_same_v<Body, LeaveRequest>) {
+      id = body.reference.header.request;
+      served = membership_.leave(*peer.session.client(), body);
+    } else if constexpr (std::is_same_v<Body, DrainedRequest>) {
+      id = body.reference.header.request;
+      served = membership_.drained(*peer.session.client(), body);
+    } else if constexpr (std::is_same_v<Body, wire::Unlinked>) {
+      id = body.header.request;
+      served = membership_.unlinked(*peer.session.client(), body);
+    } else if constexpr (std::is_same_v<Body, wire::Blocked>) {
+      id = body.header.request;
+      served = blocked(peer, body);
+    } else if constexpr (std::is_same_v<Body, wire::Withdrawn>) {
+      id = body.header.request;
+      note_withdrawn(peer, body);
+    } else if constexpr (std::is_same_v<Body, wire::Observe>) {
+      id = body.header.request;
+      served = observe(peer, body);
+    } else if constexpr (std::is_same_v<Body, wire::Dump>) {
+      id = body.header.request;
+      served = dump(peer, body);
+    } else if constexpr (std::is_same_v<Body, wire::Revoke>) {
+      id = body.header.request;
+      served = revoke(peer, body);
+    } else if constexpr (std::is_same_v<Body, wire::ReadJournal>) {
+      id = body.header.request;
+      served = read_journal(peer, body);
+    } else if constexpr (std::is_same_v<Body, wire::SetLogLevel>) {
+      id = body.header.request;
+      served = set_log_level(peer, body);
+    } else if constexpr (std::is_same_v<Body, wire::AskAccess>) {
+      id = body.header.request;
+      served = ask_access(peer, body);
+    } else {
+      id = body.request;
+      served = refusal(body.code, body.text);
+    }
+  };
+  std::visit(handle, request);
+  if (served) return;
+  // It ended while nobody served; another may have its place by now.
+  if (!peer.session.greeted() && peer.session.identity().process.ended()) return;
+  const std::string_view detail = detail_of(served.error());
+  const std::string why(detail.empty() ? served.error().what : detail);
+  remember(peer, request, served.error().code, why);
+  refuse(peer, request, id, served.error().code, served.error().os_errno, why);
+  const auto* const rejected = std::get_if<Rejected>(&request);
+  if (rejected != nullptr && rejected->ends_connection)
+    disconnect(peer, "a packet could not be parsed");
+}
+
+Result<void> Broker::check_caller(const Peer& peer, std::uint64_t fingerprint) {
+  if (fingerprint != abi::fingerprint())
+    return refusal(Errc::layout_mismatch, "the library has layout " + hexadecimal(fingerprint) +
+                                              ", the daemon has layout " +
+                                              hexadecimal(abi::fingerprint()));
+  if (!peer.session.identity().confirmed)
+    return refusal(Errc::permission_denied,
+                   "the process that connected is not the one that says hello");
+  return {};
+}
+
+/// What is found out of a process that has been here before.
+struct Broker::Before {
+  std::size_t open = 0;  // looks that have not ended
+  Trace revoked = Trace::none;
+  std::vector<PeerId> unused;  // places
+  void add(PeerId id, bool is_revoked, Trace trace) {
+    if (!is_revoked) {
+      if (trace == Trace::none) unused.push_back(id);
+    } else if (trace == Trace::some || revoked == Trace::none) {
+      revoked = trace;
+    }
+  }
+};
+
+// A daemon that died while it welcomed a process has left a place that nobody uses. And a process that was
+// revoked may not come back while it has its region; after exec it is another program.
+bool Broker::look_before(Peer& peer, const wire::Hello& hello) {
+  if (detached_count_ == 0 || peer.revoked_trace) return false;
+  const auto before = std::make_shared<Before>();
+  const std::uint64_t ticket = ++last_ticket_;
+  for (const auto& [id, other] : peers_) {
+    // Of the places that a process leaves behind again and again, each is found by its own look.
+    if (!other->detached || (before->open >= unused_count_max && !other->revoked) ||
+        other->session.identity().pid != peer.session.identity().pid ||
+        !same_process(other->session.identity().process, peer.session.identity().process))
+      continue;
+    const bool asked = look_at(
+        *other, [this, before, hello, caller = peer.id, ticket, id = id, revoked = other->revoked](
+                    Trace trace) {
+          before->add(id, revoked, trace);
+          if (--before->open == 0) welcome_after(caller, ticket, hello, *before);
+        });
+    if (asked) {
+      ++before->open;
+    } else {
+      before->add(id, other->revoked, Trace::unknown);
+    }
+  }
+  if (before->open == 0) {
+    peer.revoked_trace = before->revoked;
+    return false;
+  }
+  park(peer, ticket);
+  return true;
+}
+
+void Broker::welcome_after(PeerId id, std::uint64_t ticket, const wire::Hello& hello,
+                           const Before& before) {
+  for (const PeerId unused : before.unused) {
+    const auto found = peers_.find(unused);
+    if (found != peers_.end() && found->second->detached && !found->second->revoked)
+      reap_peer(*found->second, DeathReason::let_go, "process says hello again");
+  }
+  Peer* const peer = unpark(id, ticket);
+  if (peer == nullptr) return;
+  peer->revoked_trace = before.revoked;
+  serve_packet(*peer, std::as_bytes(std::span(&hello, 1)), {}, {});
+}
+
+Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
+  Session& session = peer.session;
+  if (auto known = check_caller(peer, hello.fingerprint); !known) return known;
+  if (look_before(peer, hello)) return {};
+  // Room for one more connection there may be for processes that come back. Those that are gone count
+  // as long as others have something of them.
+  const std::uint64_t quota = options_.config.quota.clients;
+  const std::uint64_t used = registry_.usage_of(session.identity().uid).clients;
+  if (peer.counts_as_observer || used >= quota)
+    return over_quota({"[quota] clients", quota, used, 1}, clients_text());
+  if (auto kept = check_kept(session.identity().uid, kept_per_client); !kept) return kept;
+  switch (std::exchange(peer.revoked_trace, std::nullopt).value_or(Trace::none)) {
+    case Trace::none:
+      break;
+    case Trace::some:
+      return refusal(Errc::revoked, "the membership of this process was revoked");
+    case Trace::unknown:
+      // It may have become another program since. Whoever loses its connection says hello again.
+      disconnect(peer, "no time to look whether the process was revoked");
+      return {};
+  }
+  std::string_view name;
+  AGNOCAST_CHECK(text_of(hello.process_name, name));
+  const auto plan = registry_.plan_client();
+  if (!plan) return tl::unexpected(plan.error());
+  const ClientIndex client = plan->index;
+  MemoryReserve::no_return();
+  if (auto opened = regions_.open_client(client, plan->generation); !opened) return opened;
+  if (auto kept = store_.put(DescriptorStore::process(client), session.identity().process.fd());
+      !kept) {
+    regions_.close_client(client);
+    return kept;
+  }
+  registry_.add_client({session.identity().uid, session.identity().gid,
+                        static_cast<std::uint32_t>(session.identity().pid), hello.domain, name},
+                       *plan);
+  const ClientRecord& record = registry_.client(client);
+  expect_windows(peer);
+  session.greet(client);
+  by_client_[number(client)] = &peer;
+  auto packet = make_body<wire::Welcome>(wire::Opcode::welcome, hello.header.request);
+  packet.fingerprint = abi::fingerprint();
+  packet.incarnation = registry_.incarnation();
+  packet.client = number(client);
+  packet.client_generation = record.generation;
+  packet.arena_base = options_.arena.base;
+  packet.arena_bytes = options_.arena.bytes;
+  packet.client_region_bytes = Registry::client_region_bytes;
+  reply(peer, packet_of(packet), {regions_.board_reader(), regions_.region_writer(client)});
+  log_.write(LogLevel::debug, "client registered",
+             {{"client", number(client)},
+              {"generation", record.generation},
+              {"pid", session.identity().pid},
+              {"uid", session.identity().uid},
+              {"domain", hello.domain},
+              {"name", name}});
+  return {};
+}
+
+// The connection that the process had before.
+Result<Broker::Peer*> Broker::lost_peer(const Peer& peer, const wire::Rejoin& request) {
+  using journal::RejoinDecision;
+  const ClientIndex client{static_cast<std::uint32_t>(request.client)};
+  const bool is_place = number(client) < registry_.client_high();
+  Peer* const before = is_place ? by_client_[number(client)] : nullptr;
+  journal::RejoinFacts facts;
+  facts.same_layout = request.fingerprint == abi::fingerprint();
+  facts.confirmed = peer.session.identity().confirmed;
+  facts.same_incarnation = request.incarnation == registry_.incarnation();
+  facts.same_generation =
+      is_place && registry_.client(client).generation == request.client_generation;
+  if (is_place && registry_.client(client).state != ClientState::free)
+    facts.state = registry_.is_alive(client) && before != nullptr ? journal::rejoin::alive
+                                                                  : journal::rejoin::dead;
+  facts.same_process = before != nullptr && same_process(before->session.identity().process,
+                                                         peer.session.identity().process);
+  switch (journal::decide_rejoin(facts)) {
+    case RejoinDecision::take_back:
+      return before;
+    case RejoinDecision::started_anew:
+      return refusal(Errc::started_anew, "the daemon does not know this process");
+    case RejoinDecision::revoked:
+      return refusal(Errc::revoked, "the membership of this process is over");
+    case RejoinDecision::layout_mismatch:
+    case RejoinDecision::permission_denied:
+      break;
+  }
+  // check_caller() has said the other reasons for these two.
+  return refusal(Errc::permission_denied, "that is the place of another process");
+}
+
+Result<void> Broker::rejoin(Peer& peer, const wire::Rejoin& request) {
+  if (auto known = check_caller(peer, request.fingerprint); !known) return known;
+  const auto before = lost_peer(peer, request);
+  if (!before) return tl::unexpected(before.error());
+  const ClientIndex client{static_cast<std::uint32_t>(request.client)};
+  peer.returns = (*before)->returns;
+  if (!peer.returns.take(monotonic_ms()))
+    return refusal(Errc::limit_reached, "this process comes back too often; later it may");
+  // The rules may be others than those by which it was let in.
+  if (const std::string why = forbidden_endpoint(client, subject_of(peer)); !why.empty()) {
+    revoke(**before, why);
+    return refusal(Errc::revoked, why);
+  }
+  warn_of_other_readers(client);
+  MemoryReserve::no_return();
+  if (std::exchange(peer.counts_as_observer, false)) {
+    // It was taken for one more because the daemon had not seen yet that the old one had ended.
+    Connections& used = connections_[peer.session.identity().uid];
+    --used.observers;
+    ++used.clients;
+  }
+  peer.session.greet(client);
+  by_client_[number(client)] = &peer;
+  drop((*before)->id);
+  if (registry_.endpoints_of(client).empty() && registry_.client(client).executors == 0)
+    expect_windows(peer);
+  registry_.note_rejoined(client);
+  auto packet = make_body<wire::Rejoined>(wire::Opcode::rejoined, request.header.request);
+  packet.incarnation = registry_.incarnation();
+  reply(peer, packet_of(packet));
+  let_go_watch_.told_again(client);
+  renew_bells(peer);
+  membership_.welcome_back(client);
+  look_for_collisions_of_publishers(client);  // it may have been asked to move in vain
+  log_.write(LogLevel::debug, "client is back",
+             {{"client", number(client)}, {"pid", peer.session.identity().pid}});
+  return {};
+}
+
+// Its sleepers would be deaf to publishers of other users for as long as it lives.
+void Broker::renew_bells(Peer& peer) {
+  const ClientIndex client = *peer.session.client();
+  const std::uint64_t executors = registry_.client(client).executors;
+  for (std::uint64_t executor = 0; executor < abi::executor_count_max; ++executor) {
+    if ((executors >> executor & 1) == 0) continue;
+    auto bells = doorbells_.renew(client, executor, registry_.client(client).uid);
+    if (!bells || bells->empty()) continue;
+    AGNOCAST_CRASH_POINT(B_bell_bound);
+    auto packet = make_body<wire::BellsRenewed>(wire::Opcode::bells_renewed);
+    packet.executor = executor;
+    reply(peer, packet_of(packet), std::move(*bells));
+    membership_.renewed(client, executor);
+  }
+}
+
+Result<void> Broker::room_for_brought(const ClientRecord& record, std::uint64_t bytes) {
+  if (record.window_count >= options_.config.heap.windows_per_process)
+    return refusal(Errc::window_exhausted,
+                   "[heap] windows_per_process is " +
+                       std::to_string(options_.config.heap.windows_per_process));
+  return check_window(record.uid, bytes);
+}
+
+Result<void> Broker::check_window(std::uint32_t uid, std::uint64_t bytes) {
+  if (auto kept = check_kept(uid, 1); !kept) return kept;
+  return check_limit(registry_.usage_of(uid).heap_bytes, bytes, heap_quota(), "[quota] heap_bytes");
+}
+
+// A process brings what it has from a former incarnation before it asks this one for anything. Until then the
+// kernel lets descriptors through to the daemon.
+void Broker::expect_windows(Peer& peer) {
+  peer.brings_windows = true;
+  peer.session.set_may_carry(true);
+  accept_descriptors(peer.session.socket().fd());
+}
+
+void Broker::expect_no_windows(Peer& peer) {
+  if (!std::exchange(peer.brings_windows, false)) return;
+  refuse_descriptors(peer.session.socket().fd());
+  peer.refuses_since_ms = monotonic_ms();
+}
+
+// All of it happens elsewhere: for want of a number the kernel closes what comes, and whatever is not a
+// window is closed there, too.
+void Broker::receive_window(Peer& peer) {
+  const std::uint32_t uid = peer.session.identity().uid;
+  // Another number of the connection: the loop may close its own meanwhile.
+  PacketSocket socket(UniqueFd(::fcntl(peer.session.socket().fd(), F_DUPFD_CLOEXEC, 0)));
+  if (!socket) {
+    disconnect(peer, "no descriptor is left to receive a window with");
+    return;
+  }
+  const std::uint64_t ticket = ++last_ticket_;
+  park(peer, ticket);
+  disposal_.receive(uid, std::move(socket), wire::packet_bytes_max,
+                    [this, id = peer.id, ticket, uid, here = std::weak_ptr(here_)](
+                        Disposal::Received& received) {
+                      if (!here.expired()) serve_window(id, ticket, received);
+                      disposal_.close_memory(uid, std::move(received.memory.memory));
+                    });
+}
+
+void Broker::serve_window(PeerId id, std::uint64_t ticket, Disposal::Received& received) {
+  Peer* const peer = unpark(id, ticket);
+  if (peer == nullptr) return;
+  const Result<Packet>& packet = received.memory.packet;
+  if (!packet) {
+    disconnect(*peer, packet.error().what);
+  } else if (packet->kind == Packet::Kind::data) {
+    AGNOCAST_CRASH_POINT(B_request);
+    serve_packet(
+        *peer, {received.bytes.data(), packet->bytes},
+        {received.memory.descriptor_count, packet->truncated, packet->descriptors_lost},
+        std::span(&received.memory.memory, 1));
+  }
+}
+
+// What lies in a window outlives the daemon that gave it: its owner, which knows nobody here yet, keeps
+// it where it is, and its readers find the same memory at the same place.
+Result<void> Broker::bring_window(Peer& peer, const wire::BringWindow& request,
+                                  const UniqueFd& window) {
+  const ClientIndex client = *peer.session.client();
+  const ClientRecord& record = registry_.client(client);
+  const auto done = [&] {
+    const auto packet = make_body<wire::Done>(wire::Opcode::done, request.header.request);
+    reply(peer, packet_of(packet));
+    return Result<void>();
+  };
+  namespace brought = journal::brought;
+  journal::BroughtFacts facts;
+  facts.number = request.window < record.window_count    ? brought::known
+                 : request.window == record.window_count ? brought::next
+                                                         : brought::later;
+  Result<void> allowed, ours;
+  if (facts.number == brought::known) {
+    facts.same_base = record.window[request.window].base == request.base;
+  } else if (facts.number == brought::next) {
+    facts.possible_group =
+        request.first == request.window ||
+        (request.window != 0 && request.first == record.window[request.window - 1].first);
+    allowed = room_for_brought(record, request.bytes);
+    // The later failure is the one whose text is kept, and the one that is said.
+    ours = Regions::check_window(window.get(), request.base, request.bytes, record.uid);
+    facts.room = allowed.has_value();
+    facts.ours = ours.has_value();
+  }
+  facts.free = true;
+  MemoryReserve::no_return();
+  auto decision = journal::decide_brought(facts);
+  if (decision == journal::BroughtDecision::take) {
+    facts.free = request.bytes == options_.arena.window_bytes && plan_.adopt(request.base);
+    decision = journal::decide_brought(facts);
+  }
+  switch (decision) {
+    case journal::BroughtDecision::take:
+      break;
+    case journal::BroughtDecision::answer_as_before:
+      ++registry_.counters().requests_answered_again;
+      return done();
+    case journal::BroughtDecision::protocol_violation:
+      return refusal(Errc::protocol_violation,
+                     facts.number == brought::known   ? "another window has this number"
+                     : facts.number == brought::later ? "windows are brought one after the other"
+                                                      : "a window that cannot be of this group");
+    case journal::BroughtDecision::permission_denied:
+      return ours;
+    case journal::BroughtDecision::over_limit:
+      return allowed;
+    case journal::BroughtDecision::arena_occupied:
+      return refusal(Errc::arena_occupied,
+                     "the window at " + hexadecimal(request.base) +
+                         " is another process's, or outside [heap] arena_base and arena_bytes");
+  }
+  AGNOCAST_CRASH_POINT(B_window_base);
+  if (auto kept = regions_.bring_window(client, window); !kept) {
+    plan_.give_back(request.base);
+    return kept;
+  }
+  AGNOCAST_CRASH_POINT(B_window_made);
+  registry_.open_window(client, {request.base, request.bytes, request.first});
+  membership_.announce_window(client);
+  log_.write(LogLevel::debug, "window brought",
+             {{"client", number(client)},
+              {"pid", peer.session.identity().pid},
+              {"window", request.window},
+              {"base", hexadecimal(request.base)}});
+  look_for_collisions_of_publishers(client);
+  return done();
+}
+
+Result<void> Broker::open_window(Peer& peer, const wire::WindowRequest& request) {
+  const ClientIndex client = *peer.session.client();
+  const ClientRecord& record = registry_.client(client);
+  if (request.window > record.window_count)
+    return refusal(Errc::protocol_violation, "windows are opened one after the other");
+  Result<SharedFd> writer = SharedFd();
+  if (request.window < record.window_count) {
+    ++registry_.counters().requests_answered_again;
+    writer = regions_.window_writer(client, request.window);  // asked for again
+    if (!writer) return tl::unexpected(writer.error());
+  } else {
+    if (record.window_count >= options_.config.heap.windows_per_process)
+      return refusal(Errc::window_exhausted,
+                     "[heap] windows_per_process is " +
+                         std::to_string(options_.config.heap.windows_per_process) +
+                         ", this process has as many");
+    const std::uint64_t bytes = options_.arena.window_bytes;
+    if (auto allowed = check_window(record.uid, bytes); !allowed) return allowed;
+    MemoryReserve::no_return();
+    const auto window = choose_window(client);
+    if (!window) return tl::unexpected(window.error());
+    AGNOCAST_CRASH_POINT(B_window_base);
+    writer = regions_.open_window(client, window->base, record.uid);
+    if (!writer) {
+      plan_.give_back(window->base);
+      return tl::unexpected(writer.error());
+    }
+    AGNOCAST_CRASH_POINT(B_window_made);
+    registry_.open_window(client, *window);
+    // Before the answer: the announcement is in a subscriber's socket before the first message lies
+    // in the window.
+    membership_.announce_window(client);
+    log_.write(LogLevel::debug, "window opened",
+               {{"client", number(client)},
+                {"pid", peer.session.identity().pid},
+                {"window", request.window},
+                {"first", window->first},
+                {"base", hexadecimal(window->base)},
+                {"bytes", bytes}});
+    look_for_collisions_of_publishers(client);
+  }
+  auto packet = make_body<wire::WindowOpened>(wire::Opcode::window_opened, request.header.request);
+  packet.window = request.window;
+  packet.base = record.window[request.window].base;
+  packet.bytes = record.window[request.window].bytes;
+  packet.first = record.window[request.window].first;
+  reply(peer, packet_of(packet), {*writer, regions_.window_readers(client)[request.window]});
+  return {};
+}
+
+Result<void> Broker::admit_executor(ClientIndex client, const ExecutorRequest& request) {
+  namespace found = journal::request;
+  const auto& endpoints = registry_.endpoints_of(client);
+  const bool in_use = std::any_of(endpoints.begin(), endpoints.end(), [&](const EndpointRef& ref) {
+    return ref.kind == Kind::subscription &&
+           registry_.subscription(ref.topic, ref.index).executor == request.executor;
+  });
+  const bool is_open = doorbells_.is_open(client, request.executor);
+  if (journal::decide_request(found::open_executor, request.again,
+                              !is_open ? found::not_done
+                              : in_use ? found::used
+                                       : found::done) != journal::RequestDecision::carry_out)
+    return refusal(Errc::protocol_violation, "the executor is open");
+  if (!is_open) {
+    const std::uint32_t uid = registry_.client(client).uid;
+    if (auto kept = check_kept(uid, 1); !kept) return kept;
+    return check_limit(registry_.usage_of(uid).executors, 1, options_.config.quota.executors,
+                       "[quota] executors");
+  }
+  ++registry_.counters().requests_answered_again;  // the bells were lost with the answer
+  return {};
+}
+
+Result<void> Broker::open_executor(Peer& peer, const ExecutorRequest& request) {
+  const ClientIndex client = *peer.session.client();
+  if (auto admitted = admit_executor(client, request); !admitted) return admitted;
+  MemoryReserve::no_return();
+  auto bells = doorbells_.open(client, request.executor, registry_.client(client).uid);
+  if (!bells) return tl::unexpected(bells.error());
+  AGNOCAST_CRASH_POINT(B_bell_bound);
+  registry_.open_executor(client, static_cast<std::uint32_t>(request.executor));
+  const auto packet = make_body<wire::Done>(wire::Opcode::executor_opened, request.request);
+  reply(peer, packet_of(packet), std::move(*bells));
+  return {};
+}
+
+// Also of a topic that is there: whoever joins it keeps it there when the others have left.
+Result<void> Broker::check_topics(const ClientRecord& record, std::string_view topic) {
+  const auto known = registry_.find_topic(record.domain, topic);
+  if (known && registry_.takes_part(record.uid, *known)) return {};
+  return check_limit(registry_.usage_of(record.uid).topics, 1, options_.config.quota.topics,
+                     "[quota] topics");
+}
+
+std::uint64_t Broker::places_quota(Kind kind) const noexcept {
+  const auto& quota = options_.config.quota;
+  const auto& limits = options_.config.limits;
+  const std::uint64_t configured =
+      kind == Kind::publisher ? quota.publishers_per_topic : quota.subscriptions_per_topic;
+  if (configured != 0) return configured;
+  const std::uint64_t all =
+      kind == Kind::publisher ? limits.publishers_per_topic : limits.subscriptions_per_topic;
+  const std::uint64_t share = share_of_one_user(all);
+  return share < all ? share : unlimited;
+}
+
+Result<void> Broker::check_places(const ClientRecord& record, const CreateRequest& request) {
+  const auto known = registry_.find_topic(record.domain, request.topic);
+  if (!known) return {};
+  const Places used = registry_.user_places(record.uid, *known);
+  if (request.kind == Kind::subscription)
+    return check_limit(used.subscriptions, 1, places_quota(Kind::subscription),
+                       "[quota] subscriptions_per_topic");
+  const auto allowed = check_limit(used.publishers, 1, places_quota(Kind::publisher),
+                                   "[quota] publishers_per_topic");
+  if (!allowed) return membership_.explain_full(*known, allowed.error(), record.uid);
+  return {};
+}
+
+// A number that its user has set and cannot have of any publisher there is. Where one is its own user's
+// the number is true of that one, and nobody who publishes as well can keep it out.
+Result<void> Broker::check_hold_quota(const ClientRecord& record, const CreateRequest& request) {
+  const auto known = registry_.find_topic(record.domain, request.topic);
+  if (request.quota_or_less || !known) return {};
+  const HoldPool pool = registry_.hold_pool();
+  const HoldPool::Use use = registry_.pool_use(record.uid, *known);
+  const std::uint64_t at_most = pool.at_most(use);
+  if (request.quota <= at_most) return {};
+  bool any = false, own = false;
+  registry_.for_each_publisher(*known, [&](std::uint32_t, const PublisherRecord& publisher) {
+    if (publisher.state != EndpointState::active) return;
+    any = true;
+    own = own || registry_.client(publisher.client).uid == record.uid;
+  });
+  if (!any || own) return {};
+  return over_quota(
+      {"hold_quota", at_most, use.user + use.others, request.quota},
+      "the publishers of " + request.topic + " are other users', and have " +
+          std::to_string(at_most) + " messages left for one more subscription of user " +
+          std::to_string(record.uid) + ": ask for a hold_quota of at most that, not " +
+          std::to_string(request.quota));
+}
+
+Result<void> Broker::create(Peer& peer, const CreateRequest& request) {
+  const ClientIndex client = *peer.session.client();
+  const ClientRecord& record = registry_.client(client);
+  if (request.again && membership_.answer_again(client, request)) return {};
+  if (const auto problem = check_topic_name(request.topic))
+    return refusal(Errc::invalid_name,
+                   "topic " + printable(request.topic) + ": " + problem->text());
+  if (request.qos.depth > options_.config.limits.depth_max)
+    return refusal(Errc::depth_refused,
+                   "[limits] depth_max is " + std::to_string(options_.config.limits.depth_max) +
+                       ", depth " + std::to_string(request.qos.depth) + " is asked for");
+  const bool publisher = request.kind == Kind::publisher;
+  if (auto allowed = check_access(peer, request); !allowed) return allowed;
+  if (auto allowed = check_topics(record, request.topic); !allowed) return allowed;
+  const Usage usage = registry_.usage_of(record.uid);
+  auto allowed =
+      publisher
+          ? check_limit(usage.publishers, 1, options_.config.quota.publishers, "[quota] publishers")
+          : check_limit(usage.subscriptions, 1, options_.config.quota.subscriptions,
+                        "[quota] subscriptions");
+  if (!allowed) return allowed;
+  if (allowed = check_places(record, request); !allowed) return allowed;
+  if (!publisher) {
+    allowed = check_limit(usage.held_messages, request.quota, options_.config.quota.held_messages,
+                          "[quota] held_messages");
+    if (!allowed) return allowed;
+    if (allowed = check_hold_quota(record, request); !allowed) return allowed;
+  }
+  const auto waits = clear_before(peer, request);
+  if (!waits) return tl::unexpected(waits.error());
+  if (*waits) return {};
+  // Before anybody is told of the publisher, and with it of the heap.
+  const bool is_first = publisher && record.readers == 0;
+  if (is_first)
+    registry_.set_readers(client,
+                          readers_of(options_.config.access, record.domain, request.topic));
+  auto created = membership_.create(client, request);
+  if (!created && is_first) registry_.set_readers(client, 0);
+  if (created) {
+    log_.write(LogLevel::debug, "endpoint created",
+               {{"kind", name_of_kind(request.kind)},
+                {"topic", request.topic},
+                {"type", request.type},
+                {"client", number(client)},
+                {"pid", peer.session.identity().pid},
+                {"uid", record.uid}});
+  }
+  return created;
+}
+
+Result<void> Broker::revoke(Peer& peer, const wire::Revoke& request) {
+  const ClientIndex client{static_cast<std::uint32_t>(request.client)};
+  if (number(client) >= registry_.client_high() || !registry_.is_alive(client) ||
+      registry_.client(client).generation != request.generation)
+    return refusal(Errc::endpoint_gone, "there is no such process, or it is no member any more");
+  const PeerIdentity& who = peer.session.identity();
+  const ClientRecord& record = registry_.client(client);
+  if (who.uid != 0 && who.uid != ::geteuid() && who.uid != record.uid)
+    return refusal(Errc::permission_denied, "user " + std::to_string(who.uid) +
+                                                " may not revoke a process of user " +
+                                                std::to_string(record.uid));
+  Peer* const revoked = by_client_[number(client)];
+  AGNOCAST_CHECK(revoked != nullptr);
+  revoke(*revoked,
+         "revoked by user " + std::to_string(who.uid) + " (pid " + std::to_string(who.pid) + ")");
+  reply(peer, packet_of(make_body<wire::Done>(wire::Opcode::done, request.header.request)));
+  return {};
+}
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,263 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Collisions: a heap lies where a process that reads from it has something else (obstacles.hpp).
+//
+//   publisher's process:  | window 0 | window 1 |         window 0 is given up, it goes on in window 1
+//   subscriber's process: |     a JIT |         |         gets what is published from then on
+//
+// Nothing that exists is moved. Both endpoints get a notice, and the owner of the heap is asked to open a
+// window that all its readers can map and to allocate from that one alone: the new window begins a group. What lies in
+// the group before is lost to that subscription; the others read it as ever. A process is asked
+// heap_move_max times at most, and only if there is such a window: then its heap stays where it is.
+// What another user claims never takes the last of anything: a move, a window and its bytes in the quota
+// remain for the owner's own user, whose claims are not lies about strangers.
+
+#include <base/check.hpp>
+#include <daemon/requests/broker.hpp>
+#include <daemon/state/memory_reserve.hpp>
+
+#include <algorithm>
+
+namespace agnocast::daemon {
+namespace {
+
+std::uint64_t group_count(const ClientRecord& owner) noexcept {
+  std::uint64_t groups = 0;
+  for (std::uint64_t w = 0; w < owner.window_count; ++w) groups += owner.window[w].first == w;
+  return groups;
+}
+
+bool in_the_way(const std::vector<Obstacles::Claim>& claims, std::uint64_t base,
+                std::uint64_t bytes) noexcept {
+  return std::any_of(claims.begin(), claims.end(), [&](const Obstacles::Claim& claim) {
+    return claim.counts && claim.base < base + bytes && base < claim.base + claim.bytes;
+  });
+}
+
+/// What has to remain when a heap moves for a process of this user.
+std::uint64_t reserve_for(const ClientRecord& owner, std::uint32_t reader_uid) noexcept {
+  return owner.uid != reader_uid ? 1 : 0;
+}
+
+bool may_move(const ClientRecord& owner, std::uint64_t reserve) noexcept {
+  return group_count(owner) + reserve <= abi::heap_move_max;
+}
+
+}  // namespace
+
+/// Visits the publishers or subscriptions of a process that are active, each with those that match:
+/// function(publisher, subscription).
+template <class Function>
+void Broker::for_each_match(ClientIndex client, Kind kind, Function function) const {
+  const auto visit = [&](TopicIndex topic, std::uint32_t p, std::uint32_t s) {
+    const PublisherRecord& publisher = registry_.publisher(topic, p);
+    const SubscriptionRecord& subscription = registry_.subscription(topic, s);
+    if (publisher.state == EndpointState::active && subscription.state == EndpointState::active &&
+        abi::qos_match(abi::unpack_qos(publisher.qos), abi::unpack_qos(subscription.qos)))
+      function(EndpointRef{Kind::publisher, topic, p}, EndpointRef{Kind::subscription, topic, s});
+  };
+  for (const EndpointRef& own : registry_.endpoints_of(client)) {
+    if (own.kind != kind) continue;
+    if (kind == Kind::publisher) {
+      registry_.for_each_subscription(own.topic, [&](std::uint32_t s, const SubscriptionRecord&) {
+        visit(own.topic, own.index, s);
+      });
+    } else {
+      registry_.for_each_publisher(own.topic, [&](std::uint32_t p, const PublisherRecord&) {
+        visit(own.topic, p, own.index);
+      });
+    }
+  }
+}
+
+Result<void> Broker::blocked(Peer& peer, const wire::Blocked& range) {
+  const ClientIndex client = *peer.session.client();
+  const PeerIdentity& identity = peer.session.identity();
+  std::string_view text;
+  AGNOCAST_CHECK(text_of(range.what, text));
+  const std::string what = printable(text);
+  MemoryReserve::no_return();
+  const std::size_t before = obstacles_.of(client).size();
+  if (auto added = obstacles_.add(client, identity.uid, range.base, range.bytes, what); !added)
+    return added;
+  // Said again, which has told its publishers nothing new: every notice here is one to somebody else.
+  if (obstacles_.of(client).size() == before) return {};
+  note(LogLevel::info, identity.uid, "addresses blocked",
+       {{"pid", identity.pid},
+        {"uid", identity.uid},
+        {"base", hexadecimal(range.base)},
+        {"bytes", range.bytes},
+        {"what", what}});
+  look_for_collisions_of_subscriptions(client);  // one that comes back to a new daemon has some
+  return {};
+}
+
+// What a client says of its own publisher. The reader is looked up here: nothing of it is the client's word.
+void Broker::note_withdrawn(Peer& peer, const wire::Withdrawn& said) {
+  const EndpointRef publisher{Kind::publisher, static_cast<TopicIndex>(said.topic),
+                              static_cast<std::uint32_t>(said.publisher)};
+  const EndpointRef reader{Kind::subscription, static_cast<TopicIndex>(said.topic),
+                           static_cast<std::uint32_t>(said.subscription)};
+  if (!registry_.is_used(publisher) || !registry_.is_used(reader) ||
+      registry_.generation_of(publisher) != said.publisher_generation ||
+      registry_.generation_of(reader) != said.subscription_generation ||
+      registry_.owner_of(publisher) != *peer.session.client())
+    return;
+  const ClientRecord& owner = registry_.client(registry_.owner_of(reader));
+  const char* why = "its process could not be mapped";
+  if (said.why == static_cast<std::uint32_t>(abi::Withdrawal::over_quota))
+    why = "it held more messages than it may";
+  if (said.why == static_cast<std::uint32_t>(abi::Withdrawal::over_share))
+    why = "its user kept too much of the heap";
+  note(LogLevel::warning, peer.session.identity().uid, "reader withdrawn",
+       {{"topic", registry_.topic(publisher.topic).name},
+        {"publisher_pid", peer.session.identity().pid},
+        {"publisher_uid", peer.session.identity().uid},
+        {"pid", owner.pid},
+        {"uid", owner.uid},
+        {"bytes", said.bytes},
+        {"why", why}});
+}
+
+/// The next window of a process: where it can have it itself, and as few others as possible cannot map
+/// it.
+Result<WindowRecord> Broker::choose_window(ClientIndex client) {
+  const ClientRecord& record = registry_.client(client);
+  const std::uint64_t bytes = options_.arena.window_bytes;
+  const auto choice = plan_.take(obstacles_.against(client));
+  if (!choice && plan_.best())
+    return refusal(Errc::arena_occupied, "no window is left that this process can map; it has " +
+                                             obstacles_.of(client).front().what);
+  if (!choice)
+    return refusal(Errc::limit_reached, "[heap] arena_bytes has room for " +
+                                            std::to_string(plan_.window_count()) + " windows of " +
+                                            std::to_string(bytes) + " bytes, all are given out");
+  if (choice->weight != 0)
+    note(
+        LogLevel::warning, record.uid, "no window is free in all processes",
+        {{"pid", record.pid}, {"base", hexadecimal(choice->base)}, {"blocked_in", choice->weight}});
+  const std::uint64_t window = record.window_count;
+  const bool begins = window == 0 || should_move(client);
+  return WindowRecord{choice->base, bytes, begins ? window : record.window[window - 1].first};
+}
+
+std::optional<Broker::Collision> Broker::collision(ClientIndex owner, ClientIndex reader) const {
+  const ClientRecord& record = registry_.client(owner);
+  if (owner == reader || record.window_count == 0) return std::nullopt;
+  for (std::uint64_t w = record.window[record.window_count - 1].first; w < record.window_count;
+       ++w) {
+    if (const auto* claim = obstacles_.in_the_way(reader, record.window[w]))
+      return Collision{w, claim};
+  }
+  return std::nullopt;
+}
+
+/// Does somebody who reads from this process have something in the windows that it allocates from?
+bool Broker::should_move(ClientIndex owner) const {
+  const ClientRecord& record = registry_.client(owner);
+  if (!may_move(record, 0)) return false;
+  bool should = false;
+  for_each_match(owner, Kind::publisher, [&](const EndpointRef&, const EndpointRef& subscription) {
+    const ClientIndex reader = registry_.owner_of(subscription);
+    const auto found = collision(owner, reader);
+    should = should || (found && found->claim->counts &&
+                        may_move(record, reserve_for(record, registry_.client(reader).uid)));
+  });
+  return should;
+}
+
+/// Looked for once in a request: it walks all matches of the owner, and there may be as many to tell of.
+const std::string& Broker::why_not_moved(ClientIndex owner, ClientIndex reader) {
+  const auto [known, is_new] =
+      why_not_moved_.try_emplace({number(owner), number(reader)}, std::string());
+  if (is_new) known->second = find_why_not_moved(owner, reader);
+  return known->second;
+}
+
+std::string Broker::find_why_not_moved(ClientIndex owner, ClientIndex reader) const {
+  const ClientRecord& record = registry_.client(owner);
+  const std::uint64_t bytes = options_.arena.window_bytes;
+  const std::uint64_t reserve = reserve_for(record, registry_.client(reader).uid);
+  const std::string what_remains = reserve != 0 ? "; the last is its own user's" : "";
+  if (!may_move(record, reserve))
+    return "it has moved " + std::to_string(group_count(record) - 1) + " times" + what_remains;
+  if (record.window_count + reserve >= options_.config.heap.windows_per_process)
+    return "[heap] windows_per_process is " +
+           std::to_string(options_.config.heap.windows_per_process) + what_remains;
+  const std::uint64_t used = registry_.usage_of(record.uid).heap_bytes;
+  const std::uint64_t quota = heap_quota();
+  if (used > quota || bytes * (1 + reserve) > quota - used)
+    return "[quota] heap_bytes is used up" + what_remains;
+  const auto choice = plan_.best(obstacles_.against(owner));
+  bool helps = choice.has_value();
+  for_each_match(owner, Kind::publisher, [&](const EndpointRef&, const EndpointRef& subscription) {
+    helps =
+        helps && !in_the_way(obstacles_.of(registry_.owner_of(subscription)), choice->base, bytes);
+  });
+  return helps ? "" : "no free window is one that all its readers can map";
+}
+
+void Broker::look_for_collision(const EndpointRef& publisher, const EndpointRef& subscription) {
+  const ClientIndex owner = registry_.owner_of(publisher);
+  const ClientIndex reader = registry_.owner_of(subscription);
+  const auto found = collision(owner, reader);
+  if (!found) return;
+  const ClientRecord& record = registry_.client(owner);
+  const std::string why_not = !found->claim->counts ? "too much is blocked by the reader's user"
+                                                    : why_not_moved(owner, reader);
+  const auto is_news = [&](const EndpointRef& own, const EndpointRef& its) {
+    Session* const session = session_of(registry_.owner_of(own));
+    return session != nullptr &&
+           session->collisions().tell({own.kind, number(own.topic), own.index},
+                                      {its.kind, number(its.topic), its.index},
+                                      {registry_.generation_of(own), registry_.generation_of(its),
+                                       found->window, why_not.empty()});
+  };
+  const bool tells_publisher = is_news(publisher, subscription);
+  const bool tells_subscription = is_news(subscription, publisher);
+  if (!tells_publisher && !tells_subscription) return;
+  const std::string outcome =
+      why_not.empty() ? "it goes on in another window" : "it stays: " + why_not;
+  const ClientRecord& other = registry_.client(reader);
+  const std::string text =
+      "process " + std::to_string(other.pid) + " (user " + std::to_string(other.uid) +
+      ") cannot map heap window " + std::to_string(found->window) + " of process " +
+      std::to_string(record.pid) + "; " + outcome + "; it has something at " +
+      hexadecimal(found->claim->base) + ", " + std::to_string(found->claim->bytes) + " bytes";
+  const std::string whole = text + ": " + found->claim->what;
+  // What a process has mapped, names of files among it, is no other user's business.
+  const bool same_user = record.uid == other.uid;
+  if (tells_publisher)
+    membership_.notice(publisher, Errc::arena_occupied, same_user ? whole : text);
+  if (tells_subscription) membership_.notice(subscription, Errc::arena_occupied, whole);
+  note(LogLevel::warning, other.uid, "heap collides",
+       {{"topic", registry_.topic(publisher.topic).name},
+        {"publisher_pid", record.pid},
+        {"subscriber_pid", other.pid},
+        {"window", found->window},
+        {"base", hexadecimal(record.window[found->window].base)},
+        {"outcome", outcome},
+        {"what", found->claim->what}});
+  if (!why_not.empty() || !tells_publisher) return;
+  auto packet = make_body<wire::MoveHeap>(wire::Opcode::move_heap);
+  packet.window = record.window_count;
+  send(owner, packet_of(packet), {});
+}
+
+void Broker::look_for_collisions_of_publishers(ClientIndex owner) {
+  why_not_moved_.clear();
+  for_each_match(owner, Kind::publisher,
+                 [&](const EndpointRef& publisher, const EndpointRef& subscription) {
+                   look_for_collision(publisher, subscription);
+                 });
+}
+
+void Broker::look_for_collisions_of_subscriptions(ClientIndex reader) {
+  why_not_moved_.clear();
+  for_each_match(reader, Kind::subscription,
+                 [&](const EndpointRef& publisher, const EndpointRef& subscription) {
+                   look_for_collision(publisher, subscription);
+                 });
+}
+
+}  // namespace agnocast::daemon

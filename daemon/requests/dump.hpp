@@ -1,0 +1,52 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Dump: everything the daemon knows, as packets for an observer. Pure; made in one turn, so all
+// packets together are one moment.
+//
+// What the registry does not hold (who is connected, since when, counters) comes with the call. A
+// process's region goes along for reading: metadata, no message. Windows never do.
+#pragma once
+
+#include <agnocast/abi/observe.hpp>
+#include <daemon/state/refusals.hpp>
+#include <daemon/state/registry.hpp>
+#include <daemon/transport/session.hpp>
+#include <daemon/transport/shared_fd.hpp>
+
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <span>
+#include <string>
+#include <vector>
+
+namespace agnocast::daemon {
+
+struct DumpFacts {
+  struct Process {
+    abi::wire::ProcessState state = abi::wire::ProcessState::dead;
+    std::uint64_t age_ns = 0;
+    SharedFd region;  // empty when there is none
+    std::uint64_t silent_executors = 0;
+    std::uint64_t blocked_bytes = 0;
+    std::string blocked_by;
+  };
+  struct User {
+    std::uint64_t connections = 0;
+    std::uint64_t observers = 0;
+    std::uint64_t queued_bytes = 0;
+    std::uint64_t waits_ms = 0;  // the oldest of that
+    std::uint64_t answers_ahead = 0;
+  };
+  abi::wire::DumpDaemon daemon{};       // header left open
+  std::map<std::uint32_t, User> users;  // those with connections; owners of processes are added
+  std::function<Process(ClientIndex)> process_of;
+  std::span<const Refusals::Refusal> refusals;
+  std::uint64_t now_ns = 0;  // CLOCK_MONOTONIC
+};
+
+/// The answer to the request, in order: it ends with dump_end.
+std::vector<Outgoing> make_dump(const Registry& registry, const DumpFacts& facts,
+                                const abi::wire::Dump& request);
+
+}  // namespace agnocast::daemon

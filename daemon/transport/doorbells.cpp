@@ -1,0 +1,204 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <daemon/transport/doorbells.hpp>
+
+#include <base/packet_socket.hpp>
+#include <base/step.hpp>
+
+#include <dirent.h>
+#include <fcntl.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <memory>
+#include <set>
+
+namespace agnocast::daemon {
+namespace {
+
+// The receiver owns its descriptors; a packet needs its own.
+Result<SharedFd> duplicate(int fd) {
+  UniqueFd copy(::fcntl(fd, F_DUPFD_CLOEXEC, 0));
+  if (!copy) return fail(Errc::os_failure, "duplicating a descriptor", errno);
+  return share(std::move(copy));
+}
+
+// It may be there a moment later.
+bool is_shortage(int error) noexcept {
+  return error == EMFILE || error == ENFILE || error == ENOMEM || error == ENOBUFS;
+}
+
+}  // namespace
+
+// Of a client that never takes it this is the last one, with whatever others have sent to it.
+Result<SharedFd> Doorbells::duplicate_receiver(int fd, std::uint32_t uid) const {
+  if (refuses_descriptors(fd) || !close_) return duplicate(fd);
+  UniqueFd copy(::fcntl(fd, F_DUPFD_CLOEXEC, 0));
+  if (!copy) return fail(Errc::os_failure, "duplicating a descriptor", errno);
+  return SharedFd(new UniqueFd(std::move(copy)), [close = close_, uid](const UniqueFd* last) {
+    auto* const own = const_cast<UniqueFd*>(last);
+    close(uid, std::move(*own));
+    delete own;
+  });
+}
+
+Result<std::vector<SharedFd>> Doorbells::open(ClientIndex client, std::uint64_t executor,
+                                              std::uint32_t uid) {
+  const Key key{number(client), executor};
+  if (const auto found = bells_.find(key); found != bells_.end()) {
+    if (SharedFd datagram = found->second.given.lock())
+      return std::vector<SharedFd>{found->second.eventfd, std::move(datagram)};
+    close(client, executor);
+  }
+  auto fds = make(client, executor, uid, nullptr);
+  if (!fds) return fds;
+  if (auto kept = store_.put(DescriptorStore::eventfd(client, executor), (*fds)[0]->get()); !kept) {
+    bells_.erase(key);
+    return tl::unexpected(kept.error());
+  }
+  return fds;
+}
+
+Result<std::vector<SharedFd>> Doorbells::make(ClientIndex client, std::uint64_t executor,
+                                              std::uint32_t uid, SharedFd eventfd) {
+  const Key key{number(client), executor};
+  const std::string name = name_of(key);
+  AGNOCAST_CRASH_POINT(B_bell_bind);
+  ::mkdir(directory_.c_str(), 0700);  // it may have been removed; whose it is now is looked at
+  auto receiver = make_doorbell(directory_, name);
+  if (!receiver) return tl::unexpected(receiver.error());
+  UniqueFd way = way_to(name);
+  auto sender = connect_to(way, name);
+  if (!sender) return tl::unexpected(sender.error());
+  if (eventfd == nullptr) {
+    auto own = duplicate(receiver->eventfd());
+    if (!own) return tl::unexpected(own.error());
+    eventfd = std::move(*own);
+  }
+  auto datagram = duplicate_receiver(receiver->datagram_fd(), uid);
+  if (!datagram) return tl::unexpected(datagram.error());
+  bells_[key] = Bell{eventfd, *datagram, Doorbell(std::move(*sender)), std::move(way)};
+  return std::vector<SharedFd>{std::move(eventfd), std::move(*datagram)};
+}
+
+Result<std::vector<SharedFd>> Doorbells::renew(ClientIndex client, std::uint64_t executor,
+                                               std::uint32_t uid) {
+  const Key key{number(client), executor};
+  const auto found = bells_.find(key);
+  SharedFd eventfd;
+  unsigned left = renewals_max;
+  if (found != bells_.end()) {
+    left = found->second.renewals_left;
+    if (left == 0) return std::vector<SharedFd>{};
+    const auto sender = connect_to(found->second.way, name_of(key));
+    if (sender || sender.error().code != Errc::endpoint_gone) return std::vector<SharedFd>{};
+    eventfd = found->second.eventfd;
+  }
+  const bool is_new = eventfd == nullptr;
+  auto fds = make(client, executor, uid, std::move(eventfd));
+  if (!fds) return fds;
+  bells_[key].renewals_left = left - 1;
+  if (!is_new) return fds;
+  if (auto kept = store_.put(DescriptorStore::eventfd(client, executor), (*fds)[0]->get()); !kept) {
+    bells_.erase(key);
+    return tl::unexpected(kept.error());
+  }
+  return fds;
+}
+
+void Doorbells::restore(ClientIndex client, std::uint64_t executor) {
+  const Key key{number(client), executor};
+  UniqueFd eventfd = store_.take(DescriptorStore::eventfd(client, executor));
+  if (!eventfd) return;  // its process opens it again
+  UniqueFd way = way_to(name_of(key));
+  auto sender = connect_to(way, name_of(key));
+  const bool is_silent = !sender;
+  bells_[key] = Bell{share(std::move(eventfd)),
+                     {},
+                     sender ? Doorbell(std::move(*sender)) : Doorbell(),
+                     std::move(way),
+                     is_silent,
+                     is_silent ? renewals_max : 0};
+}
+
+void Doorbells::look() noexcept {
+  auto at = bells_.upper_bound(looked_at_);
+  for (std::size_t looks = std::min(looks_max, bells_.size()); looks > 0; --looks, ++at) {
+    if (at == bells_.end()) at = bells_.begin();
+    looked_at_ = at->first;
+    note(at->second, connect_to(at->second.way, name_of(at->first)));
+  }
+}
+
+void Doorbells::note(Bell& bell, const Result<UniqueFd>& sender) noexcept {
+  if (sender || !is_shortage(sender.error().os_errno)) bell.is_silent = !sender;
+}
+
+UniqueFd Doorbells::way_to(const std::string& name) const {
+  return UniqueFd(::open((directory_ + "/" + name).c_str(), O_PATH | O_CLOEXEC | O_NOFOLLOW));
+}
+
+Result<UniqueFd> Doorbells::connect_to(const UniqueFd& way, const std::string& name) const {
+  return way ? connect_doorbell("/proc/self/fd", std::to_string(way.get()))
+             : connect_doorbell(directory_, name);
+}
+
+void Doorbells::clear_strangers() noexcept {
+  const std::unique_ptr<DIR, int (*)(DIR*)> entries(::opendir(directory_.c_str()), &::closedir);
+  if (entries == nullptr) return;
+  std::set<std::string> known;
+  for (const auto& [key, bell] : bells_) known.insert(name_of(key));
+  while (const dirent* const entry = ::readdir(entries.get())) {
+    if (entry->d_name[0] != '.' && known.count(entry->d_name) == 0)
+      ::unlinkat(::dirfd(entries.get()), entry->d_name, 0);
+  }
+}
+
+Result<std::vector<SharedFd>> Doorbells::for_publisher(ClientIndex client, std::uint64_t executor,
+                                                       bool same_user) {
+  const Key key{number(client), executor};
+  std::vector<SharedFd> fds;
+  const auto found = bells_.find(key);
+  if (found == bells_.end()) return fds;
+  Bell& bell = found->second;
+  auto sender = connect_to(bell.way, name_of(key));
+  note(bell, sender);
+  // Its name was removed before this daemon began. The eventfd is what its user's publishers ring.
+  if (!sender && !bell.way && same_user) sender = make_mute_doorbell();
+  if (!sender && is_shortage(sender.error().os_errno)) return tl::unexpected(sender.error());
+  if (!sender) return fds;
+  if (same_user) fds.push_back(bell.eventfd);
+  fds.push_back(share(std::move(*sender)));
+  return fds;
+}
+
+void Doorbells::ring(ClientIndex client, std::uint64_t executor) noexcept {
+  const auto found = bells_.find({number(client), executor});
+  if (found != bells_.end()) found->second.own.ring();
+}
+
+void Doorbells::ring_all() noexcept {
+  for (auto& [key, bell] : bells_) bell.own.ring();
+}
+
+void Doorbells::close(ClientIndex client, std::uint64_t executor) noexcept {
+  const Key key{number(client), executor};
+  if (bells_.erase(key) == 0) return;
+  ::unlink((directory_ + "/" + name_of(key)).c_str());
+  store_.remove(DescriptorStore::eventfd(client, executor));
+}
+
+void Doorbells::close_client(ClientIndex client) noexcept {
+  const auto begin = bells_.lower_bound({number(client), 0});
+  const auto end = bells_.lower_bound({number(client) + 1, 0});
+  for (auto at = begin; at != end; ++at) {
+    AGNOCAST_CRASH_POINT(B_bell_remove);
+    ::unlink((directory_ + "/" + name_of(at->first)).c_str());
+    store_.remove(DescriptorStore::eventfd(client, at->first.second));
+  }
+  bells_.erase(begin, end);
+}
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,308 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Session: one connection. Who is at its other end, how far it has come, what still has to be sent.
+//
+//   accepted ──identity confirmed and hello──▶ greeted ──end of connection, overflow──▶ closed
+//            ──identity confirmed and observe──▶ observing ──────────────────────────▶ closed
+//
+// Packets leave in the order in which they were handed in, each counted; the number of a packet is
+// what `seen` in an `unlinked` refers to, so the session also remembers in which packet each thing
+// was announced last. What does not fit into the socket waits in a bounded queue; a client that
+// does not read until the bound is reached is disconnected. A closed session is not a dead process:
+// that is the reaper's to find out. An observer is sent one whole dump at a time, however long, and
+// has to read it before it asks for the next.
+//
+// The queue and the book of announcements are pure; only flush() touches the socket.
+#pragma once
+
+#include <agnocast/abi/wire.hpp>
+#include <agnocast/result.hpp>
+#include <base/packet_socket.hpp>
+#include <base/peer_identity.hpp>
+#include <daemon/state/tables.hpp>
+#include <daemon/transport/requests.hpp>
+#include <daemon/transport/shared_fd.hpp>
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <map>
+#include <memory>
+#include <optional>
+#include <span>
+#include <tuple>
+#include <unordered_map>
+#include <utility>
+#include <vector>
+
+namespace agnocast::daemon {
+
+/// What an announcement is about: an endpoint, or (kind region) a process's region and windows.
+struct Announced {
+  abi::wire::Kind kind = abi::wire::Kind::region;
+  std::uint32_t topic = 0;
+  std::uint64_t index = 0;
+  friend bool operator<(const Announced& a, const Announced& b) noexcept {
+    return std::tuple(a.kind, a.topic, a.index) < std::tuple(b.kind, b.topic, b.index);
+  }
+};
+
+/// What the daemon keeps for all processes of one user.
+struct KeptForUser {
+  std::uint64_t bytes = 0;               // of packets that wait
+  std::uint64_t peak = 0;                // since somebody has last looked
+  std::uint64_t bytes_max = UINT64_MAX;  // [quota] queued_bytes
+  std::uint64_t book_bytes = 0;          // of the books below
+};
+
+/// What one book of a session costs, as a part of what all books of its user cost.
+class BookBytes {
+ public:
+  // As much as packets that wait by default: two million announcements. The processes
+  // that are told of more than this pay with connections that begin anew, so the number has no key.
+  static constexpr std::uint64_t of_user_max = std::uint64_t{96} << 20;
+  // Of each book, whatever the others of its user cost: 1,536 processes of one user (its default quota) with
+  // two books each have 96 MiB of this.
+  static constexpr std::uint64_t own_max = std::uint64_t{32} << 10;
+
+  explicit BookBytes(std::shared_ptr<KeptForUser> user) : user_(std::move(user)) {}
+  BookBytes(BookBytes&& other) noexcept
+      : user_(std::move(other.user_)), own_(std::exchange(other.own_, 0)) {}
+  BookBytes& operator=(BookBytes&& other) noexcept {
+    std::swap(user_, other.user_);
+    std::swap(own_, other.own_);
+    return *this;
+  }
+  ~BookBytes() { set(0); }
+
+  bool has_room_for(std::uint64_t more) const noexcept {
+    return own_ + more <= own_max || user_->book_bytes + more <= of_user_max;
+  }
+  void set(std::uint64_t own) noexcept {
+    if (user_) user_->book_bytes += own - own_;
+    own_ = own;
+  }
+
+ private:
+  std::shared_ptr<KeptForUser> user_;
+  std::uint64_t own_ = 0;
+};
+
+/// In which packet of one connection each thing was announced last. Where there is no room for more, the older
+/// half of it is forgotten. A statement that was made before what was forgotten cannot be judged any more: its
+/// process is told everything again, on a new connection.
+class AnnouncementNumbers {
+ public:
+  // A node of 24 bytes with what malloc adds, and its part of the buckets.
+  static constexpr std::uint64_t entry_bytes = 48;
+
+  explicit AnnouncementNumbers(std::shared_ptr<KeptForUser> user) : bytes_(std::move(user)) {}
+
+  void announced(const Announced& subject, std::uint64_t packet) {
+    const auto known = last_.find(key_of(subject));
+    if (known != last_.end()) {
+      known->second = packet;
+      return;
+    }
+    if (!bytes_.has_room_for(entry_bytes)) forget_older_half();
+    last_.emplace(key_of(subject), packet);
+    bytes_.set(last_.size() * entry_bytes);
+  }
+  /// A statement made after `seen` packets is void when the subject was announced in a later one.
+  bool is_void(const Announced& subject, std::uint64_t seen) const {
+    const auto found = last_.find(key_of(subject));
+    return found != last_.end() && found->second > seen;
+  }
+  /// The subject may have been announced in a later packet, and that was forgotten.
+  bool may_be_void(const Announced& subject, std::uint64_t seen) const {
+    return seen < forgotten_ && !last_.contains(key_of(subject));
+  }
+  void forget(const Announced& subject) {
+    last_.erase(key_of(subject));
+    bytes_.set(last_.size() * entry_bytes);
+  }
+  std::size_t size() const noexcept { return last_.size(); }
+
+ private:
+  static std::uint64_t key_of(const Announced& subject) noexcept {
+    static_assert(abi::client_count_max <= 1 << 16 && abi::subscription_count_max <= 1 << 16);
+    return std::uint64_t{static_cast<std::uint32_t>(subject.kind)} << 48 |
+           std::uint64_t{subject.topic} << 16 | subject.index;
+  }
+  void forget_older_half() {
+    if (last_.empty()) return;
+    std::vector<std::uint64_t> numbers;
+    numbers.reserve(last_.size());
+    for (const auto& [key, packet] : last_) numbers.push_back(packet);
+    const auto middle = numbers.begin() + static_cast<std::ptrdiff_t>(numbers.size() / 2);
+    std::nth_element(numbers.begin(), middle, numbers.end());
+    forgotten_ = *middle;
+    std::erase_if(last_, [&](const auto& entry) { return entry.second <= forgotten_; });
+  }
+
+  std::unordered_map<std::uint64_t, std::uint64_t> last_;
+  std::uint64_t forgotten_ = 0;  // the latest packet of which something was forgotten
+  BookBytes bytes_;
+};
+
+/// Of which collisions a process was told on one connection. A reader that comes back again and again
+/// has nothing new to say to its publishers.
+class CollisionsTold {
+ public:
+  // Pairs of endpoints. A process that has more is told of some twice, and costs the daemon 2 MB.
+  static constexpr std::size_t count_max = 16 * 1024;
+  // A node, with what malloc adds.
+  static constexpr std::uint64_t entry_bytes = 128;
+  struct Collision {
+    std::uint64_t own_generation = 0, other_generation = 0, window = 0;
+    bool moves = false;
+    friend bool operator==(const Collision&, const Collision&) = default;
+  };
+  explicit CollisionsTold(std::shared_ptr<KeptForUser> user) : bytes_(std::move(user)) {}
+
+  /// Whether this is news about the endpoint of the process and the other one.
+  bool tell(const Announced& own, const Announced& other, const Collision& what) {
+    const bool is_full = told_.size() >= count_max || !bytes_.has_room_for(entry_bytes);
+    if (is_full && !told_.contains({own, other})) told_.clear();
+    Collision& before = told_[{own, other}];
+    bytes_.set(told_.size() * entry_bytes);
+    return std::exchange(before, what) != what;
+  }
+  std::size_t size() const noexcept { return told_.size(); }
+
+ private:
+  std::map<std::pair<Announced, Announced>, Collision> told_;
+  BookBytes bytes_;
+};
+
+struct Outgoing {
+  std::vector<std::byte> bytes;
+  std::vector<SharedFd> fds;
+  // Called once, just before it is sent. Whatever is made for this packet alone is made here: in the
+  // queue of a client that does not read it would be one more descriptor of ours for each packet.
+  std::function<void(Outgoing&)> complete = {};
+  std::uint64_t since_ms = 0;    // when it was handed in
+  std::uint64_t cost_bytes = 0;  // of the session, as long as it waits
+};
+
+/// What waits for one session, as a part of what waits for its user. It goes with the session.
+class QueuedBytes {
+ public:
+  explicit QueuedBytes(std::shared_ptr<KeptForUser> user) : user_(std::move(user)) {}
+  QueuedBytes(QueuedBytes&& other) noexcept
+      : user_(std::move(other.user_)), own_(std::exchange(other.own_, 0)) {}
+  QueuedBytes& operator=(QueuedBytes&& other) noexcept {
+    std::swap(user_, other.user_);
+    std::swap(own_, other.own_);
+    return *this;
+  }
+  ~QueuedBytes() { remove(own_); }
+
+  void add(std::uint64_t bytes) noexcept {
+    own_ += bytes;
+    user_->bytes += bytes;
+    user_->peak = std::max(user_->peak, user_->bytes);
+  }
+  void remove(std::uint64_t bytes) noexcept {
+    own_ -= bytes;
+    if (user_) user_->bytes -= bytes;
+  }
+  std::uint64_t own() const noexcept { return own_; }
+  const KeptForUser& user() const noexcept { return *user_; }
+
+ private:
+  std::shared_ptr<KeptForUser> user_;
+  std::uint64_t own_ = 0;
+};
+
+class Session {
+ public:
+  // Of one client that does not read, some 10 MB; [quota] queued_bytes bounds those of all clients of
+  // a user together. Who comes back is told in parts of half of this, and of one endpoint or topic
+  // more; each is at most 1,022 packets.
+  static constexpr std::size_t queue_count_max = 16 * 1024;
+
+  Session(PacketSocket socket, PeerIdentity identity,
+          std::shared_ptr<KeptForUser> user = std::make_shared<KeptForUser>())
+      : socket_(std::move(socket)),
+        identity_(std::move(identity)),
+        queued_(user),
+        announcements_(user),
+        collisions_(std::move(user)) {}
+
+  const PacketSocket& socket() const noexcept { return socket_; }
+  PeerIdentity& identity() noexcept { return identity_; }
+  const PeerIdentity& identity() const noexcept { return identity_; }
+
+  bool greeted() const noexcept { return client_.has_value(); }
+  std::optional<ClientIndex> client() const noexcept { return client_; }
+  void greet(ClientIndex client) noexcept { client_ = client; }
+  void observe() noexcept { observing_ = true; }
+  Role role() const noexcept {
+    return observing_ ? Role::observer : greeted() ? Role::client : Role::unknown;
+  }
+  /// After this nothing is sent and nothing is read. The connection is the caller's to close, which
+  /// takes as long as the client likes unless may_carry() is false.
+  [[nodiscard]] UniqueFd close() noexcept {
+    drop_output();
+    return socket_.release();
+  }
+  /// Whether descriptors may be in the queue of the connection, or come into it.
+  bool may_carry() const noexcept { return may_carry_; }
+  void set_may_carry(bool may_carry) noexcept { may_carry_ = may_carry; }
+  bool closed() const noexcept { return !socket_; }
+  void drop_output() noexcept {
+    std::deque<Outgoing>().swap(queue_);  // and its memory
+    queued_.remove(queued_.own());
+  }
+
+  /// Appends a packet; its number. Sends nothing yet.
+  std::uint64_t push(std::span<const std::byte> bytes, std::vector<SharedFd> fds);
+  void push(Outgoing packet);
+  enum class Flushed : std::uint8_t {
+    all,
+    blocked,  ///< go on when the socket is writable
+    later,    ///< too many descriptors are under way, whatever the socket says; go on in a while
+    gone,     ///< the peer has closed; the end of the connection will be read like any other
+    over,     ///< the queue is too long, or the kernel refuses
+  };
+  /// Sends what the socket takes.
+  [[nodiscard]] Flushed flush();
+  bool has_output() const noexcept { return !queue_.empty(); }
+  std::size_t queued_count() const noexcept { return queue_.size(); }
+  std::uint64_t queued_bytes() const noexcept { return queued_.own(); }
+  /// How long the first packet has waited for the reader; 0: none does.
+  std::uint64_t waits_ms(std::uint64_t now) const noexcept {
+    return queue_.empty() || held_back_ ? 0 : now - std::min(now, queue_.front().since_ms);
+  }
+  /// More than half of what this user may have waits already: what can wait elsewhere is to do so.
+  bool is_crowded() const noexcept { return queued_.user().bytes >= queued_.user().bytes_max / 2; }
+  bool is_over() const noexcept { return queued_.user().bytes > queued_.user().bytes_max; }
+  /// Not the reader's fault: the last flush() said `later`.
+  bool held_back() const noexcept { return held_back_; }
+  /// Packets handed in so far, sent or not.
+  std::uint64_t packet_count() const noexcept { return packet_count_; }
+
+  AnnouncementNumbers& announcements() noexcept { return announcements_; }
+  CollisionsTold& collisions() noexcept { return collisions_; }
+
+  /// Requests refused because they broke the protocol; the log speaks only of the first ones.
+  std::uint64_t violation_count = 0;
+  /// User namespace of the process, 0 when unknown.
+  std::uint64_t user_namespace = 0;
+
+ private:
+  PacketSocket socket_;
+  PeerIdentity identity_;
+  std::optional<ClientIndex> client_;
+  bool observing_ = false, held_back_ = false, may_carry_ = true;
+  std::deque<Outgoing> queue_;
+  QueuedBytes queued_;
+  std::uint64_t packet_count_ = 0;
+  AnnouncementNumbers announcements_;
+  CollisionsTold collisions_;
+};
+
+}  // namespace agnocast::daemon

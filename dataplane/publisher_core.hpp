@@ -1,0 +1,652 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Publisher core: publish, retain, retire, free. docs/protocol.md §3.1 and §3.4 have the same
+// numbers.
+//
+// A publish is one commit (P5) between an intent and a pass. A pass looks at every subscription of
+// the topic once and decides what may go: it loads from peers and stores to its own memory only,
+// waits for nobody and takes no lock that another process could hold. The caller holds the
+// publisher's private mutex; everything in this object is memory of this process.
+//
+// Three numbers decide everything (h = newest sequence, H = history kept for late joiners, D = a
+// subscription's window):
+//   need  below it nobody may ask for an entry any more
+//         min(h-H+1, min over active s of max(low_s, h-D_s+1))
+//   past  below it nobody will ever take an entry again
+//         min over active and leaving s of low_s
+//   unk   from it on an unmapped member may have started
+//         min over unmapped s of since_s
+// A member that is withdrawn takes nothing more: it counts in none of them, and what it holds counts
+// until it has let go of it once, or is disregarded.
+//
+//            past            need                          h
+//   ---------|---------------|-----------------------------|--->  sequence
+//   free now   retire, free in a later pass    keep
+#pragma once
+
+#include <region/views.hpp>
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <utility>
+
+namespace agnocast::dataplane {
+
+enum class PublishOutcome : std::uint8_t { published, no_slot, would_block };
+
+/// A message as it enters the queue: the object in the shared heap, and when it was committed.
+struct Entry {
+  std::uint64_t address = 0;
+  std::uint64_t size = 0;
+  std::uint64_t stamp_ns = 0;
+  std::uint64_t bytes = 0;  // with all that it owns: what a lazy pass may keep back
+};
+
+template <class M>
+class PublisherCore {
+ public:
+  /// What publishes without a look at links may keep back together, in bytes: so little that it stays in
+  /// the first-level cache beside what the process works with.
+  static constexpr std::uint64_t kept_back_max = 16 * 1024;
+
+  struct Identity {
+    region::TopicWords<M> topic;
+    region::PublisherWords<M> words;
+    std::uint64_t index;  // of this publisher in the topic
+    std::uint64_t generation;
+    std::uint64_t first_sequence;  // the queue is empty while head stands here
+    abi::Qos qos;
+    std::uint64_t slot_count;
+    std::uint64_t lazy_limit;  // publishes in a row that may leave out the look at links; 0 = none
+  };
+
+  explicit PublisherCore(const Identity& identity) noexcept
+      : self_(identity),
+        head_sequence_(identity.first_sequence),
+        seen_(identity.first_sequence),
+        history_(identity.qos.transient_local ? identity.qos.depth : 0),
+        slot_count_(std::min<std::uint64_t>(identity.slot_count, M::slot_capacity)) {}
+
+  /// Commits one message. `environment` is told which sleepers to ring and which messages to
+  /// destroy: ring(executor, armed) and freed(slot, address); and, if it has commits(entry), that
+  /// nothing can refuse the message any more, directly ahead of the commit. If it has passes_soon(), that
+  /// says behind the rings whether somebody else is about to make a whole pass. On an error the caller
+  /// keeps the message. One that `was_published` before, in another queue, waits for nobody.
+  template <class Environment>
+  PublishOutcome publish(const Entry& entry, Environment& environment,
+                         bool was_published = false) noexcept {
+    if (self_.qos.keep_all && !was_published && !room_for_one_more()) {
+      pass(environment, false);
+      if (!room_for_one_more()) return PublishOutcome::would_block;
+    }
+    std::uint64_t slot = lowest_free_slot();
+    // Behind lazy passes nothing has been retired yet: then the first look only retires.
+    for (int looks = self_.lazy_limit != 0 ? 2 : 1; slot == no_slot && looks > 0; --looks) {
+      pass(environment, false);
+      slot = lowest_free_slot();
+    }
+    if (slot == no_slot) return PublishOutcome::no_slot;
+    const std::uint64_t sequence = head_sequence_ + 1;
+    const auto& words = self_.words;
+    AGNOCAST_STEP(P1_sequence) words.intent_sequence().store(sequence, std::memory_order_relaxed);
+    AGNOCAST_STEP(P1_slot) words.intent_slot().store(slot, std::memory_order_relaxed);
+    AGNOCAST_STEP(P1_op) words.intent_op().store(abi::intent_publish, std::memory_order_release);
+    AGNOCAST_STEP(P2_address)
+    words.slot_address(slot).store(entry.address, std::memory_order_relaxed);
+    AGNOCAST_STEP(P2_stamp) words.slot_stamp(slot).store(entry.stamp_ns, std::memory_order_relaxed);
+    AGNOCAST_STEP(P2_size) words.slot_size(slot).store(entry.size, std::memory_order_relaxed);
+    // [sync:publish] release, in this order; pairs with the acquires of T1, T2 and T3, so what lies
+    // at or below head is whole.
+    AGNOCAST_STEP(P3_id) words.slot_id(slot).store(sequence, std::memory_order_release);
+    AGNOCAST_STEP(P4_order)
+    words.order(sequence).store(abi::pack_entry(sequence, slot), std::memory_order_release);
+    if constexpr (requires { environment.commits(entry); }) environment.commits(entry);
+    AGNOCAST_STEP(P5_head)
+    words.head().store(abi::pack_entry(sequence, slot), std::memory_order_release);
+    head_sequence_ = sequence;
+    sequence_[slot] = sequence;
+    address_[slot] = entry.address;
+    bytes_[slot] = entry.bytes;
+    set(allocated_, slot);
+    kept_back_ += entry.bytes;
+    pass(environment, true);
+    AGNOCAST_STEP(P11_idle) words.intent_op().store(abi::intent_idle, std::memory_order_release);
+    return PublishOutcome::published;
+  }
+
+  /// Looks at every member once and frees what may go. Called by publish, and by the control thread
+  /// when a member died, left or was mapped, and by its timer while anything outside the history is
+  /// allocated.
+  template <class Environment>
+  void pass(Environment& environment) noexcept {
+    pass(environment, false);
+  }
+
+  /// The control thread has mapped the client region of the subscription with this index and
+  /// generation. `executor` numbers the sleepers of this publisher (below subscription_capacity):
+  /// subscriptions that share an executor share the number. Rings once: a commit between the
+  /// member's join and here could not ring it. The caller makes a pass afterwards.
+  template <class Environment>
+  void attach(std::uint64_t index, std::uint64_t generation, typename M::Region region,
+              std::uint64_t extent, std::uint64_t armed_offset, std::uint64_t executor,
+              Environment& environment) noexcept {
+    Member& member = members_[index];
+    member.executor = executor;
+    if (abi::generation_of(member.word) != generation) end_withdrawal(index);  // of the one before
+    // The number may have been another sleeper's.
+    AGNOCAST_STEP(J7_rung) rung_[executor] = 0;
+    AGNOCAST_STEP(J7_member) {
+      member.attached_generation = generation;
+      member.region = region;
+      member.extent = extent;
+      member.armed_offset = armed_offset;
+    }
+    member.limit = infinite;
+    if (index >= member_high_) member_high_ = index + 1;
+    AGNOCAST_STEP(J7_ring) environment.ring(executor, 0);
+  }
+  /// Behind attach(): of this publisher the member may hold no more, whatever the board says that it may
+  /// hold of others.
+  void limit_holds(std::uint64_t index, std::uint64_t quota) noexcept {
+    members_[index].limit = quota;
+  }
+  /// The control thread is about to unmap it.
+  void detach(std::uint64_t index, std::uint64_t generation) noexcept {
+    if (members_[index].attached_generation == generation) members_[index].attached_generation = 0;
+  }
+
+  /// E1. A member gets nothing more: it takes nothing, and nothing is kept for it but what it holds, or
+  /// may hold while it is not mapped. That is looked at until it has let go of everything, or disregard().
+  /// The caller makes a pass afterwards. False: it is no member of this generation.
+  bool withdraw(std::uint64_t index, std::uint64_t generation, abi::Withdrawal why) noexcept {
+    Member& member = members_[index];
+    if (abi::generation_of(member.word) != generation || !is_member(member.word)) return false;
+    member.word = abi::pack_member(generation, abi::MemberState::leaving);
+    if (member.withdrawn_at == 0) member.withdrawn_at = head_sequence_;
+    say_withdrawal(index, why);
+    return true;
+  }
+  /// What a withdrawn member holds counts no more: if it does hold something, it reads what it likes.
+  void disregard(std::uint64_t index, std::uint64_t generation) noexcept {
+    Member& member = members_[index];
+    if (abi::generation_of(member.word) == generation && member.withdrawn_at != 0)
+      member.word = abi::pack_member(generation, abi::MemberState::free);
+  }
+  /// It is mapped and served again. Who was disregarded not before it holds nothing: a slot that it has held
+  /// since may be another message's by now.
+  template <class Environment>
+  bool serve_again(std::uint64_t index, std::uint64_t generation,
+                   Environment& environment) noexcept {
+    Member& member = members_[index];
+    if (abi::generation_of(member.word) != generation || member.withdrawn_at == 0 ||
+        member.attached_generation != generation)
+      return false;
+    const std::uint64_t word =
+        self_.topic.subscription(index, offsetof(abi::SubscriptionEntry, word))
+            .load(std::memory_order_acquire);
+    if (abi::generation_of(word) != generation || !is_member(word)) return false;
+    const region::LinkWords<M> link{member.region, member.extent, self_.index};
+    std::uint64_t held = 0;
+    for (std::size_t i = 0; i < mask_words; ++i)
+      held |= link.hold(i).load(std::memory_order_acquire);
+    if (held != 0 && !is_member(member.word)) return false;
+    end_withdrawal(index);
+    member.word = word;
+    M::fence();  // who is rung finds it so
+    AGNOCAST_STEP(J7_ring) environment.ring(member.executor, 0);
+    return true;
+  }
+  abi::Withdrawal withdrawal(std::uint64_t index, std::uint64_t generation) const noexcept {
+    const Member& member = members_[index];
+    if (abi::generation_of(member.word) != generation || member.withdrawn_at == 0)
+      return abi::Withdrawal::none;
+    return abi::withdrawal_of(self_.words.withdrawn(index).load(std::memory_order_relaxed), index);
+  }
+  bool is_disregarded(std::uint64_t index) const noexcept {
+    return members_[index].withdrawn_at != 0 && !is_member(members_[index].word);
+  }
+  /// function(index, generation) of each member that takes part and is not mapped.
+  template <class Function>
+  void for_each_unmapped(Function function) const noexcept {
+    for (std::uint64_t i = 0; i < member_high_; ++i) {
+      const std::uint64_t generation = abi::generation_of(members_[i].word);
+      if (is_member(members_[i].word) && members_[i].attached_generation != generation)
+        function(i, generation);
+    }
+  }
+  /// Bytes of the messages that stay because of these mapped members, with what belongs to them: what one of
+  /// them holds, or has not read and may still ask for. One that several keep counts once, and one of the history that
+  /// is kept for late joiners does not: it would stay without them.
+  struct MemberId {
+    std::uint64_t index, generation;
+  };
+  std::uint64_t kept_bytes(std::span<const MemberId> ids) const noexcept {
+    Mask kept{};
+    std::uint64_t unread_from = infinite;
+    for (const auto& [index, generation] : ids) {
+      const Member& member = members_[index];
+      if (member.attached_generation != generation || is_disregarded(index)) continue;
+      const region::LinkWords<M> link{member.region, member.extent, self_.index};
+      for (std::size_t word = 0; word < words_in_use(); ++word)
+        kept[word] |= link.hold(word).load(std::memory_order_relaxed) & allocated_[word];
+      // `low` is what the last pass has seen.
+      if (abi::state_of(member.word) == abi::MemberState::active)
+        unread_from = std::min(
+            unread_from,
+            std::max(member.low, region::minus_at_least(head_sequence_ + 1, member.window, 0)));
+    }
+    const std::uint64_t history_from = region::minus_at_least(head_sequence_ + 1, history_, 0);
+    std::uint64_t sum = 0;
+    for_each_allocated([&](std::uint64_t slot) {
+      if (sequence_[slot] < history_from && (test(kept, slot) || sequence_[slot] >= unread_from))
+        sum += bytes_[slot];
+    });
+    return sum;
+  }
+
+  /// Nothing is kept for late joiners any more. The caller makes a pass afterwards.
+  void keep_no_history() noexcept { history_ = 0; }
+  /// The process of a member is gone, and there is no daemon to say so: its holds and what it has not
+  /// read count no more. The caller makes a pass afterwards.
+  void bury(std::uint64_t index, std::uint64_t generation) noexcept {
+    Member& member = members_[index];
+    if (abi::generation_of(member.word) == generation)
+      member.word = abi::pack_member(generation, abi::MemberState::free);
+    detach(index, generation);
+  }
+
+  /// True while a message outside the history is allocated: a timer pass may free it.
+  bool has_reclaimable() const noexcept {
+    const std::uint64_t keep_from = region::minus_at_least(head_sequence_ + 1, history_, 0);
+    bool found = false;
+    for_each_allocated([&](std::uint64_t slot) { found = found || sequence_[slot] < keep_from; });
+    return found;
+  }
+  /// The daemon has freed the index: nothing of it is read by anybody any more.
+  bool is_over() const noexcept { return over_ != 0; }
+  std::uint64_t head_sequence() const noexcept { return head_sequence_; }
+  std::uint64_t allocated_count() const noexcept {
+    std::uint64_t count = 0;
+    for (std::uint64_t word : allocated_) count += static_cast<std::uint64_t>(std::popcount(word));
+    return count;
+  }
+
+ private:
+  static constexpr std::uint64_t no_slot = ~std::uint64_t{0};
+  static constexpr std::uint64_t infinite = ~std::uint64_t{0};
+  static constexpr std::size_t mask_words = (M::slot_capacity + 63) / 64;
+  using Mask = std::array<std::uint64_t, mask_words>;
+
+  struct Member {
+    // As last read from the board; of who is withdrawn leaving, and of who is disregarded free.
+    std::uint64_t word = 0;
+    std::uint64_t since = 0;   // lower bound of where it starts, while it is not linked
+    std::uint64_t window = 0;  // newest messages that it can still ask for
+    std::uint64_t bound =
+        0;  // unread messages beyond which a keep-all publisher waits; 0 = it never limits us
+    std::uint64_t attached_generation = 0;  // 0 = not mapped
+    std::uint64_t extent = 0;
+    std::uint64_t armed_offset = 0;
+    std::uint64_t executor = 0;
+    std::uint64_t low = 0;    // of the last pass, for room_for_one_more
+    std::uint64_t quota = 0;  // messages that it may hold at once
+    std::uint64_t limit = infinite;  // likewise, of this publisher
+    std::uint64_t withdrawn_at =
+        0;  // head when it was told that it gets nothing more; 0 = it was not
+    typename M::Region region{};
+  };
+
+  static void set(Mask& mask, std::uint64_t slot) noexcept {
+    mask[slot / 64] |= std::uint64_t{1} << slot % 64;
+  }
+  static void clear(Mask& mask, std::uint64_t slot) noexcept {
+    mask[slot / 64] &= ~(std::uint64_t{1} << slot % 64);
+  }
+  static bool test(const Mask& mask, std::uint64_t slot) noexcept {
+    return (mask[slot / 64] >> slot % 64 & 1) != 0;
+  }
+  /// Words of a mask that have a slot of this publisher; nothing is ever allocated beyond them.
+  std::size_t words_in_use() const noexcept {
+    return (static_cast<std::size_t>(slot_count_) + 63) / 64;
+  }
+  /// `function` may free the slot that it is given.
+  template <class Function>
+  void for_each_allocated(Function function) const noexcept {
+    const std::size_t words = words_in_use();
+    for (std::size_t word = 0; word < words; ++word) {
+      for (std::uint64_t bits = allocated_[word]; bits != 0; bits &= bits - 1) {
+        function(word * 64 + static_cast<std::uint64_t>(std::countr_zero(bits)));
+      }
+    }
+  }
+
+  std::uint64_t lowest_free_slot() const noexcept {
+    const std::size_t words = words_in_use();
+    for (std::size_t word = 0; word < words; ++word) {
+      if (~allocated_[word] == 0) continue;
+      const std::uint64_t slot =
+          word * 64 + static_cast<std::uint64_t>(std::countr_one(allocated_[word]));
+      return slot < slot_count_ ? slot : no_slot;
+    }
+    return no_slot;
+  }
+
+  /// keep-all: no reliable keep-all member may be left with more unread messages than both sides
+  /// agreed to.
+  bool room_for_one_more() const noexcept {
+    bool room = true;
+    for (std::uint64_t i = 0; i < member_high_; ++i) {
+      const Member& member = members_[i];
+      if (abi::state_of(member.word) != abi::MemberState::active || member.bound == 0) continue;
+      const std::uint64_t bound = std::min<std::uint64_t>(self_.qos.depth, member.bound);
+      if (M::holds(Step::K0_room, head_sequence_ + 2 > member.low + bound)) room = false;
+    }
+    return room;
+  }
+
+  /// P7: learn who is a member now. A member seen for the first time may have started as early as
+  /// the head of the previous look: that look missed its J3, so its J6 reads a head at or after it.
+  void refresh_members() noexcept {
+    std::uint64_t epoch = epoch_seen_;
+    // [sync:join] acquire; pairs with the daemon's seq_cst store at J3, behind the fence of P6.
+    AGNOCAST_STEP(P7_epoch) epoch = self_.topic.epoch().load(std::memory_order_acquire);
+    if (M::holds(Step::P7_changed, epoch != epoch_seen_)) {
+      epoch_seen_ = epoch;
+      // The own word before the members' words: once it says orphan no history is kept for late joiners, and whoever joined before that must
+      // be seen by the same pass. [sync:join] acquire; pairs with D3_word, which the daemon stores after every earlier J3.
+      std::uint64_t self_word = abi::pack_member(self_.generation, abi::MemberState::active);
+      AGNOCAST_STEP(P7_self)
+      self_word = self_.topic.publisher(self_.index, offsetof(abi::PublisherEntry, word))
+                      .load(std::memory_order_acquire);
+      std::uint64_t high = self_.topic.subscription_high().load(std::memory_order_acquire);
+      high = std::min<std::uint64_t>(high, M::subscription_capacity);
+      member_high_ = std::max(member_high_, high);
+      for (std::uint64_t i = 0; i < high; ++i) refresh_member(i);
+      refresh_self(self_word);
+    }
+    AGNOCAST_STEP(P7_seen) seen_ = head_sequence_;
+  }
+
+  /// After the members: a first sight of one still counts with the history that it was promised.
+  void refresh_self(std::uint64_t word) noexcept {
+    // Free again, or already somebody else's: everybody it was announced to has unlinked or is dead (rule RU), so nobody holds anything.
+    if (abi::generation_of(word) != self_.generation ||
+        abi::state_of(word) == abi::MemberState::free) {
+      over_ = 1;
+    } else {
+      const std::uint64_t slots =
+          self_.topic.publisher(self_.index, offsetof(abi::PublisherEntry, slot_count))
+              .load(std::memory_order_relaxed);
+      AGNOCAST_STEP(P7_slots)
+      slot_count_ = std::clamp<std::uint64_t>(slots, slot_count_, M::slot_capacity);
+    }
+    if (over_ != 0 || abi::state_of(word) != abi::MemberState::active) history_ = 0;
+  }
+
+  void refresh_member(std::uint64_t index) noexcept {
+    Member& member = members_[index];
+    std::uint64_t word = member.word;
+    AGNOCAST_STEP(P7_word)
+    word = self_.topic.subscription(index, offsetof(abi::SubscriptionEntry, word))
+               .load(std::memory_order_acquire);
+    if (abi::generation_of(word) != abi::generation_of(member.word)) {
+      const abi::Qos qos =
+          abi::unpack_qos(self_.topic.subscription(index, offsetof(abi::SubscriptionEntry, qos))
+                              .load(std::memory_order_relaxed));
+      if (!M::holds(Step::P7_match, abi::qos_match(self_.qos, qos)))
+        word = abi::pack_member(abi::generation_of(word), abi::MemberState::free);
+      AGNOCAST_STEP(P7_window) member.window = abi::window_of(qos);
+      member.bound = qos.keep_all && qos.reliable ? qos.depth : 0;
+      member.quota = self_.topic.subscription(index, offsetof(abi::SubscriptionEntry, quota))
+                         .load(std::memory_order_relaxed);
+      end_withdrawal(index);
+      member.since = head_sequence_ + 1;
+      AGNOCAST_STEP(P7_since)
+      member.since = region::minus_at_least(seen_ + 1, history_, self_.first_sequence + 1);
+      member.low = member.since;
+    } else if (member.word != word && !is_member(member.word)) {
+      word = abi::pack_member(abi::generation_of(word),
+                              abi::MemberState::free);  // refused or over: it stays so
+    } else if (member.withdrawn_at != 0 && is_member(word)) {
+      word = member.word;
+    }
+    member.word = word;
+  }
+
+  static bool is_member(std::uint64_t word) noexcept {
+    const abi::MemberState state = abi::state_of(word);
+    return state == abi::MemberState::active || state == abi::MemberState::leaving;
+  }
+
+  void say_withdrawal(std::uint64_t index, abi::Withdrawal why) noexcept {
+    auto&& word = self_.words.withdrawn(index);
+    const std::uint64_t others = word.load(std::memory_order_relaxed) &
+                                 ~abi::pack_withdrawal(index, static_cast<abi::Withdrawal>(3));
+    // [sync:hold] release, before the fence of a later pass; pairs with the seq_cst load at T5.
+    AGNOCAST_STEP(E1_withdraw)
+    word.store(others | abi::pack_withdrawal(index, why), std::memory_order_release);
+  }
+
+  void end_withdrawal(std::uint64_t index) noexcept {
+    Member& member = members_[index];
+    if (member.withdrawn_at == 0) return;
+    member.withdrawn_at = 0;
+    say_withdrawal(index, abi::Withdrawal::none);
+  }
+
+  /// P8: one ring per sleeper and sleep.
+  template <class Environment>
+  void ring_sleepers(Environment& environment) noexcept {
+    for (std::uint64_t i = 0; i < member_high_; ++i) {
+      Member& member = members_[i];
+      if (abi::state_of(member.word) != abi::MemberState::active) continue;
+      if (member.attached_generation != abi::generation_of(member.word))
+        continue;  // J7 rings it once it is mapped
+      std::uint64_t armed = 0;
+      // [sync:sleep] relaxed behind the fence of P6; pairs with S1, S2: either this sees the
+      // sleeper or its re-check sees the commit.
+      AGNOCAST_STEP(P8_armed)
+      armed = M::word(member.region, member.armed_offset).load(std::memory_order_relaxed);
+      if (!M::holds(Step::P8_asleep, (armed & 1) != 0 && armed != rung_[member.executor])) continue;
+      AGNOCAST_STEP(P8_rung) rung_[member.executor] = armed;
+      AGNOCAST_STEP(P8_ring) environment.ring(member.executor, armed);
+    }
+  }
+
+  template <class Environment>
+  bool may_be_lazy(const Environment& environment) noexcept {
+    if (lazy_passes_ >= self_.lazy_limit) return false;
+    if (kept_back_ <= kept_back_max) return true;
+    // Once: should nobody come to make that pass, the next publish does.
+    if constexpr (requires { environment.passes_soon(); })
+      return std::exchange(left_, 1) == 0 && environment.passes_soon();
+    return false;
+  }
+
+  template <class Environment>
+  void pass(Environment& environment, bool after_commit) noexcept {
+    // [sync:hold] seq_cst; pairs with T4 and T5: a take that validated an entry is seen here, or
+    // sees the mark made before here.
+    AGNOCAST_STEP(P6_fence) M::fence();
+    refresh_members();
+    if (after_commit) {
+      ring_sleepers(environment);
+      if (may_be_lazy(environment)) {
+        ++lazy_passes_;
+        return;
+      }
+    }
+    lazy_passes_ = 0;
+    kept_back_ = 0;
+    left_ = 0;
+
+    std::uint64_t need = region::minus_at_least(head_sequence_ + 1, history_, 0);
+    std::uint64_t past = infinite;
+    std::uint64_t unknown_from = infinite;
+    std::uint64_t unknown_to = 0;
+    Mask held;  // as far as words_in_use()
+    std::fill_n(held.begin(), words_in_use(), 0);
+    for (std::uint64_t i = 0; i < (over_ != 0 ? 0 : member_high_); ++i) {
+      Member& member = members_[i];
+      if (!is_member(member.word)) continue;
+      const bool leaving = abi::state_of(member.word) == abi::MemberState::leaving;
+      const bool mapped = member.attached_generation == abi::generation_of(member.word);
+      std::uint64_t low = member.since;
+      if (mapped) {
+        const region::LinkWords<M> link{member.region, member.extent, self_.index};
+        // [sync:link] acquire; pairs with the seq_cst store at J6: the cursor read next is at least
+        // the one it was linked with.
+        const bool linked =
+            M::holds(Step::P9_linked, link.publisher_generation().load(std::memory_order_acquire) ==
+                                          self_.generation);
+        if (linked) {
+          // [sync:direct-free] acquire, before the holds; pairs with T7: behind a passed cursor a
+          // clear bit means released.
+          AGNOCAST_STEP(P9_cursor) low = link.cursor().load(std::memory_order_acquire);
+          AGNOCAST_STEP(P9_hold) collect_holds(link, i, held);
+        }
+      } else {
+        AGNOCAST_STEP(P9_unknown) unknown_from = std::min(unknown_from, member.since);
+        unknown_to =
+            std::max(unknown_to, member.withdrawn_at != 0 ? member.withdrawn_at : infinite);
+      }
+      if (leaving) low = infinite;
+      member.low = low;
+      past = std::min(past, low);
+      if (!leaving)
+        need = std::min(need, std::max(low, region::minus_at_least(head_sequence_ + 1, member.window, 0)));
+    }
+    retire_and_free(environment, need, past, {unknown_from, unknown_to}, held);
+  }
+
+  /// An honest subscription takes nothing while it holds its quota. One that holds more would take all
+  /// slots of this publisher; from then on its holds are not looked at, and it reads what it likes.
+  void collect_holds(const region::LinkWords<M>& link, std::uint64_t index, Mask& held) noexcept {
+    Member& member = members_[index];
+    if (member.withdrawn_at != 0) [[unlikely]]
+      return collect_last_holds(link, member, held);
+    const std::size_t words = words_in_use();
+    std::uint64_t count = 0;
+    for (std::size_t word = 0; word < words; ++word) {
+      if (allocated_[word] == 0) continue;
+      // [sync:hold] acquire; pairs with the release of L1: what the holder read, it read before
+      // this message is destroyed.
+      const std::uint64_t bits = link.hold(word).load(std::memory_order_acquire);
+      held[word] |= bits;
+      if (bits != 0) count += static_cast<std::uint64_t>(std::popcount(bits & allocated_[word]));
+    }
+    const std::uint64_t quota = std::min(member.quota, member.limit);
+    if (count > quota && holds_too_many(link, quota)) {
+      member.withdrawn_at = head_sequence_;
+      member.word = abi::pack_member(abi::generation_of(member.word), abi::MemberState::free);
+      say_withdrawal(index, abi::Withdrawal::over_quota);
+    }
+  }
+
+  /// Of a member that is withdrawn. It was told before the fence of this pass, so it takes nothing that this
+  /// look has not seen.
+  void collect_last_holds(const region::LinkWords<M>& link, Member& member, Mask& held) const noexcept {
+    std::uint64_t any = 0;
+    for (std::size_t word = 0; word < words_in_use(); ++word) {
+      if (allocated_[word] == 0) continue;
+      const std::uint64_t bits = published_before(member.withdrawn_at, word,
+                                                  link.hold(word).load(std::memory_order_acquire));
+      held[word] |= bits;
+      any |= bits;
+    }
+    if (M::holds(Step::E2_clear, any == 0))
+      member.word = abi::pack_member(abi::generation_of(member.word), abi::MemberState::free);
+  }
+
+  /// Of these bits of a word, those of messages up to this sequence number: who is served no more has
+  /// taken nothing that came later, whatever its bits say.
+  std::uint64_t published_before(std::uint64_t sequence, std::size_t word,
+                                 std::uint64_t bits) const noexcept {
+    std::uint64_t kept = 0;
+    for (std::uint64_t left = bits & allocated_[word]; left != 0; left &= left - 1) {
+      const std::uint64_t slot = word * 64 + static_cast<std::uint64_t>(std::countr_zero(left));
+      if (sequence_[slot] <= sequence) kept |= left & -left;
+    }
+    return kept;
+  }
+
+  /// Not what one look finds: while it lasts, messages are released and others taken. Three looks decide, of which
+  /// only what all have found counts. An honest subscription takes one message after the other and none at its quota,
+  /// so it never has more bits at one moment. Were more of them set in all looks, a bit A would be clear between the
+  /// first two and be set by a take (T4) ahead of the third. That take begins below the quota: another bit B is clear
+  /// then, which the first look has found and the third will find. So takes have undone A and B, and set them again
+  /// later; what is released is not taken again. A take undoes its bit
+  ///   - at T5, for the slot's former message. Nothing is published or freed during a pass, so only the take does that
+  ///     that was under way when the pass began, and it is the first one of the pass;
+  ///   - at T6, and leaves its message unread. The next take is of that message, and later ones are of newer ones.
+  /// So A was undone at T6 and B at T5, as the other way round, or both at T6, the take that sets A would be of a
+  /// message behind that of B, which nobody would take any more. Then the take that sets B begins below the quota as
+  /// well, and a third bit has to be clear that is set again later: there is none.
+  bool holds_too_many(const region::LinkWords<M>& link, std::uint64_t quota) const noexcept {
+    Mask all = allocated_;
+    for (int look = 0; look < 3; ++look) {
+      for (std::size_t word = 0; word < words_in_use(); ++word) {
+        if (all[word] != 0) all[word] &= link.hold(word).load(std::memory_order_acquire);
+      }
+    }
+    std::uint64_t count = 0;
+    for (std::size_t word = 0; word < words_in_use(); ++word)
+      count += static_cast<std::uint64_t>(std::popcount(all[word]));
+    return count > quota;
+  }
+
+  struct Unknown {
+    std::uint64_t from, to;
+  };
+  template <class Environment>
+  void retire_and_free(Environment& environment, std::uint64_t need, std::uint64_t past,
+                       Unknown unknown, const Mask& held) noexcept {
+    for_each_allocated([&](std::uint64_t slot) {
+      const std::uint64_t sequence = sequence_[slot];
+      // By an earlier pass: this one marks a slot below, when it has decided about it. So the mark is
+      // older than the fence at P6.
+      const bool retired = test(retired_, slot);
+      if (!M::holds(Step::P10_needed, sequence < need) && !retired) return;
+      const bool untouchable =
+          M::holds(Step::P10_past, sequence < past) || M::holds(Step::P10_marked, retired);
+      if (untouchable && !M::holds(Step::P10_held, test(held, slot)) &&
+          (sequence < unknown.from || sequence > unknown.to)) {
+        AGNOCAST_STEP(P10_free) self_.words.slot_id(slot).store(0, std::memory_order_release);
+        clear(allocated_, slot);
+        clear(retired_, slot);
+        environment.freed(slot, address_[slot]);
+      } else if (!retired) {
+        // [sync:hold] release, before the fence of a later pass; pairs with the seq_cst load of T5.
+        AGNOCAST_STEP(P10_retire)
+        self_.words.slot_id(slot).store(abi::retired_mark | sequence, std::memory_order_release);
+        set(retired_, slot);
+      }
+    });
+  }
+
+  Identity self_;
+  std::uint64_t head_sequence_;
+  std::uint64_t seen_;  // head at the last epoch check
+  std::uint64_t epoch_seen_ = 0;
+  std::uint64_t history_;     // H
+  std::uint64_t slot_count_;  // N
+  std::uint64_t over_ = 0;    // 1: the daemon has freed this publisher's index
+  std::uint64_t lazy_passes_ = 0;
+  std::uint64_t kept_back_ = 0;  // bytes published since the last look at links
+  std::uint64_t left_ = 0;       // 1: a look after a large message was left to somebody else
+  std::uint64_t member_high_ = 0;
+  Mask allocated_{};
+  Mask retired_{};
+  std::array<std::uint64_t, M::slot_capacity> sequence_{};
+  std::array<std::uint64_t, M::slot_capacity> address_{};
+  std::array<std::uint64_t, M::slot_capacity> bytes_{};
+  std::array<Member, M::subscription_capacity> members_{};
+  std::array<std::uint64_t, M::subscription_capacity>
+      rung_{};  // per executor: the sleep that was rung last
+};
+
+}  // namespace agnocast::dataplane
