@@ -27,6 +27,7 @@
 #include <tests/recovery/sweep_parcel.hpp>
 
 #include <fcntl.h>
+#include <grp.h>
 #include <signal.h>
 #include <sys/mman.h>
 #include <sys/prctl.h>
@@ -286,10 +287,20 @@ void obey(const std::string& control_path) {
   crash_points::use(*static_cast<crash_points::Control*>(page));
 }
 
+/// 0: it stays who it is.
+void become(uid_t uid) {
+  if (uid == 0) return;
+  if (::setgroups(0, nullptr) != 0 || ::setgid(uid) != 0 || ::setuid(uid) != 0) std::abort();
+  // As any process that was this user's from the beginning.
+  ::prctl(PR_SET_DUMPABLE, 1);
+  ::prctl(PR_SET_PDEATHSIG, SIGKILL);  // the kernel forgets it with the user
+}
+
 /// Returns when it shall end properly.
-void serve(const std::string& socket_path, const std::string& control_path) {
+void serve(const std::string& socket_path, const std::string& control_path, uid_t uid) {
   const PacketSocket socket = PacketSocket::connect(socket_path).value();
   obey(control_path);
+  become(uid);
   static Actor& actor = *new Actor;  // as in a program whose endpoints live in statics
   std::array<std::byte, 4096> buffer;
   for (;;) {
@@ -312,18 +323,19 @@ void serve(const std::string& socket_path, const std::string& control_path) {
 }  // namespace
 }  // namespace agnocast::sweep
 
-// spawn SOCKET CONTROL → its pid
+// spawn SOCKET CONTROL UID → its pid
 int main() {
   ::signal(SIGCHLD, SIG_IGN);  // nobody waits for them
   const pid_t maker = ::getpid();
   std::string what, socket_path, control_path;
-  while (std::cin >> what >> socket_path >> control_path) {
+  uid_t uid = 0;
+  while (std::cin >> what >> socket_path >> control_path >> uid) {
     std::cout.flush();
     const pid_t pid = ::fork();
     if (pid == 0) {
       ::prctl(PR_SET_PDEATHSIG, SIGKILL);
       if (::getppid() != maker) return 1;
-      agnocast::sweep::serve(socket_path, control_path);
+      agnocast::sweep::serve(socket_path, control_path, uid);
       return 0;
     }
     std::cout << pid << std::endl;

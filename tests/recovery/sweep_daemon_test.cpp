@@ -8,6 +8,7 @@
 //     death; nothing stays behind;
 //   - twice: the next daemon dies as well, a few points later, mostly while it resumes;
 //   - while it takes the window of a process that comes from a lost store: at every point;
+//   - while it makes bells anew whose names were removed: at every point from its beginning;
 //   - at every named place at least once, and from the decision of a revocation on;
 //   - pairs: V dies at its n-th point, the daemon at the m-th point of the reap; what has to hold is what
 //     sweep_clients demands;
@@ -18,9 +19,11 @@
 
 #include <tests/recovery/sweep_script.hpp>
 #include <tests/recovery/sweep_scripts.hpp>
+#include <tests/support/unix_peers.hpp>
 
 #include <gtest/gtest.h>
 #include <signal.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <chrono>
@@ -394,6 +397,95 @@ TEST(DaemonSweep, AWindowThatIsBroughtIsThereOnceWhereverItsDaemonDies) {
               died_at.size());
   for (const Step step : {Step::B_window_base, Step::B_keep, Step::B_kept, Step::B_window_made})
     EXPECT_EQ(died_at.count(step), 1u) << name_of(step);
+}
+
+/// What one user's publisher can ring of another user's subscription when its daemons have died and begun anew.
+class BellsOfTwoUsers {
+ public:
+  static constexpr uid_t other_uid = 65534;
+
+  BellsOfTwoUsers() {
+    EXPECT_EQ(receiver_->ask("cb 1 /s 20"), "ok");
+    EXPECT_EQ(sender_->ask("pub 2 /s 20"), "ok");
+    // A sync makes a bell that nobody uses afterwards.
+    EXPECT_EQ(receiver_->ask("sync"), "ok");
+    EXPECT_EQ(sender_->ask("sync"), "ok");
+    EXPECT_TRUE(test::eventually([&] { return !rung().empty(); }))
+        << "the kernel has no list of sockets (CONFIG_UNIX_DIAG), or there is no bell";
+  }
+  SweepStage& stage() { return stage_; }
+  /// What is wrong when the next daemon has died where `arm` says, or nothing.
+  std::string renew(const std::function<void(ControlPage&)>& arm) {
+    const std::set<std::string> names = stage_.bell_names();
+    const std::set<std::uint32_t> before = rung();
+    if (!stage_.remove_bells_and_restart(arm)) return "no bell had a name, or no daemon goes on";
+    const auto is_another = [&] {
+      const std::set<std::uint32_t> now = rung();
+      return now.size() == 1 && now != before;
+    };
+    if (!test::eventually(is_another)) return "its publisher cannot ring the new bell";
+    stage_.daemon_control().disarm();
+    // The daemon may have died behind that.
+    for (const auto* process : {&receiver_, &sender_}) {
+      if ((*process)->ask("sync") != "ok") return "a process is not served";
+    }
+    if (!test::eventually(is_another)) return "its publisher cannot ring the new bell any more";
+    heard_ += "2:" + std::to_string(++number_) + " ";
+    if (sender_->ask("publish 2 1") != "1") return "nothing is published";
+    if (!test::eventually([&] { return receiver_->ask("heard 1") == heard_; }))
+      return "heard " + receiver_->ask("heard 1").value_or("nothing") + ", wanted " + heard_;
+    if (stage_.bell_names() != names) return "other names of bells are there than before";
+    if (!test::eventually([&] { return is_audible(); })) return "the daemon takes it for silent";
+    if (stage_.daemon().log().find(" client lost ") != std::string::npos) return "client lost";
+    return stage_.verify();
+  }
+
+ private:
+  std::set<std::uint32_t> rung() const { return test::rung_by(sender_->pid(), receiver_->pid()); }
+  bool is_audible() {
+    const ctl::System system = stage_.look_in_time();
+    return system.processes.size() == 2 &&
+           std::all_of(system.processes.begin(), system.processes.end(),
+                       [](const auto& entry) { return entry.second.facts.silent_executors == 0; });
+  }
+
+  SweepStage stage_;
+  ControlPage own_{stage_.directory() + "/A"}, others_{stage_.directory() + "/B"};
+  std::unique_ptr<SweepProcess> receiver_ = stage_.make(own_);
+  std::unique_ptr<SweepProcess> sender_ = stage_.make(others_, other_uid);
+  std::uint64_t number_ = 0;
+  std::string heard_;
+};
+
+// A cleaner has removed the names, and the daemon that finds none of them dies anywhere while it goes on and makes
+// bells anew. Whichever daemon comes then, the publisher of another user can ring the new bell.
+TEST(DaemonSweep, ABellIsMadeAnewWhereverTheDaemonThatMakesItDies) {
+  if (::geteuid() != 0) GTEST_SKIP() << "needs root and a second uid";
+  BellsOfTwoUsers bells;
+  ASSERT_FALSE(HasFailure());
+  std::uint64_t deaths = 0;
+  std::map<Step, std::uint64_t> died_at;
+  // At each point up to the first bell, then at each from there on, so that it is reached whoever came back before.
+  for (const bool is_behind : {false, true}) {
+    for (std::uint64_t n = 1;; ++n) {
+      const std::string wrong = bells.renew([&](ControlPage& daemon) {
+        is_behind ? daemon.arm_from(Step::B_bell_bind, n) : daemon.arm_until(Step::B_bell_bind, n);
+      });
+      const auto death = bells.stage().daemon_control().died_at();
+      ASSERT_EQ(wrong, "") << "point " << n << (is_behind ? " behind" : " before") << " the bell"
+                           << (death ? std::string(", ") + name_of(*death) : "")
+                           << "\nagnocastd wrote:\n"
+                           << bells.stage().daemon().log();
+      if (!death) break;
+      ++deaths;
+      ++died_at[*death];
+    }
+  }
+  std::printf("bells that are made anew: %ju deaths at %zu names\n", std::uintmax_t{deaths},
+              died_at.size());
+  for (const Step step :
+       {Step::B_accepted, Step::B_bell_bind, Step::B_bell_bound, Step::B_send, Step::B_sent})
+    EXPECT_GT(died_at[step], 0u) << name_of(step);
 }
 
 }  // namespace

@@ -25,9 +25,13 @@
 #include <atomic>
 #include <cstdint>
 #include <cstdlib>
+#include <filesystem>
+#include <functional>
 #include <memory>
 #include <optional>
+#include <set>
 #include <string>
+#include <system_error>
 #include <utility>
 
 namespace agnocast::sweep {
@@ -63,6 +67,12 @@ class ControlPage {
     arm(0);
     words().until.store(static_cast<std::uint64_t>(until) + 1);
     words().from.store(static_cast<std::uint64_t>(step) + 1);
+    words().deadly.store(n);
+  }
+  /// Counted from now on, and nothing counts any more when it comes to `until`.
+  void arm_until(Step until, std::uint64_t n) {
+    arm(0);
+    words().until.store(static_cast<std::uint64_t>(until) + 1);
     words().deadly.store(n);
   }
   void disarm() {
@@ -150,8 +160,10 @@ class SweepStage {
   ControlPage& daemon_control() { return daemon_control_; }
   const std::string& directory() const { return directory_; }
 
-  std::unique_ptr<SweepProcess> make(const ControlPage& control) {
-    const std::string answer = maker_.ask("spawn " + directory_ + "/actors " + control.path());
+  /// Of this user; 0: of the one that runs the test.
+  std::unique_ptr<SweepProcess> make(const ControlPage& control, uid_t uid = 0) {
+    const std::string answer =
+        maker_.ask("spawn " + directory_ + "/actors " + control.path() + " " + std::to_string(uid));
     const pid_t pid = static_cast<pid_t>(std::atoi(answer.c_str()));
     pollfd waiting{listener_.fd(), POLLIN, 0};
     if (pid <= 0 || ::poll(&waiting, 1, 20'000) <= 0) std::abort();
@@ -248,6 +260,26 @@ class SweepStage {
       return pid != 0 && pid != former;
     });
   }
+  /// The names of all bells are removed, as a cleaner of temporary files does, and the daemon is killed. `arm`
+  /// is called when no point of this one counts any more, and none of the next one yet. False: there was no
+  /// name, or no daemon serves afterwards.
+  bool remove_bells_and_restart(const std::function<void(ControlPage&)>& arm) {
+    const std::set<std::string> names = bell_names();
+    const auto former = static_cast<pid_t>(look_in_time().daemon.pid);
+    observer_.reset();
+    ::kill(former, SIGSTOP);
+    for (const std::string& name : names) ::unlink((bells_directory() + "/" + name).c_str());
+    arm(daemon_control_);
+    ::kill(former, SIGKILL);
+    return !names.empty() && daemon_->wait_for_next(former);
+  }
+  std::set<std::string> bell_names() const {
+    std::set<std::string> names;
+    std::error_code gone;
+    for (const auto& name : std::filesystem::directory_iterator(bells_directory(), gone))
+      names.insert(name.path().filename().string());
+    return names;
+  }
   /// SIGKILL to supervisor and daemon.
   void end_daemon() {
     observer_.reset();
@@ -265,6 +297,7 @@ class SweepStage {
   void set_living(std::uint64_t count) { living_ = count; }
 
  private:
+  std::string bells_directory() const { return daemon_->socket_path() + ".bells"; }
   test::DaemonOptions daemon_options() const {
     return {.config =
                 "[daemon]\nsocket_mode = \"0666\"\n[limits]\ndepth_max = 100\n"
