@@ -7,6 +7,7 @@
 // or the user's) after such an event has begun, for each n.
 
 #include <agnocast/agnocast.hpp>
+#include <client/reconnection.hpp>
 #include <tests/integration/services/services.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/own_process.hpp>
@@ -89,6 +90,7 @@ class MemoryShortageOnce : public testing::Test {
   }
   /// The daemon dies and is there again.
   static void restart() {
+    std::this_thread::sleep_for(Reconnection::lasting);  // so that its next try comes at once
     ASSERT_TRUE(daemon->wait_for_next(daemon->kill_worker()));
     come_and_go();
   }
