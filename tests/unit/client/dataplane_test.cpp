@@ -420,6 +420,34 @@ struct Interrupted : SharedMemory {
   }
 };
 
+/// A publisher of 200 slots with one reader, linked, that is interrupted ahead of each of its loads.
+struct InterruptedPublisher : Pair {
+  explicit InterruptedPublisher(std::uint64_t quota) {
+    offered.depth = requested.depth = 150;
+    journal::BoardSteps<M>(topic()).add_subscription(0, 1, {requested, 1, extent, quota, 0});
+    Interrupted::before_load = [] {};
+    core = std::make_unique<PublisherCore<Interrupted>>(PublisherCore<Interrupted>::Identity{
+        {board.base(), 0}, {publisher.base(), extent}, 0, generation, first(), offered, 200, 0});
+    core->attach(0, 1, subscriber[0].base(), extent, offsetof(abi::ClientRegionHeader, executor), 0,
+                 environment);
+    reader = std::make_unique<LinkCore<M>>(link(0));
+    EXPECT_TRUE(reader->link(true));
+  }
+  ~InterruptedPublisher() {
+    Interrupted::before_load = [] {};
+  }
+  PublishOutcome publish() {
+    const std::uint64_t address = window.base + ++number * 16;
+    environment.live.insert(address);
+    return core->publish({address, 16, number}, environment);
+  }
+  Freed environment;
+  NumberWindow window;
+  std::unique_ptr<PublisherCore<Interrupted>> core;
+  std::unique_ptr<LinkCore<M>> reader;
+  std::uint64_t number = 0;
+};
+
 TEST(Dataplane, HistoryThatIsBroughtWhileSomebodyLooksIsNoNews) {
   constexpr std::uint64_t history = 60;
   for (const std::uint64_t depth : {1u, 100u}) {
@@ -472,31 +500,13 @@ TEST(Dataplane, HistoryThatIsBroughtWhileSomebodyLooksIsNoNews) {
 
 // A look at its holds goes over several words, and it does not stand still meanwhile.
 TEST(Dataplane, AReaderAtItsQuotaIsNotTakenForOneAboveIt) {
-  constexpr std::uint64_t quota = 3, slots = 200;
+  constexpr std::uint64_t quota = 3;
   std::uint64_t taken = 0;
   for (std::uint64_t seed = 1; seed <= 20; ++seed) {
     SCOPED_TRACE("seed " + std::to_string(seed));
     std::mt19937_64 random(seed);
-    Pair pair;
-    pair.offered.depth = pair.requested.depth = 150;
-    journal::BoardSteps<M>(pair.topic())
-        .add_subscription(0, 1, {pair.requested, 1, extent, quota, 0});
-    Interrupted::before_load = [] {};
-    auto publisher = std::make_unique<PublisherCore<Interrupted>>(
-        PublisherCore<Interrupted>::Identity{{pair.board.base(), 0},
-                                             {pair.publisher.base(), extent},
-                                             0,
-                                             generation,
-                                             Pair::first(),
-                                             pair.offered,
-                                             slots,
-                                             0});
-    Freed environment;
-    publisher->attach(0, 1, pair.subscriber[0].base(), extent,
-                      offsetof(abi::ClientRegionHeader, executor), 0, environment);
-    LinkCore<M> reader = pair.link(0);
-    ASSERT_TRUE(reader.link(true));
-    NumberWindow window;
+    InterruptedPublisher publisher(quota);
+    LinkCore<M>& reader = *publisher.reader;
     std::vector<std::uint64_t> held;
     bool is_busy = false;
     // The next one lies in another word, so that a look comes after what goes, and ahead of what comes.
@@ -509,18 +519,16 @@ TEST(Dataplane, AReaderAtItsQuotaIsNotTakenForOneAboveIt) {
         held.erase(one);
       }
       for (std::uint64_t passed_over = random() % 50; passed_over > 0; --passed_over) {
-        if (const auto found = reader.take(window)) reader.release(found->slot);
+        if (const auto found = reader.take(publisher.window)) reader.release(found->slot);
       }
-      if (const auto found = reader.take(window)) {
+      if (const auto found = reader.take(publisher.window)) {
         held.push_back(found->slot);
         ++taken;
       }
     };
-    for (std::uint64_t number = 1; number <= 5000; ++number) {
-      const std::uint64_t address = window.base + number * 16;
-      environment.live.insert(address);
-      ASSERT_EQ(publisher->publish({address, 16, number}, environment), PublishOutcome::published);
-      ASSERT_EQ(publisher->withdrawal(0, 1), abi::Withdrawal::none) << "message " << number;
+    for (int message = 1; message <= 5000; ++message) {
+      ASSERT_EQ(publisher.publish(), PublishOutcome::published);
+      ASSERT_EQ(publisher.core->withdrawal(0, 1), abi::Withdrawal::none) << "message " << message;
     }
   }
   EXPECT_GT(taken, 1000u) << "the publisher has seen nothing move";
@@ -528,28 +536,9 @@ TEST(Dataplane, AReaderAtItsQuotaIsNotTakenForOneAboveIt) {
 
 // The closest that an honest reader comes to it: it has one bit more than its quota in two looks of a pass.
 TEST(Dataplane, ABitThatATakeUndoesIsNotTakenForAHold) {
-  constexpr std::uint64_t quota = 2, slots = 200;
-  Pair pair;
-  pair.offered.depth = pair.requested.depth = 150;
-  journal::BoardSteps<M>(pair.topic())
-      .add_subscription(0, 1, {pair.requested, 1, extent, quota, 0});
-  Interrupted::before_load = [] {};
-  auto publisher = std::make_unique<PublisherCore<Interrupted>>(
-      PublisherCore<Interrupted>::Identity{{pair.board.base(), 0},
-                                           {pair.publisher.base(), extent},
-                                           0,
-                                           generation,
-                                           Pair::first(),
-                                           pair.offered,
-                                           slots,
-                                           0});
-  Freed environment;
-  publisher->attach(0, 1, pair.subscriber[0].base(), extent,
-                    offsetof(abi::ClientRegionHeader, executor), 0, environment);
-  ASSERT_TRUE(pair.link(0).link(true));
-  for (std::uint64_t number = 1; number <= 140; ++number)
-    ASSERT_EQ(publisher->publish({number * 16, 16, number}, environment),
-              PublishOutcome::published);
+  InterruptedPublisher publisher(2);
+  for (int message = 1; message <= 140; ++message)
+    ASSERT_EQ(publisher.publish(), PublishOutcome::published);
   // What is set when a word is loaded, a look at three words a line: messages a and b of the first word, c of the second,
   // d of the third. A take had begun ahead of the pass, for what was in the place of c before.
   constexpr std::uint64_t a = 2, b = 4, c = 8, d = 16;
@@ -562,14 +551,14 @@ TEST(Dataplane, ABitThatATakeUndoesIsNotTakenForAHold) {
   std::size_t visits = 0;
   Interrupted::before_load = [&] {
     for (std::size_t word = 0; word < 3; ++word) {
-      if (Interrupted::loaded != &pair.line(0).hold(word)) continue;
+      if (Interrupted::loaded != &publisher.line(0).hold(word)) continue;
       ASSERT_LT(visits / 3, std::size(history));
       ASSERT_EQ(visits % 3, word);
-      pair.line(0).hold(word).store(history[visits++ / 3][word]);
+      publisher.line(0).hold(word).store(history[visits++ / 3][word]);
     }
   };
-  publisher->pass(environment);
-  EXPECT_EQ(publisher->withdrawal(0, 1), abi::Withdrawal::none);
+  publisher.core->pass(publisher.environment);
+  EXPECT_EQ(publisher.core->withdrawal(0, 1), abi::Withdrawal::none);
   EXPECT_GT(visits, 3u) << "it had no doubt";
 }
 
