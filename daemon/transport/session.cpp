@@ -2,6 +2,7 @@
 
 #include <daemon/transport/session.hpp>
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <utility>
@@ -18,7 +19,9 @@ void Session::push(Outgoing packet) {
   packet.cost_bytes =
       sizeof packet + packet.bytes.size() + packet.fds.size() * sizeof(SharedFd) + 128;
   queue_.push_back(std::move(packet));
-  queued_.add(queue_.back().cost_bytes);
+  queued_.set(queued_.own() + queue_.back().cost_bytes);
+  KeptForUser& user = queued_.user();
+  user.peak = std::max(user.peak, user.bytes);
   ++packet_count_;
 }
 
@@ -41,7 +44,7 @@ Session::Flushed Session::flush() {
     } else if (*sent == Sent::would_block) {
       result = Flushed::blocked;
     } else {
-      queued_.remove(packet.cost_bytes);
+      queued_.set(queued_.own() - packet.cost_bytes);
       queue_.pop_front();
     }
   }

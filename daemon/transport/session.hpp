@@ -57,8 +57,38 @@ struct KeptForUser {
   std::uint64_t book_bytes = 0;          // of the books below
 };
 
-/// What one book of a session costs, as a part of what all books of its user cost.
-class BookBytes {
+/// What one thing costs, as a part of what all such things of its user cost. It goes with the thing.
+class BytesOfUser {
+ public:
+  using Sum = std::uint64_t KeptForUser::*;
+  BytesOfUser(std::shared_ptr<KeptForUser> user, Sum sum) noexcept
+      : user_(std::move(user)), sum_(sum) {}
+  BytesOfUser(BytesOfUser&& other) noexcept
+      : user_(std::move(other.user_)), sum_(other.sum_), own_(std::exchange(other.own_, 0)) {}
+  BytesOfUser& operator=(BytesOfUser&& other) noexcept {
+    std::swap(user_, other.user_);
+    std::swap(sum_, other.sum_);
+    std::swap(own_, other.own_);
+    return *this;
+  }
+  ~BytesOfUser() { set(0); }
+
+  void set(std::uint64_t own) noexcept {
+    if (user_) (*user_).*sum_ += own - own_;
+    own_ = own;
+  }
+  std::uint64_t own() const noexcept { return own_; }
+  const KeptForUser& user() const noexcept { return *user_; }
+  KeptForUser& user() noexcept { return *user_; }
+
+ private:
+  std::shared_ptr<KeptForUser> user_;
+  Sum sum_;
+  std::uint64_t own_ = 0;
+};
+
+/// Of one book of a session.
+class BookBytes : public BytesOfUser {
  public:
   // As much as packets that wait by default: two million announcements. The processes
   // that are told of more than this pay with connections that begin anew, so the number has no key.
@@ -67,27 +97,12 @@ class BookBytes {
   // two books each have 96 MiB of this.
   static constexpr std::uint64_t own_max = std::uint64_t{32} << 10;
 
-  explicit BookBytes(std::shared_ptr<KeptForUser> user) : user_(std::move(user)) {}
-  BookBytes(BookBytes&& other) noexcept
-      : user_(std::move(other.user_)), own_(std::exchange(other.own_, 0)) {}
-  BookBytes& operator=(BookBytes&& other) noexcept {
-    std::swap(user_, other.user_);
-    std::swap(own_, other.own_);
-    return *this;
-  }
-  ~BookBytes() { set(0); }
+  explicit BookBytes(std::shared_ptr<KeptForUser> user) noexcept
+      : BytesOfUser(std::move(user), &KeptForUser::book_bytes) {}
 
   bool has_room_for(std::uint64_t more) const noexcept {
-    return own_ + more <= own_max || user_->book_bytes + more <= of_user_max;
+    return own() + more <= own_max || user().book_bytes + more <= of_user_max;
   }
-  void set(std::uint64_t own) noexcept {
-    if (user_) user_->book_bytes += own - own_;
-    own_ = own;
-  }
-
- private:
-  std::shared_ptr<KeptForUser> user_;
-  std::uint64_t own_ = 0;
 };
 
 /// In which packet of one connection each thing was announced last. Where there is no room for more, the older
@@ -187,36 +202,6 @@ struct Outgoing {
   std::uint64_t cost_bytes = 0;  // of the session, as long as it waits
 };
 
-/// What waits for one session, as a part of what waits for its user. It goes with the session.
-class QueuedBytes {
- public:
-  explicit QueuedBytes(std::shared_ptr<KeptForUser> user) : user_(std::move(user)) {}
-  QueuedBytes(QueuedBytes&& other) noexcept
-      : user_(std::move(other.user_)), own_(std::exchange(other.own_, 0)) {}
-  QueuedBytes& operator=(QueuedBytes&& other) noexcept {
-    std::swap(user_, other.user_);
-    std::swap(own_, other.own_);
-    return *this;
-  }
-  ~QueuedBytes() { remove(own_); }
-
-  void add(std::uint64_t bytes) noexcept {
-    own_ += bytes;
-    user_->bytes += bytes;
-    user_->peak = std::max(user_->peak, user_->bytes);
-  }
-  void remove(std::uint64_t bytes) noexcept {
-    own_ -= bytes;
-    if (user_) user_->bytes -= bytes;
-  }
-  std::uint64_t own() const noexcept { return own_; }
-  const KeptForUser& user() const noexcept { return *user_; }
-
- private:
-  std::shared_ptr<KeptForUser> user_;
-  std::uint64_t own_ = 0;
-};
-
 class Session {
  public:
   // Of one client that does not read, some 10 MB; [quota] queued_bytes bounds those of all clients of
@@ -228,7 +213,7 @@ class Session {
           std::shared_ptr<KeptForUser> user = std::make_shared<KeptForUser>())
       : socket_(std::move(socket)),
         identity_(std::move(identity)),
-        queued_(user),
+        queued_(user, &KeptForUser::bytes),
         announcements_(user),
         collisions_(std::move(user)) {}
 
@@ -255,7 +240,7 @@ class Session {
   bool closed() const noexcept { return !socket_; }
   void drop_output() noexcept {
     std::deque<Outgoing>().swap(queue_);  // and its memory
-    queued_.remove(queued_.own());
+    queued_.set(0);
   }
 
   /// Appends a packet; its number. Sends nothing yet.
@@ -299,7 +284,7 @@ class Session {
   std::optional<ClientIndex> client_;
   bool observing_ = false, held_back_ = false, may_carry_ = true;
   std::deque<Outgoing> queue_;
-  QueuedBytes queued_;
+  BytesOfUser queued_;  // by what waits
   std::uint64_t packet_count_ = 0;
   AnnouncementNumbers announcements_;
   CollisionsTold collisions_;
