@@ -7,7 +7,7 @@
 // or the user's) after such an event has begun, for each n.
 
 #include <agnocast/agnocast.hpp>
-#include <client/reconnection.hpp>
+#include <client/session/reconnection.hpp>
 #include <tests/integration/services/services.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/own_process.hpp>

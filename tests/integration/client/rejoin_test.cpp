@@ -410,29 +410,31 @@ TEST(Rejoin, ADaemonThatDiesAgainAndAgainIsNotMissed) {
 
 // The daemon dies at the n-th step of serving a request, for n = 1, 2, 3 … until it survives: of a
 // process that comes, and of one that asks for a publisher of what it has subscribed to.
-TEST(Rejoin, WhoeverAsksWhileTheDaemonDiesIsAnsweredByTheNext) {
+void die_while_asked(bool comes) {
   const std::string directory = test::make_directory();
   test::CrashControl control(directory + "/control");
   DaemonProcess daemon({.program = AGNOCAST_TEST_CRASHING_DAEMON});
-  for (const bool comes : {true, false}) {
-    unsigned deaths = 0;
-    for (std::uint64_t n = 1; !HasFailure(); ++n, ++deaths) {
-      SCOPED_TRACE((comes ? "coming, step " : "publisher, step ") + std::to_string(n));
-      const pid_t serves = daemon.pid();
-      ClientTool client(daemon.socket_path());
-      ASSERT_EQ(client.ask(comes ? "state" : "sub /t 5"), comes ? "unconnected" : "ok");
-      control.arm(n);
-      ASSERT_EQ(client.ask(comes ? "sub /t 5" : "pub /t 1"), "ok");
-      ASSERT_TRUE(client.eventually("state", "connected"));
-      control.arm(0);
-      ASSERT_TRUE(comes || client.eventually("matched", "1"));
-      if (daemon.pid() == serves) break;
-      ASSERT_TRUE(daemon.wait_for_next(serves));
-    }
-    EXPECT_GT(deaths, 10u);
+  unsigned deaths = 0;
+  for (std::uint64_t n = 1; !testing::Test::HasFailure(); ++n, ++deaths) {
+    SCOPED_TRACE("step " + std::to_string(n));
+    const pid_t serves = daemon.pid();
+    ClientTool client(daemon.socket_path());
+    ASSERT_EQ(client.ask(comes ? "state" : "sub /t 5"), comes ? "unconnected" : "ok");
+    control.arm(n);
+    ASSERT_EQ(client.ask(comes ? "sub /t 5" : "pub /t 1"), "ok");
+    ASSERT_TRUE(client.eventually("state", "connected"));
+    control.arm(0);
+    ASSERT_TRUE(comes || client.eventually("matched", "1"));
+    if (daemon.pid() == serves) break;
+    ASSERT_TRUE(daemon.wait_for_next(serves));
   }
+  EXPECT_GT(deaths, 10u);
   test::remove_directory(directory);
 }
+
+TEST(Rejoin, WhoeverComesWhileTheDaemonDiesIsAnsweredByTheNext) { die_while_asked(true); }
+
+TEST(Rejoin, WhoeverAsksWhileTheDaemonDiesIsAnsweredByTheNext) { die_while_asked(false); }
 
 }  // namespace
 }  // namespace agnocast
