@@ -19,6 +19,7 @@
 #include <cstring>
 #include <filesystem>
 #include <map>
+#include <optional>
 #include <set>
 #include <string>
 #include <string_view>
@@ -44,8 +45,8 @@ inline std::set<std::uint32_t> sockets_of(pid_t pid) {
 }
 
 /// Returns, for each connected datagram socket of this network namespace, the inode of the socket that it
-/// sends to. Nothing at all if the kernel has no such list.
-inline std::map<std::uint32_t, std::uint32_t> datagram_peers() {
+/// sends to. Nothing if the kernel has no such list (CONFIG_UNIX_DIAG).
+inline std::optional<std::map<std::uint32_t, std::uint32_t>> datagram_peers() {
   std::map<std::uint32_t, std::uint32_t> peers;
   const UniqueFd netlink(::socket(AF_NETLINK, SOCK_RAW | SOCK_CLOEXEC, NETLINK_SOCK_DIAG));
   struct {
@@ -56,15 +57,16 @@ inline std::map<std::uint32_t, std::uint32_t> datagram_peers() {
   request.body.sdiag_family = AF_UNIX;
   request.body.udiag_states = ~0u;
   request.body.udiag_show = UDIAG_SHOW_PEER;
-  if (::send(netlink.get(), &request, sizeof request, 0) < 0) return peers;
+  if (::send(netlink.get(), &request, sizeof request, 0) < 0) return std::nullopt;
   alignas(nlmsghdr) std::array<char, 32768> buffer;
   for (;;) {
     const ssize_t received = ::recv(netlink.get(), buffer.data(), buffer.size(), 0);
-    if (received <= 0) return peers;
+    if (received <= 0) return std::nullopt;
     for (const char* packet = buffer.data(); packet < buffer.data() + received;) {
       const auto* const message = reinterpret_cast<const nlmsghdr*>(packet);
       packet += NLMSG_ALIGN(message->nlmsg_len);
-      if (message->nlmsg_type != SOCK_DIAG_BY_FAMILY) return peers;  // the end, or an error
+      if (message->nlmsg_type == NLMSG_DONE) return peers;
+      if (message->nlmsg_type != SOCK_DIAG_BY_FAMILY) return std::nullopt;
       const auto* const socket = reinterpret_cast<const unix_diag_msg*>(message + 1);
       if (socket->udiag_type != SOCK_DGRAM) continue;
       const auto* const end = reinterpret_cast<const char*>(message) + message->nlmsg_len;
@@ -82,7 +84,9 @@ inline std::map<std::uint32_t, std::uint32_t> datagram_peers() {
 inline std::set<std::uint32_t> rung_by(pid_t from, pid_t to) {
   const std::set<std::uint32_t> senders = sockets_of(from), receivers = sockets_of(to);
   std::set<std::uint32_t> rung;
-  for (const auto& [sender, receiver] : datagram_peers()) {
+  const auto peers = datagram_peers();
+  if (!peers) return rung;
+  for (const auto& [sender, receiver] : *peers) {
     if (senders.count(sender) != 0 && receivers.count(receiver) != 0) rung.insert(receiver);
   }
   return rung;
