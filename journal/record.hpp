@@ -4,7 +4,8 @@
 //
 // A record says what the daemon is about to change; redo_log.hpp keeps them, daemon/state/registry_apply.cpp
 // carries them out. Some numbers are there for the reader of the flight recorder alone: whose an
-// endpoint was, why it ended, the new value of a counter. Nothing else is decided by those.
+// endpoint was, why it ended, the new value of a counter. Nothing else is decided by those. Records about readers say
+// what nothing else keeps: a uid and a pid, which are still there when the place has been given to another process.
 #pragma once
 
 #include <cstddef>
@@ -38,7 +39,11 @@ namespace agnocast::journal {
   X(topic_forgotten, 23, "topic client generation")                                               \
   /* Change nothing but counters. */                                                              \
   X(recovered, 20, "pid redone_lsn dead_count board_word_count restart_count dead_total") \
-  X(rejoined, 21, "client generation rejoined_count")
+  X(rejoined, 21, "client generation rejoined_count") \
+  /* `client`, `uid`, `pid`: the process of the endpoint at `index`. */                           \
+  X(reader_withdrawn, 24, "topic index generation client uid pid subscription reader_generation reader reader_uid reader_pid why withdrawn_count") \
+  X(reader_served_again, 25, "topic index generation client uid pid subscription reader_generation reader reader_uid reader_pid served_again_count") \
+  X(reader_mute, 26, "topic index generation client uid pid executor mute_count")
 
 enum class RecordType : std::uint32_t {
 #define AGNOCAST_RECORD_ENUMERATOR(name, number, arguments) name = number,

@@ -419,7 +419,7 @@ void PublisherEndpoint::look_at_readers(ReaderShares::Clock::time_point now,
       }
       core_->pass(work);
       if (why == member.why) return;
-      is_news = why != abi::Withdrawal::none;
+      is_news = true;
       bytes = core_->kept_bytes(std::array{Core::MemberId{index, generation}});
       member.why = why;
       member.since = now;

@@ -65,11 +65,11 @@ class PublisherEndpoint {
     PeerOwner owner;         // of its process
     std::uint64_t quota;     // messages of this publisher that it may hold
   };
-  /// A subscription that this publisher serves no more: what the daemon is told.
+  /// A subscription that this publisher serves no more, or again: what the daemon is told.
   struct Withdrawn {
     std::uint64_t index;
     std::uint64_t generation;
-    abi::Withdrawal why;
+    abi::Withdrawal why;  // none: again
     std::uint64_t bytes;  // that it held then
   };
 

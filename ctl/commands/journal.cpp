@@ -7,6 +7,7 @@
 #include <ctl/snapshot/journal.hpp>
 #include <ctl/snapshot/select.hpp>
 #include <ctl/snapshot/system.hpp>
+#include <journal/withdrawal.hpp>
 
 #include <chrono>
 #include <ctime>
@@ -100,7 +101,10 @@ Object arguments_object(const JournalRecord& record) {
     const std::size_t blank = names.find(' ');
     const std::string name(names.substr(0, blank));
     const bool is_code = name == "base" || name == "layout_hash" || name == "final_head";
-    object[name] = is_code ? Object(hexadecimal(record.argument[i])) : Object(record.argument[i]);
+    object[name] = is_code ? Object(hexadecimal(record.argument[i]))
+                   : name == "why"
+                       ? Object(journal::name_of(static_cast<abi::Withdrawal>(record.argument[i])))
+                       : Object(record.argument[i]);
     names.remove_prefix(blank == std::string_view::npos ? names.size() : blank + 1);
   }
   return object;

@@ -183,7 +183,13 @@ void add_daemon(const System& system, Metrics& metrics) {
         std::tuple("requests_refused", "Requests that were refused; see the log.",
                    counters.requests_refused),
         std::tuple("connections_refused", "Connections that were refused; see the log.",
-                   counters.connections_refused)}) {
+                   counters.connections_refused),
+        std::tuple("readers_withdrawn", "Times that a publisher served a subscription no more.",
+                   counters.readers_withdrawn),
+        std::tuple("readers_served_again", "Times that it served one again.",
+                   counters.readers_served_again),
+        std::tuple("readers_mute", "Times that nobody could ring a subscription any more.",
+                   counters.readers_mute)}) {
     metrics.counter(name, "", help);
     metrics.sample(value);
   }

@@ -108,7 +108,10 @@ Object status_object(const System& system, const std::string& socket) {
             {"processes_died_meanwhile", counters.clients_died_meanwhile},
             {"requests_answered_again", counters.requests_answered_again},
             {"requests_refused", counters.requests_refused},
-            {"connections_refused", counters.connections_refused}}},
+            {"connections_refused", counters.connections_refused},
+            {"readers_withdrawn", counters.readers_withdrawn},
+            {"readers_served_again", counters.readers_served_again},
+            {"readers_mute", counters.readers_mute}}},
           {"limits",
            {{"processes", limits.clients},
             {"topics", limits.topics},
@@ -168,6 +171,9 @@ void print(const System& system, const std::string& socket, Console& console) {
                        counted(counters.requests_answered_again, "request") + " answered again");
   line("refused", counted(counters.requests_refused, "request") + ", " +
                       counted(counters.connections_refused, "connection"));
+  line("readers", std::to_string(counters.readers_withdrawn) + " withdrawn, " +
+                      std::to_string(counters.readers_served_again) + " served again, " +
+                      std::to_string(counters.readers_mute) + " mute");
   line("kept", daemon.kept_descriptors_max == 0
                    ? "nothing: the daemon's death ends every membership"
                    : of_limit(daemon.kept_descriptors, daemon.kept_descriptors_max) +

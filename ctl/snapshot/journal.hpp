@@ -48,7 +48,7 @@ std::string now_for_programs();
 /// Which records somebody wants to see; empty texts: all.
 struct JournalFilter {
   std::string topic;    // its name
-  std::string process;  // its name or pid, as owner or as the one who is told
+  std::string process;  // its name or pid, as owner, or as the one that is told or reads
 };
 bool passes(const wire::JournalRecord& record, const JournalFilter& filter);
 

@@ -4,6 +4,7 @@
 
 #include <base/text.hpp>
 #include <ctl/cli/console.hpp>
+#include <journal/withdrawal.hpp>
 
 #include <string_view>
 
@@ -30,7 +31,8 @@ std::string number_of(const JournalRecord& record, std::string_view name) {
 std::string words_of(const wire::JournalProcess& process) {
   const std::string name = text_of(process.name);
   if (name.empty() && process.pid == 0) return "forgotten";
-  return escaped(name) + ", pid " + std::to_string(process.pid);
+  const std::string pid = "pid " + std::to_string(process.pid);
+  return name.empty() ? pid : escaped(name) + ", " + pid;
 }
 std::string receiver_of(const JournalRecord& record, std::string_view argument_name) {
   const std::string name = text_of(record.receiver.name);
@@ -48,6 +50,7 @@ bool is_about_subscription(const JournalRecord& record) noexcept {
     case RecordType::add_subscription:
     case RecordType::leave_subscription:
     case RecordType::free_subscription:
+    case RecordType::reader_mute:
       return true;
     default:
       return has(record, "kind") &&
@@ -85,6 +88,12 @@ std::string death_words(DeathReason reason) {
       return "was revoked and lives";
   }
   return "ended";
+}
+
+// "subscription 3 (viewer, pid 977, uid 1001)".
+std::string reader_words(const JournalRecord& record) {
+  return "subscription " + number_of(record, "subscription") + " (" + words_of(record.receiver) +
+         ", uid " + number_of(record, "reader_uid") + ')';
 }
 
 std::string recovered_words(const JournalRecord& record) {
@@ -188,6 +197,14 @@ std::string deed_of(const JournalRecord& record) {
       return recovered_words(record);
     case RecordType::rejoined:
       return "came back";
+    case RecordType::reader_withdrawn:
+      return "serves " + reader_words(record) + " no more: " +
+             journal::sentence_of(static_cast<abi::Withdrawal>(argument(record, "why")));
+    case RecordType::reader_served_again:
+      return "serves " + reader_words(record) + " again";
+    case RecordType::reader_mute:
+      return "nobody can ring it (executor " + number_of(record, "executor") + ", uid " +
+             number_of(record, "uid") + "), it hears of messages only when it looks";
   }
   return "unknown";
 }

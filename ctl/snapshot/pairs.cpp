@@ -5,6 +5,7 @@
 #include <base/text.hpp>
 #include <ctl/cli/console.hpp>
 #include <ctl/snapshot/numbers.hpp>
+#include <journal/withdrawal.hpp>
 #include <region/views.hpp>
 
 namespace agnocast::ctl {
@@ -24,15 +25,9 @@ bool is_linked(const System& system, const Endpoint& publisher, const Endpoint& 
   return line.publisher_generation().load(std::memory_order_acquire) == publisher.facts.generation;
 }
 
-const char* sentence_of(abi::Withdrawal why) noexcept {
-  switch (why) {
-    case abi::Withdrawal::over_quota:
-      return "the publisher says that it held more messages than it may, and serves it no more";
-    case abi::Withdrawal::over_share:
-      return "the publisher says that its user kept too much of the heap, and serves it no more";
-    default:
-      return "the publisher says that its process could not map it";
-  }
+std::string sentence_of(abi::Withdrawal why) {
+  const std::string said = std::string("the publisher says that ") + journal::sentence_of(why);
+  return why == abi::Withdrawal::not_attached ? said : said + ", and serves it no more";
 }
 
 const char* end_of(const Endpoint& publisher, const Endpoint& subscription) {

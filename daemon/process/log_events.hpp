@@ -39,6 +39,7 @@ inline constexpr LogEvent log_events[] = {
     {"no window is free in all processes", "5c779c1dbeb14411b7141d1b70cc3f05"},
     {"nothing is kept", "3eb879ce4a3042deb2b51e9e64a82d02"},
     {"notification passed over", "05e614c0755c43d8b0ba4ee9380ee271"},
+    {"reader served again", "c2d91b7e3f604a8896e5d0471ab3f62c"},
     {"reader withdrawn", "4a8b0f6d2c5e4d0fa3b7c91e5f8d6027"},
     {"readers have changed", "061c9fa1b59e469e9ec8b3a63b7ffe76"},
     {"ready", "a0421a3bc2964e2f8aa193f2eb5d1a13"},

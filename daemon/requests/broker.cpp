@@ -817,11 +817,12 @@ void Broker::look_around(std::uint64_t now) {
   std::erase_if(answers_, [&](const auto& one) {
     return one.second.waiting.empty() && one.second.allowance.is_whole(now);
   });
+  reader_notes_.forget_unused(now);
   if (now - watched_ms_ >= watch_interval_ms) {
     watched_ms_ = now;
     watch_holds();
     watch_letting_go();
-    doorbells_.look();
+    look_for_silent_bells();
   }
   log_.flush();
 }

@@ -25,6 +25,7 @@
 #include <daemon/death/let_go_watch.hpp>
 #include <daemon/death/reaper.hpp>
 #include <daemon/lifecycle/membership.hpp>
+#include <daemon/requests/reader_notes.hpp>
 #include <daemon/lifecycle/regions.hpp>
 #include <daemon/requests/dump.hpp>
 #include <daemon/state/address_plan.hpp>
@@ -258,9 +259,15 @@ class Broker final : private Post {
   int answers_due_ms() const noexcept;
   void answer_at_length(Peer& peer, std::vector<Outgoing> packets);
 
+  // reader_notes.cpp: readers that get less than others
+  void note_withdrawn(Peer& peer, const wire::Withdrawn& said);
+  void note_mute(const EndpointRef& subscription);
+  /// It may be one of an executor that is known to be silent.
+  void note_new_reader(ClientIndex client, const CreateRequest& request);
+  void look_for_silent_bells();
+
   // collisions.cpp: heaps where somebody else has something else
   [[nodiscard]] Result<void> blocked(Peer& peer, const wire::Blocked& range);
-  void note_withdrawn(Peer& peer, const wire::Withdrawn& said);
   /// A window of the group that `owner` allocates from and `reader` cannot map.
   struct Collision {
     std::uint64_t window = 0;
@@ -331,6 +338,7 @@ class Broker final : private Post {
   HoldWatch hold_watch_;
   LetGoWatch let_go_watch_;
   Refusals refusals_;
+  ReaderNotes reader_notes_;
   Exceeded exceeded_;  // by the last request that was refused with quota_exceeded
   std::unordered_map<PeerId, std::unique_ptr<Peer>> peers_;
   std::vector<Peer*> by_client_;

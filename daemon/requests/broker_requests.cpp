@@ -738,6 +738,7 @@ Result<void> Broker::create(Peer& peer, const CreateRequest& request) {
                           readers_of(options_.config.access, record.domain, request.topic));
   auto created = membership_.create(client, request);
   if (!created && is_first) registry_.set_readers(client, 0);
+  if (created && !publisher) note_new_reader(client, request);
   if (created) {
     log_.write(LogLevel::debug, "endpoint created",
                {{"kind", name_of_kind(request.kind)},

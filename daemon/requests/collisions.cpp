@@ -92,33 +92,6 @@ Result<void> Broker::blocked(Peer& peer, const wire::Blocked& range) {
   return {};
 }
 
-// What a client says of its own publisher. The reader is looked up here: nothing of it is the client's word.
-void Broker::note_withdrawn(Peer& peer, const wire::Withdrawn& said) {
-  const EndpointRef publisher{Kind::publisher, static_cast<TopicIndex>(said.topic),
-                              static_cast<std::uint32_t>(said.publisher)};
-  const EndpointRef reader{Kind::subscription, static_cast<TopicIndex>(said.topic),
-                           static_cast<std::uint32_t>(said.subscription)};
-  if (!registry_.is_used(publisher) || !registry_.is_used(reader) ||
-      registry_.generation_of(publisher) != said.publisher_generation ||
-      registry_.generation_of(reader) != said.subscription_generation ||
-      registry_.owner_of(publisher) != *peer.session.client())
-    return;
-  const ClientRecord& owner = registry_.client(registry_.owner_of(reader));
-  const char* why = "its process could not be mapped";
-  if (said.why == static_cast<std::uint32_t>(abi::Withdrawal::over_quota))
-    why = "it held more messages than it may";
-  if (said.why == static_cast<std::uint32_t>(abi::Withdrawal::over_share))
-    why = "its user kept too much of the heap";
-  note(LogLevel::warning, peer.session.identity().uid, "reader withdrawn",
-       {{"topic", registry_.topic(publisher.topic).name},
-        {"publisher_pid", peer.session.identity().pid},
-        {"publisher_uid", peer.session.identity().uid},
-        {"pid", owner.pid},
-        {"uid", owner.uid},
-        {"bytes", said.bytes},
-        {"why", why}});
-}
-
 /// The next window of a process: where it can have it itself, and as few others as possible cannot map
 /// it.
 Result<WindowRecord> Broker::choose_window(ClientIndex client) {

@@ -20,6 +20,12 @@ std::optional<std::uint64_t> argument(const Record& record, std::string_view nam
   return record.argument[index];
 }
 
+std::uint32_t pid_of(const Record& record, std::string_view name,
+                     std::uint32_t otherwise) noexcept {
+  const auto pid = argument(record, name);
+  return pid ? static_cast<std::uint32_t>(*pid) : otherwise;
+}
+
 wire::JournalProcess process_of(const Registry& registry, std::optional<std::uint64_t> client,
                                 std::optional<std::uint64_t> generation) noexcept {
   wire::JournalProcess process{};
@@ -64,7 +70,14 @@ wire::JournalRecord packet_of_record(const Registry& registry, std::uint64_t lsn
     receiver = argument(*record, "by");
     receiver_generation = argument(*record, "by_generation");
   }
+  if (!receiver) {
+    receiver = argument(*record, "reader");
+    receiver_generation = argument(*record, "reader_generation");
+  }
   packet.receiver = process_of(registry, receiver, receiver_generation);
+  // What the record itself says holds when the place is another's.
+  if (argument(*record, "client")) packet.process.pid = pid_of(*record, "pid", packet.process.pid);
+  packet.receiver.pid = pid_of(*record, "reader_pid", packet.receiver.pid);
   return packet;
 }
 static_assert(std::size(wire::JournalRecord{}.argument) == journal::argument_count);

@@ -5,7 +5,8 @@
 //
 // A record names places (topic 3, process 7), and places are used again. One counter gives out all
 // generations, so what is at a place now is what was there when the record was made exactly when it
-// is not younger than the generation that the record speaks of.
+// is not younger than the generation that the record speaks of. A record that has a pid itself is sent with it
+// afterwards as well.
 #pragma once
 
 #include <agnocast/abi/observe.hpp>

@@ -140,6 +140,12 @@ struct Recovered {
   std::uint64_t board_word_count = 0;  // words of the board that had to be written again
 };
 
+/// A publisher and a subscription of its topic.
+struct ReaderPair {
+  EndpointRef publisher;
+  EndpointRef reader;
+};
+
 class Registry {
  public:
   struct Memory {
@@ -233,6 +239,11 @@ class Registry {
   void note_recovered(const Recovered& facts);
   /// A process that is alive here is connected again.
   void note_rejoined(ClientIndex index);
+  /// The publisher's process says that it serves this subscription no more, and why; and again.
+  void note_withdrawn(const ReaderPair& pair, abi::Withdrawal why);
+  void note_served_again(const ReaderPair& pair);
+  /// Nobody can ring this subscription.
+  void note_mute(const EndpointRef& subscription);
   /// What open() had to complete; 0: nothing was under way.
   std::uint64_t redone_lsn() const noexcept { return redone_lsn_; }
 

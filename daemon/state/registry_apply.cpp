@@ -56,6 +56,9 @@ void Registry::apply(const Record& record) {
       break;
     case Type::recovered:
     case Type::rejoined:
+    case Type::reader_withdrawn:
+    case Type::reader_served_again:
+    case Type::reader_mute:
       apply_to_counters(record);
       break;
     case Type::register_client:
@@ -328,11 +331,23 @@ void Registry::vacate_place(const EndpointRef& ref) {
 
 void Registry::apply_to_counters(const Record& record) {
   abi::wire::DaemonCounters& counters = tables_.header.counters;
-  if (record.type == Type::recovered) {
-    store(counters.restarts, record.argument[4]);
-    store(counters.clients_died_meanwhile, record.argument[5]);
-  } else {
-    store(counters.clients_rejoined, record.argument[2]);
+  switch (record.type) {
+    case Type::recovered:
+      store(counters.restarts, record.argument[4]);
+      store(counters.clients_died_meanwhile, record.argument[5]);
+      break;
+    case Type::rejoined:
+      store(counters.clients_rejoined, record.argument[2]);
+      break;
+    case Type::reader_withdrawn:
+      store(counters.readers_withdrawn, record.argument[12]);
+      break;
+    case Type::reader_served_again:
+      store(counters.readers_served_again, record.argument[11]);
+      break;
+    default:  // reader_mute
+      store(counters.readers_mute, record.argument[7]);
+      break;
   }
 }
 
@@ -345,6 +360,33 @@ void Registry::note_recovered(const Recovered& facts) {
 void Registry::note_rejoined(ClientIndex index) {
   change(Type::rejoined,
          {number(index), client(index).generation, counters().clients_rejoined + 1});
+}
+
+void Registry::note_withdrawn(const ReaderPair& pair, abi::Withdrawal why) {
+  const ClientRecord& owner = client(owner_of(pair.publisher));
+  const ClientRecord& reader = client(owner_of(pair.reader));
+  change(Type::reader_withdrawn,
+         {number(pair.publisher.topic), pair.publisher.index, generation_of(pair.publisher),
+          number(owner_of(pair.publisher)), owner.uid, owner.pid, pair.reader.index,
+          generation_of(pair.reader), number(owner_of(pair.reader)), reader.uid, reader.pid,
+          static_cast<std::uint64_t>(why), counters().readers_withdrawn + 1});
+}
+
+void Registry::note_served_again(const ReaderPair& pair) {
+  const ClientRecord& owner = client(owner_of(pair.publisher));
+  const ClientRecord& reader = client(owner_of(pair.reader));
+  change(Type::reader_served_again,
+         {number(pair.publisher.topic), pair.publisher.index, generation_of(pair.publisher),
+          number(owner_of(pair.publisher)), owner.uid, owner.pid, pair.reader.index,
+          generation_of(pair.reader), number(owner_of(pair.reader)), reader.uid, reader.pid,
+          counters().readers_served_again + 1});
+}
+
+void Registry::note_mute(const EndpointRef& ref) {
+  const SubscriptionRecord& record = subscription(ref.topic, ref.index);
+  const ClientRecord& owner = client(record.client);
+  change(Type::reader_mute, {number(ref.topic), ref.index, record.generation, number(record.client),
+                             owner.uid, owner.pid, record.executor, counters().readers_mute + 1});
 }
 
 void Registry::note_generation(std::uint64_t generation) noexcept {

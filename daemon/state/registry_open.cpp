@@ -194,7 +194,8 @@ const char* Registry::flaw_of_change(const Record& record) const noexcept {
   const bool publisher =
       has("kind") ? argument("kind") == static_cast<std::uint64_t>(Kind::publisher)
                   : record.type == Type::add_publisher || record.type == Type::raise_slots ||
-                        record.type == Type::leave_publisher || record.type == Type::free_publisher;
+                        record.type == Type::leave_publisher ||
+                        record.type == Type::free_publisher || has("subscription");
   if (argument("index") >= (publisher ? abi::publisher_count_max : abi::subscription_count_max))
     return flawed;
   if (record.type == Type::add_publisher || record.type == Type::add_subscription) return nullptr;

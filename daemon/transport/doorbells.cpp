@@ -120,16 +120,26 @@ void Doorbells::restore(ClientIndex client, std::uint64_t executor) {
                      sender ? Doorbell(std::move(*sender)) : Doorbell(),
                      std::move(way),
                      is_silent,
+                     is_silent ? silent_looks_needed : 0,
                      is_silent ? renewals_max : 0};
 }
 
-void Doorbells::look() noexcept {
+std::vector<Doorbells::Executor> Doorbells::look() {
+  std::vector<Executor> silent;
   auto at = bells_.upper_bound(looked_at_);
   for (std::size_t looks = std::min(looks_max, bells_.size()); looks > 0; --looks, ++at) {
     if (at == bells_.end()) at = bells_.begin();
     looked_at_ = at->first;
-    note(at->second, connect_to(at->second.way, name_of(at->first)));
+    Bell& bell = at->second;
+    note(bell, connect_to(bell.way, name_of(at->first)));
+    if (!bell.is_silent) {
+      bell.silent_looks = 0;
+    } else if (bell.silent_looks < silent_looks_needed &&
+               ++bell.silent_looks == silent_looks_needed) {
+      silent.push_back({ClientIndex{at->first.first}, at->first.second});
+    }
   }
+  return silent;
 }
 
 void Doorbells::note(Bell& bell, const Result<UniqueFd>& sender) noexcept {

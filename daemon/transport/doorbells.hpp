@@ -60,12 +60,22 @@ class Doorbells {
   /// to it; none if nothing is lost. A process that closes what it is given gets it a few times. Errors: os_failure.
   [[nodiscard]] Result<std::vector<SharedFd>> renew(ClientIndex client, std::uint64_t executor,
                                                     std::uint32_t uid);
-  /// Looks at the next few bells in turn: has anybody the receivers?
-  void look() noexcept;
+  struct Executor {
+    ClientIndex client;
+    std::uint64_t executor;
+  };
+  /// Looks at the next few bells in turn: has anybody the receivers? Returns those that are silent for the second look in
+  /// a row, each once: a process that ends shuts its bells a moment before the daemon hears of its end.
+  std::vector<Executor> look();
   /// As far as that is known: by datagram nobody reaches it.
   bool is_silent(ClientIndex client, std::uint64_t executor) const {
     const auto found = bells_.find({number(client), executor});
     return found == bells_.end() || found->second.is_silent;
+  }
+  /// look() has returned it, or it was silent when this daemon began.
+  bool is_known_silent(ClientIndex client, std::uint64_t executor) const {
+    const auto found = bells_.find({number(client), executor});
+    return found != bells_.end() && found->second.silent_looks == silent_looks_needed;
   }
   void ring(ClientIndex client, std::uint64_t executor) noexcept;
   void ring_all() noexcept;
@@ -80,11 +90,13 @@ class Doorbells {
     // O_PATH of the bound name: a way to it when somebody has tidied up the directory.
     UniqueFd way;
     bool is_silent = false;
+    unsigned silent_looks = 0;  // in a row, up to silent_looks_needed
     unsigned renewals_left = 0;
   };
   Result<SharedFd> duplicate_receiver(int fd, std::uint32_t uid) const;
   // Publishers are told of each.
   static constexpr unsigned renewals_max = 3;
+  static constexpr unsigned silent_looks_needed = 2;
   // Each a socket that is made, connected and closed, some 5 µs.
   static constexpr std::size_t looks_max = 64;
   /// With this eventfd, or a new one. Not put into the store.

@@ -189,7 +189,8 @@ Request decode_withdrawn(Packet packet) {
   if (wrong == nullptr)
     wrong = check_reference(wire::Kind::subscription, body.topic, body.subscription,
                             body.subscription_generation, false);
-  if (wrong == nullptr && (body.why == 0 || body.why > 3)) wrong = "an unknown reason";
+  if (wrong == nullptr && body.why > static_cast<std::uint32_t>(abi::Withdrawal::not_attached))
+    wrong = "an unknown reason";
   if (wrong != nullptr) return refuse(body.header, Errc::protocol_violation, wrong);
   return body;
 }

@@ -63,6 +63,12 @@ TEST(HostileMute, ASubscriptionThatNobodyCanRingKeepsNoPublisherFromItsSlots) {
   EXPECT_EQ(run_ctl(stage.socket_path(), {"verify"}).status, 0);
   EXPECT_THAT(ctl({"verify", "--json"}),
               testing::HasSubstr("\"uid\":" + std::to_string(hostile_uid)));
+  EXPECT_TRUE(eventually([&] {
+    const std::string said = ctl({"journal", "-n", "4096", "--topic", stream_topic, "--process",
+                                  std::to_string(attacker.pid())});
+    return said.find(", uid " + std::to_string(hostile_uid) +
+                     "), it hears of messages only when it looks") != std::string::npos;
+  })) << "the flight recorder does not say so";
   attacker.end();
   stage.honest_goes_on();
 }

@@ -29,15 +29,21 @@ struct Hoarder {
   }
   void join(std::uint64_t quota, std::uint64_t first_slot = 0) {
     made = node.join(wire::Kind::subscription, bulk_topic, {1, false, true, false, false}, quota);
+    joined.push_back(made);
     publisher = node.announced().body;
     line().cursor().store(publisher.first_sequence + 1);
     line().publisher_generation().store(publisher.generation);
     line().hold(0).store(((std::uint64_t{1} << quota) - 1) << first_slot);
   }
+  void let_go() const {
+    for (const wire::EndpointCreated& each : joined)
+      node.line(each, publisher.index).hold(0).store(0);
+  }
   region::LinkWords<SharedMemory> line() const { return node.line(made, publisher.index); }
 
   HostileNode node;
   wire::EndpointCreated made{};
+  std::vector<wire::EndpointCreated> joined;
   wire::Announcement publisher{};
 };
 
@@ -77,6 +83,31 @@ void expect_named(Stage& stage, pid_t reader) {
   }
 }
 
+/// The records of this kind about the reader, oldest first.
+std::vector<nlohmann::json> records_of(Stage& stage, const char* type, pid_t reader) {
+  const nlohmann::json journal =
+      run_ctl(stage.socket_path(), {"journal", "-j", "-n", "4096", "--topic", bulk_topic,
+                                    "--process", std::to_string(reader)})
+          .json();
+  std::vector<nlohmann::json> found;
+  for (const nlohmann::json& record : journal["records"])
+    if (record["type"] == type) found.push_back(record);
+  return found;
+}
+
+/// The flight recorder has both sides.
+void expect_both_sides(const nlohmann::json& record, pid_t publisher, pid_t reader) {
+  const nlohmann::json& arguments = record["arguments"];
+  EXPECT_EQ(record["topic"], bulk_topic);
+  EXPECT_EQ(arguments["reader_uid"], hostile_uid);
+  EXPECT_EQ(arguments["reader_pid"], reader);
+  EXPECT_EQ(record["receiver"]["pid"], reader);
+  EXPECT_EQ(arguments["uid"], honest_uid);
+  EXPECT_EQ(arguments["pid"], publisher);
+  EXPECT_EQ(record["process"]["pid"], publisher);
+  EXPECT_EQ(arguments["index"], 0);
+}
+
 TEST(HostileShare, WhoKeepsAHeapFullIsServedNoMore) {
   AGNOCAST_NEEDS_TWO_USERS();
   // A window for each of the honest processes.
@@ -92,6 +123,7 @@ TEST(HostileShare, WhoKeepsAHeapFullIsServedNoMore) {
         hoarder.join(kept - 10);  // what its user has left of the pool
         attack.word(1).store(1);
       }
+      if (attack.word(2).exchange(0) != 0) hoarder.let_go();
       std::this_thread::sleep_for(std::chrono::milliseconds(10));
     }
   });
@@ -103,6 +135,14 @@ TEST(HostileShare, WhoKeepsAHeapFullIsServedNoMore) {
   ASSERT_TRUE(goes_on(*victim) || goes_on(*victim))
       << "what is held by who is served no more still counts";
   expect_named(stage, attacker.pid());
+  const std::vector<nlohmann::json> withdrawn =
+      records_of(stage, "reader_withdrawn", attacker.pid());
+  ASSERT_EQ(withdrawn.size(), 1u);
+  expect_both_sides(withdrawn[0], victim->pid(), attacker.pid());
+  EXPECT_EQ(withdrawn[0]["arguments"]["subscription"], 0);
+  EXPECT_EQ(withdrawn[0]["arguments"]["why"], "over_share");
+  EXPECT_NE(withdrawn[0]["text"].get<std::string>().find("its user kept too much of the heap"),
+            std::string::npos);
 
   // Once more, with a subscription that the publisher has not seen yet.
   const std::uint64_t refused = progress_of(*victim).refused;
@@ -110,6 +150,16 @@ TEST(HostileShare, WhoKeepsAHeapFullIsServedNoMore) {
   ASSERT_TRUE(eventually([&] { return attacker.word(1) == 1; }));
   for (int i = 0; i < 4; ++i) ASSERT_TRUE(goes_on(*victim));
   EXPECT_EQ(progress_of(*victim).refused, refused) << "newcomers of that user begin anew";
+
+  // Both let go, and their user's minute passes.
+  attacker.set_word(2, 1);
+  bool is_served = false;
+  for (int patience = 0; patience < 6 && !is_served; ++patience)
+    is_served = is_logged(stage, "reader served again");
+  ASSERT_TRUE(is_served) << stage.daemon().log();
+  const auto served = records_of(stage, "reader_served_again", attacker.pid());
+  ASSERT_FALSE(served.empty());
+  expect_both_sides(served[0], victim->pid(), attacker.pid());
   stage.victim_was(*victim);
   attacker.end();
   stage.honest_goes_on();

@@ -156,6 +156,76 @@ TEST(CtlJournal, SaysThatOlderOnesAreOverwritten) {
   EXPECT_THAT(lines({"--process", "nobody"}).first, HasSubstr("has been overwritten"));
 }
 
+// The publisher is a client that says so as often as it likes.
+TEST(CtlJournal, TellsWhoIsServedNoMoreAndIsNotFloodedWithIt) {
+  DaemonProcess daemon;
+  const std::string& socket = daemon.socket_path();
+  Node a(socket, 0, "camera"), b(socket, 0, "viewer");
+  const auto p = a.publisher("/points");
+  const auto s = b.subscription("/points");
+  wire::Withdrawn said{};
+  said.topic = p.topic;
+  said.publisher = p.index;
+  said.publisher_generation = p.generation;
+  said.subscription = s.index;
+  said.subscription_generation = s.generation;
+  const auto say = [&](abi::Withdrawal why) {
+    said.why = static_cast<std::uint32_t>(why);
+    a.wire.send(Opcode::withdrawn, said);
+  };
+  const auto counters = [&] { return run_ctl(socket, {"status", "-j"}).json()["counters"]; };
+  say(abi::Withdrawal::over_share);
+  say(abi::Withdrawal::none);
+  ASSERT_TRUE(eventually([&] { return counters()["readers_served_again"] == 1; }));
+  EXPECT_EQ(counters()["readers_withdrawn"], 1);
+  const std::string self = std::to_string(::getpid());
+  const std::string serves = "publisher 0 of /points (camera, pid " + self +
+                             "): serves subscription 0 (viewer, pid " + self + ", uid " +
+                             std::to_string(::geteuid()) + ") ";
+  EXPECT_THAT(run_ctl(socket, {"journal", "--process", "viewer", "-n", "2"}).out,
+              testing::AllOf(HasSubstr(serves + "no more: its user kept too much of the heap\n"),
+                             HasSubstr(serves + "again\n")));
+  EXPECT_THAT(daemon.log(), HasSubstr("reader served again"));
+
+  // Of a reader that is not there, or a publisher that is another's: no word of it.
+  said.subscription_generation = s.generation + 1;
+  say(abi::Withdrawal::over_share);
+  said.subscription_generation = s.generation;
+  said.why = static_cast<std::uint32_t>(abi::Withdrawal::over_share);
+  b.wire.send(Opcode::withdrawn, said);
+  constexpr int times = 500;
+  for (int i = 0; i < times; ++i) say(abi::Withdrawal::over_quota);
+  ASSERT_TRUE(eventually([&] { return counters()["readers_withdrawn"] == times + 1; }))
+      << "all are counted";
+  const auto records = run_ctl(socket, {"journal", "-j", "-n", "4096"}).json()["records"];
+  const auto withdrawn = std::count_if(records.begin(), records.end(), [](const auto& record) {
+    return record["type"] == "reader_withdrawn";
+  });
+  EXPECT_GE(withdrawn, 10);
+  EXPECT_LT(withdrawn, times / 2) << "one a minute, after some at once";
+}
+
+TEST(CtlJournal, TellsWhomNobodyCanRing) {
+  DaemonProcess daemon;
+  const std::string& socket = daemon.socket_path();
+  Node b(socket, 0, "viewer");
+  b.subscription("/points");
+  b.subscription("/left");
+  const auto mute = [&](const std::string& topic) {
+    const std::string out = run_ctl(socket, {"journal", "-n", "4096", "--topic", topic}).out;
+    return out.find("(viewer, pid " + std::to_string(::getpid()) + "): nobody can ring it") !=
+           std::string::npos;
+  };
+  EXPECT_FALSE(mute("/points"));
+  b.bells.clear();
+  ASSERT_TRUE(eventually([&] { return mute("/points"); }));
+  EXPECT_TRUE(mute("/left")) << "all of the executor";
+  EXPECT_FALSE(mute("/later"));
+  b.subscription("/later");
+  EXPECT_TRUE(eventually([&] { return mute("/later"); })) << "its executor was silent before";
+  EXPECT_EQ(run_ctl(socket, {"status", "-j"}).json()["counters"]["readers_mute"], 3);
+}
+
 TEST(CtlJournal, GoesOnWithWhatComes) {
   DaemonProcess daemon;
   Node a(daemon.socket_path());

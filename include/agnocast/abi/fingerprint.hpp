@@ -214,7 +214,10 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::DaemonCounters, clients_died_meanwhile),
           offsetof(wire::DaemonCounters, requests_answered_again),
           offsetof(wire::DaemonCounters, requests_refused),
-          offsetof(wire::DaemonCounters, connections_refused));
+          offsetof(wire::DaemonCounters, connections_refused),
+          offsetof(wire::DaemonCounters, readers_withdrawn),
+          offsetof(wire::DaemonCounters, readers_served_again),
+          offsetof(wire::DaemonCounters, readers_mute));
   sum.add(sizeof(wire::DaemonLimits), offsetof(wire::DaemonLimits, clients),
           offsetof(wire::DaemonLimits, topics), offsetof(wire::DaemonLimits, publishers_per_topic),
           offsetof(wire::DaemonLimits, subscriptions_per_topic),

@@ -91,7 +91,7 @@ enum class JournalState : std::uint32_t {
   pending = 2,  // committed; its change may not be complete
   damaged = 3,  // what lies there is no record; only lsn means something
 };
-/// A process by name, while the daemon still knows it; pid 0 and no name otherwise.
+/// A process by name, while the daemon still knows it; no name otherwise, and pid 0 unless the record has it.
 struct JournalProcess {
   std::uint32_t pid;
   std::uint32_t reserved;
@@ -106,7 +106,7 @@ struct JournalRecord {
   std::uint64_t argument[13];
   Name topic;               // what it is about; empty: no topic, or not known any more
   JournalProcess process;   // whose
-  JournalProcess receiver;  // who is told of it, or lets go of it
+  JournalProcess receiver;  // the process that is told of it, lets go of it, or reads
 };
 struct JournalEnd {
   Header header;
@@ -132,6 +132,9 @@ struct DaemonCounters {
   std::uint64_t requests_answered_again;
   std::uint64_t requests_refused;
   std::uint64_t connections_refused;
+  std::uint64_t readers_withdrawn;     // a publisher served a subscription no more
+  std::uint64_t readers_served_again;  // and again
+  std::uint64_t readers_mute;          // subscriptions that nobody could ring any more
 };
 /// [limits] of the configuration.
 struct DaemonLimits {

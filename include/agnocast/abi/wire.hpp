@@ -193,11 +193,12 @@ struct Blocked {
   std::uint64_t bytes;
   Name what;  // for people
 };
-/// A publisher of the process serves a subscription no more. For the daemon's log: nothing follows from it.
+/// A publisher of the process serves a subscription no more, or again. For the daemon's log and flight recorder:
+/// nothing follows from it.
 struct Withdrawn {
   Header header;
   std::uint32_t topic;
-  std::uint32_t why;        // abi::Withdrawal
+  std::uint32_t why;        // abi::Withdrawal; none: it is served again
   std::uint64_t publisher;  // its index, and generation
   std::uint64_t publisher_generation;
   std::uint64_t subscription;

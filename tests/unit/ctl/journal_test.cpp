@@ -8,6 +8,7 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
 
 #include <cstring>
 #include <map>
@@ -99,6 +100,44 @@ TEST(Journal, TellsWhoIsToldAndWhoHasLetGo) {
                           "", "lidar", 812),
                     "viewer", 2)),
       "memory of process 7 (lidar, pid 812): viewer (pid 2) has let go");
+}
+
+TEST(Journal, TellsWhoIsServedNoMoreAndWhy) {
+  const auto withdrawn = [](std::uint64_t why) {
+    return told(
+        named(record(RecordType::reader_withdrawn,
+                     {{"index", 0}, {"subscription", 2}, {"reader_uid", 1001}, {"why", why}}),
+              "/points", "camera", 820),
+        "viewer", 977);
+  };
+  const std::string who =
+      "publisher 0 of /points (camera, pid 820): serves subscription 2 (viewer, pid 977, uid "
+      "1001) ";
+  EXPECT_EQ(sentence(withdrawn(1)), who + "no more: it held more messages than it may");
+  EXPECT_EQ(sentence(withdrawn(2)), who + "no more: its user kept too much of the heap");
+  EXPECT_EQ(sentence(withdrawn(3)), who + "no more: its process could not be mapped");
+  // The names are another's now; the pids are the record's own.
+  EXPECT_EQ(
+      sentence(told(named(withdrawn(2), "", "", 820), "", 977)),
+      "publisher 0 of topic 0 (forgotten) (pid 820): serves subscription 2 (pid 977, uid 1001) no "
+      "more: its user kept too much of the heap");
+  EXPECT_EQ(sentence(told(named(record(RecordType::reader_served_again,
+                                       {{"index", 0}, {"subscription", 2}, {"reader_uid", 1001}}),
+                                "/points", "camera", 820),
+                          "viewer", 977)),
+            who + "again");
+  EXPECT_EQ(
+      sentence(
+          named(record(RecordType::reader_mute, {{"index", 2}, {"executor", 4}, {"uid", 1001}}),
+                "/points", "viewer", 977)),
+      "subscription 2 of /points (viewer, pid 977): nobody can ring it (executor 4, uid 1001), it "
+      "hears of messages only when it looks");
+  const auto object = record_object(withdrawn(2), {});
+  EXPECT_EQ(object["type"], "reader_withdrawn");
+  EXPECT_EQ(object["arguments"]["why"], "over_share");
+  EXPECT_EQ(object["arguments"]["reader_uid"], 1001);
+  for (const char* const process : {"camera", "820", "viewer", "977"})
+    EXPECT_TRUE(passes(withdrawn(2), {"/points", process})) << process;
 }
 
 TEST(Journal, HasASentenceForEveryRecord) {

@@ -137,6 +137,61 @@ TEST_F(FlightRecorder, NamesAPlaceOnlyWhileItIsStillTheSame) {
   EXPECT_STREQ(ask(0, 1).records.at(0).topic.text, "/other");
 }
 
+TEST_F(FlightRecorder, NamesBothSidesOfAWithdrawalAndTheirPidsForEver) {
+  const ClientIndex a = client("lidar", 812), b = client("viewer", 813);
+  const TopicIndex t = registry.add_topic({0, "/points", "T", 1}).value();
+  const auto p = publisher(a, t);
+  const abi::Qos qos{1, false, true, false, false};
+  const auto s = registry.plan_subscription(b, t, qos, {1, 1}).value();
+  registry.add_subscription(b, t, qos, {1, 1}, 5, s, "node");
+  const EndpointRef reader{Kind::subscription, t, s.index};
+  registry.note_withdrawn({{Kind::publisher, t, p.index}, reader}, abi::Withdrawal::over_share);
+  registry.note_served_again({{Kind::publisher, t, p.index}, reader});
+  registry.note_mute(reader);
+  const auto check = [&](bool known) {
+    const Answer answer = ask(0, 100);
+    for (const RecordType type : {RecordType::reader_withdrawn, RecordType::reader_served_again}) {
+      const auto* const record = answer.newest(type);
+      ASSERT_NE(record, nullptr);
+      const auto argument = [&](const char* name) {
+        return record->argument[journal::argument_index(type, name)];
+      };
+      EXPECT_STREQ(record->topic.text, known ? "/points" : "");
+      EXPECT_STREQ(record->process.name.text, known ? "lidar" : "");
+      EXPECT_STREQ(record->receiver.name.text, known ? "viewer" : "");
+      EXPECT_EQ(record->process.pid, 812u);
+      EXPECT_EQ(record->receiver.pid, 813u);
+      EXPECT_EQ(argument("uid"), 1000u);
+      EXPECT_EQ(argument("reader_uid"), 1000u);
+      EXPECT_EQ(argument("subscription"), s.index);
+    }
+    const auto* const mute = answer.newest(RecordType::reader_mute);
+    ASSERT_NE(mute, nullptr);
+    EXPECT_EQ(mute->process.pid, 813u);
+    EXPECT_EQ(mute->receiver.pid, 0u);
+  };
+  check(true);
+  EXPECT_EQ(ask(0, 3).records.at(0).argument[11],
+            static_cast<std::uint64_t>(abi::Withdrawal::over_share));
+  EXPECT_EQ(registry.counters().readers_withdrawn, 1u);
+  EXPECT_EQ(registry.counters().readers_served_again, 1u);
+  EXPECT_EQ(registry.counters().readers_mute, 1u);
+  registry.orphan_publisher(t, p.index, 0, journal::LeaveCause::nothing_open);
+  registry.end_publisher(t, p.index, EndpointState::free);
+  registry.change_subscription(t, s.index, EndpointState::dead);
+  registry.free_subscription(t, s.index);
+  registry.free_topic(t);
+  for (const ClientIndex gone : {a, b}) {
+    registry.client_died(gone, journal::DeathReason::died);
+    registry.client_forgotten(gone);
+    registry.end_client(gone);
+  }
+  EXPECT_EQ(client("thief", 900), a);
+  EXPECT_EQ(client("other", 901), b);
+  EXPECT_EQ(registry.add_topic({0, "/other", "T", 1}).value(), t);
+  check(false);
+}
+
 TEST_F(FlightRecorder, SaysWhatAnEndWasAndCountsIt) {
   const ClientIndex a = client("a", 1), b = client("b", 2), c = client("c", 3);
   registry.client_died(a, journal::DeathReason::died);

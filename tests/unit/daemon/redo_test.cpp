@@ -178,9 +178,15 @@ TEST_F(Redo, MakesEveryChangeWholeWhateverPartOfItWasMade) {
   step(RecordType::announced, [&](R& r) { r.tell(publisher, b); });
   step(RecordType::announced, [&](R& r) { r.tell(subscription, a); });
   step(RecordType::rejoined, [&](R& r) { r.note_rejoined(a); });
-  step(RecordType::recovered, [&](R& r) {
-    r.note_recovered({.pid = 4, .dead_count = 6, .board_word_count = 7});
+  step(RecordType::recovered,
+       [&](R& r) { r.note_recovered({.pid = 4, .dead_count = 6, .board_word_count = 7}); });
+  step(RecordType::reader_withdrawn, [&](R& r) {
+    r.note_withdrawn({publisher, subscription}, abi::Withdrawal::over_share);
   });
+  step(RecordType::reader_served_again, [&](R& r) {
+    r.note_served_again({publisher, subscription});
+  });
+  step(RecordType::reader_mute, [&](R& r) { r.note_mute(subscription); });
   step(RecordType::leave_publisher,
        [&](R& r) { r.orphan_publisher(t, 0, abi::pack_entry(99, 3), LeaveCause::rolled_back); });
   step(RecordType::leave_subscription,
@@ -234,6 +240,10 @@ TEST_F(Redo, RefusesAChangeThatItCannotCarryOutAndTouchesNothing) {
       {RecordType::topic_forgotten, {abi::topic_count_max, 0, 1}},
       {RecordType::announced, {0, 0, abi::client_count_max, 0, 1, 0}},
       {RecordType::announced, {0, far, 0, 1, 1, 0}},
+      {RecordType::reader_withdrawn, {abi::topic_count_max, 0, 1, 0}},
+      {RecordType::reader_served_again, {0, abi::publisher_count_max, 1, 0}},
+      {RecordType::reader_mute, {0, abi::subscription_count_max, 1, 0}},
+      {RecordType::reader_mute, {0, 0, 1, abi::client_count_max}},
       {RecordType::unlinked, {far, 0, 0, static_cast<std::uint64_t>(Kind::region), 1, 0}},
   };
   for (const auto& [type, arguments] : changes) {

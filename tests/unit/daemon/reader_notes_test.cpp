@@ -1,0 +1,33 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: a user causes a bounded number of records about readers, whatever it says and however fast, and takes none
+// of another's. Method: the time is told.
+
+#include <daemon/requests/reader_notes.hpp>
+
+#include <gtest/gtest.h>
+
+namespace agnocast::daemon {
+namespace {
+
+TEST(ReaderNotes, AUserHasSomeAtOnceAndThenOneInAnInterval) {
+  ReaderNotes notes;
+  std::uint64_t now = 1'000'000;
+  const auto taken = [&](std::uint32_t uid, int times) {
+    std::uint64_t count = 0;
+    for (int i = 0; i < times; ++i) count += notes.take(uid, now);
+    return count;
+  };
+  EXPECT_EQ(taken(1000, 500), ReaderNotes::at_once);
+  EXPECT_EQ(taken(1001, 1), 1u) << "another's";
+  now += ReaderNotes::interval_ms;
+  EXPECT_EQ(taken(1000, 500), 1u);
+  notes.forget_unused(now);
+  EXPECT_EQ(taken(1000, 500), 0u) << "who has caused some is not forgotten";
+  now += (ReaderNotes::at_once + 1) * ReaderNotes::interval_ms;
+  notes.forget_unused(now);
+  EXPECT_EQ(taken(1000, 500), ReaderNotes::at_once);
+}
+
+}  // namespace
+}  // namespace agnocast::daemon
