@@ -79,7 +79,7 @@ int run(int argc, const char* const* argv) {
   std::signal(SIGPIPE, SIG_IGN);
   raise_descriptor_limit();
   Log log = Log::to_stderr(log_program, config.daemon.log_level);
-  if (options.fd_store == FdStore::own) 
+  if (options.fd_store == FdStore::own)
     return supervise(argc, argv, config.daemon.watchdog_seconds, log);
   const bool has_manager = options.fd_store == FdStore::manager;
   if (has_manager && !die_with_supervisor()) return 1;

@@ -233,7 +233,7 @@ class SilentFiles {
         ::prctl(PR_SET_PDEATHSIG, SIGKILL);
         const bool is_dirty = round / place_count % 2 != 0;
         const int silent = ::open((directory_ + (is_dirty ? "/dirty" : "/clean")).c_str(), O_RDWR | O_CLOEXEC);
-        if (silent < 0 || 
+        if (silent < 0 ||
             // A page of its own: one that is being written back cannot be written to.
             (is_dirty && ::pwrite(silent, "x", 1, off_t{4096} * round) != 1))
           ::_exit(2);
