@@ -161,7 +161,21 @@ Ailments depth(const Facts& facts) {
   return found;
 }
 
+bool has_several_users(const Facts& facts) {
+  std::set<std::uint64_t> uids;
+  if (facts.look) {
+    for (const auto& [index, process] : facts.look->system.processes) uids.insert(process.facts.uid);
+  }
+  return uids.size() > 1;
+}
+
+Ailments page_collapse(const Facts& facts) {
+  if (facts.huge_pages.empty() || facts.huge_pages == "deny" || !has_several_users(facts)) return {};
+  return {{"shmem_enabled is " + facts.huge_pages + ", and processes of several users take part"}};
+}
+
 Ailments huge_pages(const Facts& facts) {
+  if (has_several_users(facts)) return {};  // see page_collapse()
   if (facts.huge_pages != "never" && facts.huge_pages != "deny") return {};
   return {{"huge pages of shared memory are off (shmem_enabled is " + facts.huge_pages + ")"}};
 }
@@ -214,8 +228,12 @@ constexpr Check table[] = {
      "CONFIGURE && RELOAD", depth},
     {"huge-pages", "huge pages of shared memory can be used", warning, always,
      "large messages cost thirty times the page faults while the kernel does not let shared memory have huge pages",
-     "echo 'w /sys/kernel/mm/transparent_hugepage/shmem_enabled - - - - advise' | sudo tee /etc/tmpfiles.d/agnocast.conf "
-     "&& sudo systemd-tmpfiles --create /etc/tmpfiles.d/agnocast.conf", huge_pages},
+     "echo 'w /sys/kernel/mm/transparent_hugepage/shmem_enabled - - - - advise' | sudo tee /etc/tmpfiles.d/agnocast-pages.conf "
+     "&& sudo systemd-tmpfiles --create /etc/tmpfiles.d/agnocast-pages.conf", huge_pages},
+    {"page-collapse", "no reader can keep the pages of another user", warning, daemon,
+     "a process that may read shared memory may collapse its pages into huge ones (MADV_COLLAPSE, Linux 6.1), and everybody who touches them waits meanwhile",
+     "echo 'w /sys/kernel/mm/transparent_hugepage/shmem_enabled - - - - deny' | sudo tee /etc/tmpfiles.d/agnocast-pages.conf "
+     "&& sudo systemd-tmpfiles --create /etc/tmpfiles.d/agnocast-pages.conf", page_collapse},
     {"mapping-limit", "no process is at the bound of its mappings", failed, daemon,
      "each process with which messages are exchanged costs about ten mappings; without any left they are lost. Those of one other user get a quarter, those of all others half",
      "sudo sysctl -w vm.max_map_count=COUNT", mappings},

@@ -198,10 +198,10 @@ std::string deed_of(const JournalRecord& record) {
     case RecordType::rejoined:
       return "came back";
     case RecordType::reader_withdrawn:
-      return "serves " + reader_words(record) + " no more: " +
+      return "says that it serves " + reader_words(record) + " no more: " +
              journal::sentence_of(static_cast<abi::Withdrawal>(argument(record, "why")));
     case RecordType::reader_served_again:
-      return "serves " + reader_words(record) + " again";
+      return "says that it serves " + reader_words(record) + " again";
     case RecordType::reader_mute:
       return "nobody can ring it (executor " + number_of(record, "executor") + ", uid " +
              number_of(record, "uid") + "), it hears of messages only when it looks";

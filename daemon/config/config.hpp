@@ -9,6 +9,7 @@
 // "auto" here (0 or empty) and is decided by the part that knows: the address plan, the options.
 #pragma once
 
+#include <agnocast/abi/client_region.hpp>
 #include <agnocast/abi/limits.hpp>
 #include <base/log.hpp>
 #include <daemon/config/access.hpp>
@@ -83,6 +84,11 @@ struct Config {
     std::uint64_t queued_seconds = 30;
     // What full tables cost then is a tenth or two of a core; tools look once a second.
     std::uint64_t dumps_per_second = 20;
+    /// Bytes of the regions of one user's processes together. The memory of an endpoint that has ended stays with its process
+    /// for the next one; twice what the endpoints need that there may be at once, as extents of two sizes leave gaps.
+    std::uint64_t region_bytes() const noexcept {
+      return 2 * (publishers * abi::publisher_extent_bytes + subscriptions * abi::subscription_extent_bytes);
+    }
     friend bool operator==(const Quota&, const Quota&) = default;
   };
 

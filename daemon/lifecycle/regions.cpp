@@ -52,9 +52,6 @@ std::string file_of(int fd) {
 // hundred; where there are fewer than this left, it is malloc that fails next.
 constexpr std::uint64_t mappings_kept = 2048;
 
-// More than this is not freed between two requests: 16 MiB take a millisecond or two.
-constexpr std::uint64_t freed_at_once_bytes = 16 << 20;
-
 // Zero, whatever kind of endpoint was here. What was never written stays without memory.
 Result<void> clear_memory(int fd, std::byte* region, const Regions::Extent& extent) noexcept {
   alignas(std::uint64_t) std::byte page[abi::page_bytes];
@@ -63,7 +60,7 @@ Result<void> clear_memory(int fd, std::byte* region, const Regions::Extent& exte
     const ssize_t read = ::pread(fd, page, sizeof page, static_cast<off_t>(at));  // makes no memory of holes
     if (read < 0) return fail(Errc::os_failure, "clearing an extent", errno);
     if (read == 0) break;  // nothing is as long as that yet
-    if (std::memcmp(page, zero, sizeof page) != 0) std::memset(region + at, 0, sizeof page);
+    if (std::memcmp(page, zero, static_cast<std::size_t>(read)) != 0) std::memset(region + at, 0, sizeof page);
   }
   // The daemon's own view of the pages costs page tables.
   ::madvise(region + extent.offset, extent.bytes, MADV_DONTNEED);
@@ -76,11 +73,6 @@ Result<void> clear_extent(int fd, const std::weak_ptr<Mapping>& region, const Re
     if (auto cleared = clear_memory(fd, mapped->base(), extent); !cleared) return cleared;
   }
   return lengthen(fd, extent.offset + extent.bytes);
-}
-
-std::uint64_t memory_of(int fd) noexcept {
-  struct stat file {};
-  return ::fstat(fd, &file) == 0 ? static_cast<std::uint64_t>(file.st_blocks) * 512 : 0;
 }
 
 }  // namespace
@@ -236,9 +228,27 @@ bool Regions::is_clear(ClientIndex client, const Extent& extent) const noexcept 
   return cleared && cleared->extent == extent;
 }
 
+// The memory of an extent stays with its process when the endpoint has ended, which no quota of endpoints counts.
+Result<void> Regions::count_growth(ClientIndex client, const OfUser& user, const Extent& extent) {
+  ClientMemory& memory = clients_[number(client)];
+  const std::uint64_t end = extent.offset + extent.bytes;
+  const std::uint64_t more = end > memory.given_bytes ? end - memory.given_bytes : 0;
+  std::uint64_t& all = given_bytes_[user.uid];
+  if (all + more > user.given_bytes_max)
+    return fail_with(Errc::quota_exceeded, "the processes of this user keep " + std::to_string(all) +
+                                               " bytes for endpoints that they have and have had; " +
+                                               std::to_string(user.given_bytes_max) + " are allowed");
+  all += more;
+  memory.given_bytes += more;
+  memory.uid = user.uid;
+  return {};
+}
+
 // An errand that waits keeps no file: what its process has put there goes with the process.
-Result<void> Regions::clear(ClientIndex client, std::uint32_t uid, const Extent& extent,
+Result<void> Regions::clear(ClientIndex client, const OfUser& user, const Extent& extent,
                             std::function<void()> then) {
+  if (auto counted = count_growth(client, user, extent); !counted) return counted;
+  const std::uint32_t uid = user.uid;
   if (errands_->waiting(Errands::Lane::clearing, uid) >= clearing_waiting_max)
     return fail(Errc::limit_reached, "too many processes of this user wait for memory");
   ClientMemory& memory = clients_[number(client)];
@@ -273,7 +283,8 @@ Result<void> Regions::renew(ClientIndex client, const Extent& extent, std::uint6
                     ? cleared->result
                     : clear_extent(memory.region_writer->get(), memory.region, extent);
   if (!result) return result;
-  memory.backed_bytes.erase(extent.offset);
+  memory.backed_bytes.erase(memory.backed_bytes.lower_bound(extent.offset),
+                            memory.backed_bytes.lower_bound(extent.offset + extent.bytes));
   return back(client, extent.offset, backed_bytes);
 }
 
@@ -330,30 +341,37 @@ Result<SharedFd> Regions::window_writer(ClientIndex client, std::uint64_t window
   return shared;
 }
 
-void Regions::bury_client(ClientIndex client) noexcept {
-  ClientMemory& memory = clients_[number(client)];
-  if (memory.region_writer && memory_of(memory.region_writer->get()) > freed_at_once_bytes)
-    closer_->close({std::move(memory.region_writer)}, std::move(memory.region));
-  memory.region.reset();
-  memory.region_writer.reset();
-}
-
-void Regions::close_client(ClientIndex client) noexcept {
-  ClientMemory& memory = clients_[number(client)];
-  if (memory.region_reader) store_->remove(DescriptorStore::region(client));
-  std::uint64_t bytes = 0;
-  for (std::size_t w = 0; w < memory.window_readers.size(); ++w) {
-    store_->remove(DescriptorStore::window(client, w));
-    bytes += memory_of(memory.window_readers[w]->get());
-  }
-  if (memory.region_reader) bytes += memory_of(memory.region_reader->get());
-  if (bytes > freed_at_once_bytes) {
+// Unmapping and the last close wait for locks that readers of the file have as well.
+void Regions::free_elsewhere(ClientMemory memory) noexcept {
+  try {
     std::vector<SharedFd> fds = std::move(memory.window_readers);
     fds.push_back(std::move(memory.region_reader));
     fds.push_back(std::move(memory.region_writer));
     closer_->close(std::move(fds), std::move(memory.region));
+  } catch (const std::bad_alloc&) {
+    // It is freed here, then.
   }
-  memory = ClientMemory();
+}
+
+void Regions::bury_client(ClientIndex client) noexcept {
+  ClientMemory& memory = clients_[number(client)];
+  if (!memory.region) return;
+  ClientMemory writable;
+  writable.region_writer = std::move(memory.region_writer);
+  writable.region = std::move(memory.region);
+  free_elsewhere(std::move(writable));
+}
+
+void Regions::close_client(ClientIndex client) noexcept {
+  ClientMemory memory = std::exchange(clients_[number(client)], ClientMemory());
+  if (memory.region_reader) store_->remove(DescriptorStore::region(client));
+  for (std::size_t w = 0; w < memory.window_readers.size(); ++w)
+    store_->remove(DescriptorStore::window(client, w));
+  if (const auto given = given_bytes_.find(memory.uid); given != given_bytes_.end()) {
+    given->second -= memory.given_bytes;
+    if (given->second == 0) given_bytes_.erase(given);
+  }
+  if (memory.region_reader || !memory.window_readers.empty()) free_elsewhere(std::move(memory));
 }
 
 }  // namespace agnocast::daemon

@@ -100,9 +100,13 @@ class Regions {
     std::uint64_t offset = 0, bytes = 0;
     friend bool operator==(const Extent&, const Extent&) = default;
   };
+  struct OfUser {
+    std::uint32_t uid;
+    std::uint64_t given_bytes_max;  // of regions of all its processes, from their beginnings to the ends of their farthest extents
+  };
   /// Makes an extent as if never used, all zero, in an errand of this user; then calls `then`. Errors:
-  /// limit_reached. Throws std::bad_alloc when there is no thread for it.
-  [[nodiscard]] Result<void> clear(ClientIndex client, std::uint32_t uid, const Extent& extent,
+  /// limit_reached, quota_exceeded. Throws std::bad_alloc when there is no thread for it.
+  [[nodiscard]] Result<void> clear(ClientIndex client, const OfUser& user, const Extent& extent,
                                    std::function<void()> then);
   /// Whether clear() was the last that happened to it, and has ended.
   bool is_clear(ClientIndex client, const Extent& extent) const noexcept;
@@ -131,8 +135,7 @@ class Regions {
   /// as its place is taken: who was without a connection when it died is still to be announced its
   /// last messages, and observers look at it.
   void bury_client(ClientIndex client) noexcept;
-  /// The process is over, or never came to life: nothing is kept. Much memory is freed a little
-  /// later.
+  /// The process is over, or never came to life: nothing is kept. Its memory is freed a little later.
   void close_client(ClientIndex client) noexcept;
 
   /// How many processes can have a region mapped here, when the kernel allows so many mappings.
@@ -152,7 +155,9 @@ class Regions {
     std::map<std::uint64_t, std::weak_ptr<SharedFd::element_type>> window_writers;  // on their way
     std::optional<Cleared> cleared;
     std::uint64_t last_clear = 0;  // numbered; of several that wait the last one counts
-    std::unordered_map<std::uint64_t, std::uint64_t> backed_bytes;  // by the offset of the extent
+    std::map<std::uint64_t, std::uint64_t> backed_bytes;  // by the offset of the extent
+    std::uint32_t uid = 0;
+    std::uint64_t given_bytes = 0;  // to the end of the farthest extent that was cleared
   };
 
   // Each process of a user has one, and those of its processes that have ended are passed over: more than a
@@ -163,6 +168,8 @@ class Regions {
   [[nodiscard]] static Result<Regions> map(DescriptorStore& store, UniqueFd board,
                                            UniqueFd journal);
   [[nodiscard]] Result<void> map_region(ClientMemory& memory, UniqueFd writer) const;
+  void free_elsewhere(ClientMemory memory) noexcept;
+  [[nodiscard]] Result<void> count_growth(ClientIndex client, const OfUser& user, const Extent& extent);
   const ClientMemory& of(ClientIndex client) const noexcept { return clients_[number(client)]; }
 
   DescriptorStore* store_;
@@ -173,6 +180,7 @@ class Regions {
   SharedFd board_reader_;
   Mapping board_, journal_;
   std::vector<ClientMemory> clients_;
+  std::unordered_map<std::uint32_t, std::uint64_t> given_bytes_;  // by uid
   std::uint64_t map_count_max_ = 0;  // vm.max_map_count
 };
 

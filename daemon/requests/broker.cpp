@@ -386,7 +386,7 @@ Result<bool> Broker::clear_before(Peer& peer, const CreateRequest& request) {
   if (!offset || regions_.is_clear(client, {*offset, bytes})) return false;
   const std::uint64_t ticket = ++last_ticket_;
   const auto cleared = regions_.clear(
-      client, registry_.client(client).uid, {*offset, bytes},
+      client, {registry_.client(client).uid, options_.config.quota.region_bytes()}, {*offset, bytes},
       [this, id = peer.id, ticket, request, here = std::weak_ptr(here_)] {
         if (here.expired()) return;
         std::erase_if(uncleared_, [&](const Uncleared& one) { return one.ticket == ticket; });

@@ -19,19 +19,20 @@ void Broker::note_withdrawn(Peer& peer, const wire::Withdrawn& said) {
   if (!registry_.is_used(pair.publisher) || !registry_.is_used(pair.reader) ||
       registry_.generation_of(pair.publisher) != said.publisher_generation ||
       registry_.generation_of(pair.reader) != said.subscription_generation ||
-      registry_.owner_of(pair.publisher) != *peer.session.client())
+      registry_.owner_of(pair.publisher) != *peer.session.client() ||
+      !registry_.told_of(pair.reader).contains(number(*peer.session.client())))
     return;
   const auto why = static_cast<abi::Withdrawal>(said.why);
   const bool is_served = why == abi::Withdrawal::none;
   const PeerIdentity& who = peer.session.identity();
-  if (reader_notes_.take(who.uid, monotonic_ms())) {
+  const ClientRecord& reader = registry_.client(registry_.owner_of(pair.reader));
+  if (reader_notes_.take(who.uid, reader.uid, monotonic_ms())) {
     is_served ? registry_.note_served_again(pair) : registry_.note_withdrawn(pair, why);
   } else {
     auto& counters = registry_.counters();
     ++(is_served ? counters.readers_served_again : counters.readers_withdrawn);
   }
   const auto& topic = registry_.topic(pair.publisher.topic).name;
-  const ClientRecord& reader = registry_.client(registry_.owner_of(pair.reader));
   if (is_served) {
     note(LogLevel::info, who.uid, "reader served again",
          {{"topic", topic},
@@ -53,7 +54,7 @@ void Broker::note_withdrawn(Peer& peer, const wire::Withdrawn& said) {
 
 void Broker::note_mute(const EndpointRef& subscription) {
   const ClientRecord& owner = registry_.client(registry_.owner_of(subscription));
-  if (reader_notes_.take(owner.uid, monotonic_ms())) {
+  if (reader_notes_.take(owner.uid, owner.uid, monotonic_ms())) {
     registry_.note_mute(subscription);
   } else {
     ++registry_.counters().readers_mute;

@@ -120,7 +120,7 @@ void Doorbells::restore(ClientIndex client, std::uint64_t executor) {
                      sender ? Doorbell(std::move(*sender)) : Doorbell(),
                      std::move(way),
                      is_silent,
-                     is_silent ? silent_looks_needed : 0,
+                     0,
                      is_silent ? renewals_max : 0};
 }
 
@@ -131,7 +131,7 @@ std::vector<Doorbells::Executor> Doorbells::look() {
     if (at == bells_.end()) at = bells_.begin();
     looked_at_ = at->first;
     Bell& bell = at->second;
-    note(bell, connect_to(bell.way, name_of(at->first)));
+    if (!note(bell, connect_to(bell.way, name_of(at->first)))) continue;
     if (!bell.is_silent) {
       bell.silent_looks = 0;
     } else if (bell.silent_looks < silent_looks_needed &&
@@ -142,8 +142,10 @@ std::vector<Doorbells::Executor> Doorbells::look() {
   return silent;
 }
 
-void Doorbells::note(Bell& bell, const Result<UniqueFd>& sender) noexcept {
-  if (sender || !is_shortage(sender.error().os_errno)) bell.is_silent = !sender;
+bool Doorbells::note(Bell& bell, const Result<UniqueFd>& sender) noexcept {
+  const bool is_known = sender || !is_shortage(sender.error().os_errno);
+  if (is_known) bell.is_silent = !sender;
+  return is_known;
 }
 
 UniqueFd Doorbells::way_to(const std::string& name) const {

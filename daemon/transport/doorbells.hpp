@@ -102,7 +102,8 @@ class Doorbells {
   /// With this eventfd, or a new one. Not put into the store.
   Result<std::vector<SharedFd>> make(ClientIndex client, std::uint64_t executor, std::uint32_t uid,
                                      SharedFd eventfd);
-  static void note(Bell& bell, const Result<UniqueFd>& sender) noexcept;
+  /// False: this try has told nothing.
+  static bool note(Bell& bell, const Result<UniqueFd>& sender) noexcept;
   Result<UniqueFd> connect_to(const UniqueFd& way, const std::string& name) const;
   UniqueFd way_to(const std::string& name) const;
   void close(ClientIndex client, std::uint64_t executor) noexcept;

@@ -25,6 +25,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
+#include <fstream>
 #include <string>
 #include <thread>
 
@@ -350,6 +351,73 @@ TEST(HostileHoles, InItsOwnRegionHoldUpNobody) {
     stage.honest_is_served();
   }
   attacker.kill();
+}
+
+/// The host's word on huge pages of shared memory, for a while.
+class SharedHugePages {
+ public:
+  explicit SharedHugePages(const char* word) {
+    std::ifstream file(path);
+    std::string text;
+    std::getline(file, text);
+    if (const std::size_t at = text.find('['); at != std::string::npos)
+      before_ = text.substr(at + 1, text.find(']') - at - 1);
+    is_set_ = !before_.empty() && set(word);
+  }
+  ~SharedHugePages() {
+    if (is_set_) set(before_);
+  }
+  SharedHugePages(const SharedHugePages&) = delete;
+  SharedHugePages& operator=(const SharedHugePages&) = delete;
+  bool is_set() const { return is_set_; }
+
+ private:
+  static constexpr const char* path = "/sys/kernel/mm/transparent_hugepage/shmem_enabled";
+  static bool set(const std::string& word) {
+    std::ofstream file(path);
+    file << word << std::endl;
+    return file.good();
+  }
+  std::string before_;
+  bool is_set_ = false;
+};
+
+// Who may read a file may make a huge page of its pages, which locks them and takes as long as its scheduling class and
+// its mappings make it. "deny", as the package sets it, leaves nothing to be made.
+TEST(HostileHoles, AReaderCollapsesNobodysPages) {
+  AGNOCAST_NEEDS_TWO_USERS();
+#ifndef MADV_COLLAPSE
+  constexpr int MADV_COLLAPSE = 25;  // Linux 6.1
+#endif
+  const SharedHugePages denied("deny");
+  if (!denied.is_set()) GTEST_SKIP() << "shmem_enabled cannot be set here";
+  Stage stage;
+  Attacker attacker([&](Attack& attack) {
+    HostileNode node(stage.socket_path());
+    node.join(Kind::subscription, stream_topic);
+    const auto publisher = node.announced();
+    ASSERT_EQ(publisher.fds.size(), 2u);
+    constexpr std::uint64_t huge = 2 << 20;
+    const auto collapse = [&](int fd) {
+      const auto addresses = Mapping::reserve(0, 2 * huge);
+      auto* const at = reinterpret_cast<void*>(
+          (reinterpret_cast<std::uintptr_t>(addresses->base()) + huge - 1) / huge * huge);
+      EXPECT_EQ(::mmap(at, huge, PROT_READ, MAP_SHARED | MAP_FIXED, fd, 0), at);
+      EXPECT_EQ(outcome([&] { return ::madvise(at, huge, MADV_COLLAPSE); }), EINVAL);
+    };
+    while (attack.goes_on()) {
+      collapse(node.board_fd());
+      collapse(publisher.fds[0].get());
+      collapse(publisher.fds[1].get());
+      attack.ready();
+    }
+  });
+  EXPECT_TRUE(attacker.wait_until_ready());
+  for (int round = 0; round < 3; ++round) {
+    stage.honest_goes_on();
+    stage.honest_is_served();
+  }
+  attacker.end();
 }
 
 /// Makes pages of all that can be reached through a descriptor for reading: `bytes` of its addresses.

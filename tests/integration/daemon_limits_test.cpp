@@ -15,6 +15,8 @@
 
 #include <functional>
 #include <memory>
+#include <utility>
+#include <vector>
 
 namespace agnocast::test {
 namespace {
@@ -71,6 +73,36 @@ TEST(DaemonLimits, CountsEndpointsExecutorsAndHeldMessagesOfAUser) {
             }),
             0)
       << "another user has limits of its own";
+}
+
+// The memory of an endpoint stays with its process when the endpoint has ended.
+TEST(DaemonLimits, CountsWhatProcessesOfAUserKeepForEndpointsThatHaveEnded) {
+  DaemonProcess daemon({.config = std::string(small_heap) + "[quota]\npublishers = 3\nsubscriptions = 1\n"});
+  std::vector<std::unique_ptr<WireClient>> processes;
+  Incoming refused;
+  while (processes.size() < 20 && refused.bytes.empty()) {
+    processes.push_back(greeted(daemon));
+    for (int again = 0; again < 5; ++again) {  // in one process they have the same memory
+      Incoming made = processes.back()->create_publisher("/a");
+      if (made.opcode() != Opcode::endpoint_created) {
+        refused = std::move(made);
+        break;
+      }
+      const auto publisher = made.as<wire::EndpointCreated>();
+      for (const Opcode end : {Opcode::leave, Opcode::drained})
+        EXPECT_EQ(processes.back()
+                      ->reference(end, wire::Kind::publisher, publisher.topic, publisher.index, publisher.generation)
+                      .opcode(),
+                  Opcode::done);
+    }
+  }
+  ASSERT_FALSE(refused.bytes.empty()) << "nobody counts";
+  expect_quota(refused, "for endpoints that they have and have had");
+  EXPECT_GT(processes.size(), 4u) << "endpoints that may be at once have room, in whatever processes";
+  processes.erase(processes.begin(), processes.begin() + 2);
+  EXPECT_TRUE(eventually([&] {
+    return processes.back()->create_publisher("/a").opcode() == Opcode::endpoint_created;
+  })) << "what has gone is not counted";
 }
 
 TEST(DaemonLimits, CountsThePlacesOfAUserInEachTopic) {

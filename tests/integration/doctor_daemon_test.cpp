@@ -4,6 +4,7 @@
 // mends it. Method: each set-up broken for real; what the host says of itself comes from files of the test.
 
 #include <tests/integration/ctl_node.hpp>
+#include <tests/support/child.hpp>
 #include <tests/support/descriptors.hpp>
 #include <tests/support/doctored.hpp>
 
@@ -216,7 +217,7 @@ TEST_F(DoctorDaemon, SaysWhatTheHostDoesNotAllow) {
     doctor.overlay()[shmem_enabled] = word;
     const Findings findings = doctor.look();
     ASSERT_THAT(findings.ids(), ElementsAre("huge-pages"));
-    EXPECT_THAT(findings.remedies[0], HasSubstr("/etc/tmpfiles.d/agnocast.conf"));
+    EXPECT_THAT(findings.remedies[0], HasSubstr("/etc/tmpfiles.d/agnocast-pages.conf"));
     EXPECT_EQ(findings.result.status, 0) << "a warning";
   }
   doctor.overlay()[shmem_enabled] = "always [within_size] advise never\n";
@@ -225,6 +226,29 @@ TEST_F(DoctorDaemon, SaysWhatTheHostDoesNotAllow) {
   const Findings findings = doctor.look();
   EXPECT_THAT(findings.ids(), ElementsAre("mapping-limit"));
   EXPECT_EQ(findings.remedies[0], "sudo sysctl -w vm.max_map_count=262144");
+}
+
+TEST_F(DoctorDaemon, SaysThatReadersCouldKeepThePagesOfAnotherUser) {
+  if (::geteuid() != 0) GTEST_SKIP() << "needs root, for a process of another user";
+  DaemonProcess daemon({.config = "[daemon]\nsocket_mode = \"0666\"\n"});
+  Doctored doctor(daemon.socket_path());
+  Node node(daemon.socket_path());
+  EXPECT_THAT(doctor.look().all, IsEmpty());
+  const Child other([&] {
+    if (::setuid(65534) != 0) return 1;
+    const Node theirs(daemon.socket_path());
+    return sleep_for_ever();
+  });
+  Findings findings;
+  EXPECT_TRUE(soon([&] {
+    findings = doctor.look();
+    return !findings.all.empty();
+  }));
+  ASSERT_THAT(findings.ids(), ElementsAre("page-collapse"));
+  EXPECT_THAT(findings.remedies[0], HasSubstr("- - - - deny'"));
+  EXPECT_EQ(findings.result.status, 0) << "a warning";
+  doctor.overlay()[shmem_enabled] = "always advise never [deny]\n";
+  EXPECT_THAT(doctor.look().all, IsEmpty()) << "nor are huge pages missed";
 }
 
 }  // namespace

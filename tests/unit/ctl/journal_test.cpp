@@ -111,7 +111,7 @@ TEST(Journal, TellsWhoIsServedNoMoreAndWhy) {
         "viewer", 977);
   };
   const std::string who =
-      "publisher 0 of /points (camera, pid 820): serves subscription 2 (viewer, pid 977, uid "
+      "publisher 0 of /points (camera, pid 820): says that it serves subscription 2 (viewer, pid 977, uid "
       "1001) ";
   EXPECT_EQ(sentence(withdrawn(1)), who + "no more: it held more messages than it may");
   EXPECT_EQ(sentence(withdrawn(2)), who + "no more: its user kept too much of the heap");
@@ -119,7 +119,7 @@ TEST(Journal, TellsWhoIsServedNoMoreAndWhy) {
   // The names are another's now; the pids are the record's own.
   EXPECT_EQ(
       sentence(told(named(withdrawn(2), "", "", 820), "", 977)),
-      "publisher 0 of topic 0 (forgotten) (pid 820): serves subscription 2 (pid 977, uid 1001) no "
+      "publisher 0 of topic 0 (forgotten) (pid 820): says that it serves subscription 2 (pid 977, uid 1001) no "
       "more: its user kept too much of the heap");
   EXPECT_EQ(sentence(told(named(record(RecordType::reader_served_again,
                                        {{"index", 0}, {"subscription", 2}, {"reader_uid", 1001}}),

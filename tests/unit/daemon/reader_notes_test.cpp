@@ -13,13 +13,14 @@ namespace {
 TEST(ReaderNotes, AUserHasSomeAtOnceAndThenOneInAnInterval) {
   ReaderNotes notes;
   std::uint64_t now = 1'000'000;
-  const auto taken = [&](std::uint32_t uid, int times) {
+  const auto taken = [&](std::uint32_t teller, int times, std::uint32_t reader = 2000) {
     std::uint64_t count = 0;
-    for (int i = 0; i < times; ++i) count += notes.take(uid, now);
+    for (int i = 0; i < times; ++i) count += notes.take(teller, reader, now);
     return count;
   };
   EXPECT_EQ(taken(1000, 500), ReaderNotes::at_once);
   EXPECT_EQ(taken(1001, 1), 1u) << "another's";
+  EXPECT_EQ(taken(1000, 1, 2001), 1u) << "about another's reader";
   now += ReaderNotes::interval_ms;
   EXPECT_EQ(taken(1000, 500), 1u);
   notes.forget_unused(now);
