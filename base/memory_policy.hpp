@@ -56,4 +56,4 @@ struct SharedMemory {
 
 /// Names the statement that follows it: the crash sweep may kill before it, the explorer may leave
 /// it out.
-#define AGNOCAST_STEP(name) if (M::step(Step::name))
+#define AGNOCAST_STEP(name) if (M::step(::agnocast::steps::name))

@@ -24,6 +24,7 @@
 //   free now   retire, free in a later pass    keep
 #pragma once
 
+#include <dataplane/steps.hpp>
 #include <region/views.hpp>
 
 #include <algorithm>
@@ -343,7 +344,7 @@ class PublisherCore {
       const Member& member = members_[i];
       if (abi::state_of(member.word) != abi::MemberState::active || member.bound == 0) continue;
       const std::uint64_t bound = std::min<std::uint64_t>(self_.qos.depth, member.bound);
-      if (M::holds(Step::K0_room, head_sequence_ + 2 > member.low + bound)) room = false;
+      if (M::holds(steps::K0_room, head_sequence_ + 2 > member.low + bound)) room = false;
     }
     return room;
   }
@@ -354,7 +355,7 @@ class PublisherCore {
     std::uint64_t epoch = epoch_seen_;
     // [sync:join] acquire; pairs with the daemon's seq_cst store at J3, behind the fence of P6.
     AGNOCAST_STEP(P7_epoch) epoch = self_.topic.epoch().load(std::memory_order_acquire);
-    if (M::holds(Step::P7_changed, epoch != epoch_seen_)) {
+    if (M::holds(steps::P7_changed, epoch != epoch_seen_)) {
       epoch_seen_ = epoch;
       // The own word before the members' words: once it says orphan no history is kept for late joiners, and whoever joined before that must
       // be seen by the same pass. [sync:join] acquire; pairs with D3_word, which the daemon stores after every earlier J3.
@@ -397,7 +398,7 @@ class PublisherCore {
       const abi::Qos qos =
           abi::unpack_qos(self_.topic.subscription(index, offsetof(abi::SubscriptionEntry, qos))
                               .load(std::memory_order_relaxed));
-      if (!M::holds(Step::P7_match, abi::qos_match(self_.qos, qos)))
+      if (!M::holds(steps::P7_match, abi::qos_match(self_.qos, qos)))
         word = abi::pack_member(abi::generation_of(word), abi::MemberState::free);
       AGNOCAST_STEP(P7_window) member.window = abi::window_of(qos);
       member.bound = qos.keep_all && qos.reliable ? qos.depth : 0;
@@ -451,7 +452,8 @@ class PublisherCore {
       // sleeper or its re-check sees the commit.
       AGNOCAST_STEP(P8_armed)
       armed = M::word(member.region, member.armed_offset).load(std::memory_order_relaxed);
-      if (!M::holds(Step::P8_asleep, (armed & 1) != 0 && armed != rung_[member.executor])) continue;
+      if (!M::holds(steps::P8_asleep, (armed & 1) != 0 && armed != rung_[member.executor]))
+        continue;
       AGNOCAST_STEP(P8_rung) rung_[member.executor] = armed;
       AGNOCAST_STEP(P8_ring) environment.ring(member.executor, armed);
     }
@@ -500,9 +502,9 @@ class PublisherCore {
         const region::LinkWords<M> link{member.region, member.extent, self_.index};
         // [sync:link] acquire; pairs with the seq_cst store at J6: the cursor read next is at least
         // the one it was linked with.
-        const bool linked =
-            M::holds(Step::P9_linked, link.publisher_generation().load(std::memory_order_acquire) ==
-                                          self_.generation);
+        const bool linked = M::holds(
+            steps::P9_linked,
+            link.publisher_generation().load(std::memory_order_acquire) == self_.generation);
         if (linked) {
           // [sync:direct-free] acquire, before the holds; pairs with T7: behind a passed cursor a
           // clear bit means released.
@@ -558,7 +560,7 @@ class PublisherCore {
       held[word] |= bits;
       any |= bits;
     }
-    if (M::holds(Step::E2_clear, any == 0))
+    if (M::holds(steps::E2_clear, any == 0))
       member.word = abi::pack_member(abi::generation_of(member.word), abi::MemberState::free);
   }
 
@@ -610,10 +612,10 @@ class PublisherCore {
       // By an earlier pass: this one marks a slot below, when it has decided about it. So the mark is
       // older than the fence at P6.
       const bool retired = test(retired_, slot);
-      if (!M::holds(Step::P10_needed, sequence < need) && !retired) return;
+      if (!M::holds(steps::P10_needed, sequence < need) && !retired) return;
       const bool untouchable =
-          M::holds(Step::P10_past, sequence < past) || M::holds(Step::P10_marked, retired);
-      if (untouchable && !M::holds(Step::P10_held, test(held, slot)) &&
+          M::holds(steps::P10_past, sequence < past) || M::holds(steps::P10_marked, retired);
+      if (untouchable && !M::holds(steps::P10_held, test(held, slot)) &&
           (sequence < unknown.from || sequence > unknown.to)) {
         AGNOCAST_STEP(P10_free) self_.words.slot_id(slot).store(0, std::memory_order_release);
         clear(allocated_, slot);

@@ -9,6 +9,7 @@
 // publisher wrote is input: loaded once, checked, and every loop is bounded by 2 × ring entries.
 #pragma once
 
+#include <dataplane/steps.hpp>
 #include <region/views.hpp>
 #include <region/windows.hpp>
 
@@ -57,7 +58,7 @@ class LinkCore {
     // [sync:join] seq_cst; behind J3 in the single total order, so a publisher that missed J3
     // looked at an earlier head.
     AGNOCAST_STEP(J6_head) head = self_.publisher.head().load(std::memory_order_seq_cst);
-    const bool history = M::holds(Step::J6_history,
+    const bool history = M::holds(steps::J6_history,
                                   self_.offered.transient_local && self_.requested.transient_local);
     const std::uint64_t back = history ? std::min(self_.offered.depth, self_.requested.depth) : 0;
     cursor_ = from_start
@@ -71,7 +72,7 @@ class LinkCore {
     const bool announced = abi::generation_of(word) == self_.generation &&
                            (abi::state_of(word) == abi::MemberState::active ||
                             abi::state_of(word) == abi::MemberState::orphan);
-    if (M::holds(Step::J6_check, announced)) return true;
+    if (M::holds(steps::J6_check, announced)) return true;
     unlink();
     return false;
   }
@@ -119,14 +120,14 @@ class LinkCore {
           wanted == newest_sequence ? head
                                     : self_.publisher.order(wanted).load(std::memory_order_acquire);
       const std::uint64_t slot = abi::slot_of(entry);
-      if (!M::holds(Step::T2_order, abi::sequence_of(entry) == wanted) ||
+      if (!M::holds(steps::T2_order, abi::sequence_of(entry) == wanted) ||
           slot >= M::slot_capacity) {
         if (abi::sequence_of(entry) < wanted || slot >= M::slot_capacity) ++malformed_;
         lose(1);
         continue;
       }
       // [sync:publish] acquire; pairs with P3. Only saves a pin on a message that is gone already.
-      if (!M::holds(Step::T3_live,
+      if (!M::holds(steps::T3_live,
                     self_.publisher.slot_id(slot).load(std::memory_order_acquire) == wanted)) {
         lose(1);
         continue;
@@ -145,12 +146,12 @@ class LinkCore {
       // [sync:hold] seq_cst, behind T4; pairs with E1 and the fence of a later pass: either this sees that
       // it is served no more, or that pass sees the hold. Ahead of the look at the slot: what was freed
       // before it was served again is gone there.
-      if (M::holds(Step::T5_withdrawn, is_withdrawn())) {
+      if (M::holds(steps::T5_withdrawn, is_withdrawn())) {
         undo();
         unusual_ |= is_withdrawn_here;
         break;
       }
-      if (!M::holds(Step::T5_valid,
+      if (!M::holds(steps::T5_valid,
                     self_.publisher.slot_id(slot).load(std::memory_order_seq_cst) == wanted)) {
         undo();
         lose(1);
@@ -162,7 +163,7 @@ class LinkCore {
       AGNOCAST_STEP(T6_frontier) windows.open();
       const region::Place place =
           has_right_shape(taken) ? windows.place_of(taken.address, taken.size) : region::Place::outside;
-      if (!M::holds(Step::T6_inside, place == region::Place::readable)) {
+      if (!M::holds(steps::T6_inside, place == region::Place::readable)) {
         release(slot);
         if (place == region::Place::awaited) {  // it stays unread until the announcement is here
           awaiting_ = 1;

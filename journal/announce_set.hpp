@@ -14,6 +14,7 @@
 
 #include <agnocast/abi/limits.hpp>
 #include <base/memory_policy.hpp>
+#include <journal/steps.hpp>
 
 #include <cstdint>
 
@@ -32,7 +33,7 @@ class AnnounceSet {
   }
   /// UNLINKED from a client. What speaks of another generation is late and means nothing.
   void let_go(std::uint64_t client, std::uint64_t generation) noexcept {
-    if (!M::holds(Step::R2_generation, generation == generation_)) return;
+    if (!M::holds(steps::R2_generation, generation == generation_)) return;
     AGNOCAST_STEP(R2_let_go) members_[client / 64] &= ~bit(client);
   }
   void died(std::uint64_t client) noexcept {
@@ -44,7 +45,7 @@ class AnnounceSet {
   bool reusable() const noexcept {
     std::uint64_t told = 0;
     for (std::uint64_t word : members_) told |= word;
-    return M::holds(Step::R4_reusable, told == 0);
+    return M::holds(steps::R4_reusable, told == 0);
   }
 
  private:
@@ -64,7 +65,7 @@ class AnnouncementBook {
   enum class Action : std::uint8_t { link, nothing, say_unlinked };
 
   Action on_announce(std::uint64_t generation) const noexcept {
-    if (M::holds(Step::R5_again, generation <= unlinked_)) return Action::say_unlinked;
+    if (M::holds(steps::R5_again, generation <= unlinked_)) return Action::say_unlinked;
     return generation == linked_ ? Action::nothing : Action::link;
   }
   void linked(std::uint64_t generation) noexcept { AGNOCAST_STEP(R6_link) linked_ = generation; }

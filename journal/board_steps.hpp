@@ -8,6 +8,7 @@
 // after a crash of the daemon: an extra epoch is harmless.
 #pragma once
 
+#include <journal/steps.hpp>
 #include <region/views.hpp>
 
 #include <algorithm>

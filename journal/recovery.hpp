@@ -12,6 +12,7 @@
 #pragma once
 
 #include <journal/cases.hpp>
+#include <journal/steps.hpp>
 #include <region/views.hpp>
 
 #include <cstdint>

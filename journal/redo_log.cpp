@@ -3,6 +3,7 @@
 #include <journal/redo_log.hpp>
 
 #include <base/clock.hpp>
+#include <journal/steps.hpp>
 
 #include <array>
 #include <cstring>

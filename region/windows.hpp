@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Frontiers: how far a heap window is in use. The owner stores a grown frontier before it commits a
-// message that lies beyond the old one; a taker loads the frontiers behind its hold and opens its
-// mapping up to them, so that every pointer inside the message is covered, not only the message
-// object. docs/protocol.md T6.
+// Frontiers: how far a heap window is in use. The owner stores a grown frontier, as
+// dataplane/frontier.hpp does, before it commits a message that lies beyond the old one; a taker
+// loads the frontiers behind its hold and opens its mapping up to them, so that every pointer inside
+// the message is covered, not only the message object. docs/protocol.md T6.
 //
 // Windows come in groups, and a message lies in windows of one group only: so a process that cannot
 // map one window knows which messages might point there. The owner begins a group by allocating from
@@ -30,17 +30,6 @@ decltype(auto) frontier_word(typename M::Region client_region, std::uint64_t win
   return M::word(client_region, offsetof(abi::ClientRegionHeader, window) +
                                     window * sizeof(abi::WindowEntry) +
                                     offsetof(abi::WindowEntry, frontier));
-}
-
-/// Owner. Called by whoever grows the heap, before any address beyond the old frontier is handed
-/// out.
-template <class M>
-void store_frontier(typename M::Region client_region, std::uint64_t window,
-                    std::uint64_t bytes) noexcept {
-  // [sync:frontier] release; the commit (P5) that follows publishes it, T1 acquires that, T6 reads
-  // it.
-  AGNOCAST_STEP(P0_frontier)
-  frontier_word<M>(client_region, window).store(bytes, std::memory_order_release);
 }
 
 /// Reader. What the owner claims, clamped to the window's length as the daemon announced it.

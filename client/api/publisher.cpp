@@ -3,10 +3,10 @@
 // The untyped half of Publisher: what its template calls.
 
 #include <agnocast/publisher.hpp>
-#include <base/step.hpp>
 #include <client/api/qos_words.hpp>
 #include <client/executors/runner.hpp>
 #include <client/process/forked_child.hpp>
+#include <client/process/steps.hpp>
 #include <client/session/context.hpp>
 
 #include <dlfcn.h>

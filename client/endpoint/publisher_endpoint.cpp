@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <base/clock.hpp>
-#include <base/step.hpp>
 #include <client/endpoint/publisher_endpoint.hpp>
 #include <client/endpoint/twice_owned.hpp>
 #include <client/process/forked_child.hpp>
+#include <client/process/steps.hpp>
 #include <client/process/user_code.hpp>
 
 #include <algorithm>

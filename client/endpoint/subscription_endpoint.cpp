@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <base/step.hpp>
 #include <client/endpoint/subscription_endpoint.hpp>
 #include <client/process/forked_child.hpp>
+#include <client/process/steps.hpp>
 
 #include <algorithm>
 #include <new>

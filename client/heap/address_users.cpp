@@ -2,8 +2,8 @@
 
 #include <base/immortal.hpp>
 #include <base/mapping.hpp>
-#include <base/step.hpp>
 #include <client/heap/address_users.hpp>
+#include <client/process/steps.hpp>
 
 #include <sys/stat.h>
 

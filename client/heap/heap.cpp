@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <base/mapping.hpp>
-#include <base/step.hpp>
 #include <base/text.hpp>
 #include <client/heap/address_users.hpp>
 #include <client/heap/heap.hpp>
+#include <client/process/steps.hpp>
+#include <dataplane/frontier.hpp>
 #include <region/windows.hpp>
 
 #include <agnocast/shared_allocator.hpp>
@@ -62,7 +63,7 @@ void store_grown(void* context, std::uint32_t window, std::uint64_t bytes) {
   heap.growths.fetch_add(1, std::memory_order_seq_cst);
   for (const auto& entry : heap.client_region) {
     std::byte* const region = entry.load(std::memory_order_seq_cst);
-    if (region != nullptr) region::store_frontier<SharedMemory>(region, window, bytes);
+    if (region != nullptr) dataplane::store_frontier<SharedMemory>(region, window, bytes);
   }
   heap.growths.fetch_add(1, std::memory_order_release);
   if (heap.grown != nullptr) heap.grown();

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <base/kept_fd.hpp>
-#include <base/step.hpp>
 #include <client/heap/address_users.hpp>
 #include <client/heap/peer_heap.hpp>
+#include <client/process/steps.hpp>
 #include <region/windows.hpp>
 
 #include <sys/mman.h>

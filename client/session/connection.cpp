@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <base/kept_fd.hpp>
-#include <base/step.hpp>
+#include <client/process/steps.hpp>
 #include <client/session/connection.hpp>
 
 #include <fcntl.h>

@@ -19,7 +19,7 @@
 #include <agnocast/abi/wire.hpp>
 #include <agnocast/result.hpp>
 #include <base/packet_socket.hpp>
-#include <base/step.hpp>
+#include <client/process/steps.hpp>
 
 #include <array>
 #include <chrono>

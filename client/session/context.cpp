@@ -5,10 +5,10 @@
 
 #include <client/session/context.hpp>
 
-#include <base/step.hpp>
 #include <base/text.hpp>
 #include <client/heap/heap_return.hpp>
 #include <client/process/forked_child.hpp>
+#include <client/process/steps.hpp>
 #include <client/session/reregistration.hpp>
 
 #include <algorithm>

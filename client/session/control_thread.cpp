@@ -8,7 +8,7 @@
 #include <client/session/reregistration.hpp>
 
 #include <base/kept_fd.hpp>
-#include <base/step.hpp>
+#include <client/process/steps.hpp>
 
 #include <poll.h>
 #include <sys/epoll.h>

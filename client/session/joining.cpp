@@ -15,11 +15,11 @@
 #include <base/mapping.hpp>
 #include <base/signals.hpp>
 #include <base/socket_path.hpp>
-#include <base/step.hpp>
 #include <base/text.hpp>
 #include <base/unix_address.hpp>
 #include <client/process/forked_child.hpp>
 #include <client/process/library_thread.hpp>
+#include <client/process/steps.hpp>
 #include <client/process/user_code.hpp>
 
 #include <pthread.h>

@@ -19,7 +19,7 @@
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/daemon_socket.hpp>
 #include <base/kept_fd.hpp>
-#include <base/step.hpp>
+#include <client/process/steps.hpp>
 
 #include <sys/epoll.h>
 

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <base/immortal.hpp>
-#include <base/step.hpp>
 #include <client/process/forked_child.hpp>
 #include <client/process/library_thread.hpp>
+#include <client/process/steps.hpp>
 #include <client/process/user_code.hpp>
 #include <client/session/reregistration.hpp>
 

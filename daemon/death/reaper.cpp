@@ -4,7 +4,7 @@
 
 #include <base/check.hpp>
 #include <base/clock.hpp>
-#include <base/step.hpp>
+#include <daemon/state/steps.hpp>
 #include <journal/recovery.hpp>
 
 #include <sys/sysmacros.h>

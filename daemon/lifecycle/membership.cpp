@@ -4,8 +4,8 @@
 // and how they hear of it: membership_announce.cpp; what is over then: membership_end.cpp.
 
 #include <base/check.hpp>
-#include <base/step.hpp>
 #include <daemon/lifecycle/membership_parts.hpp>
+#include <daemon/state/steps.hpp>
 #include <journal/cases.hpp>
 
 namespace agnocast::daemon {

@@ -4,8 +4,8 @@
 // and its process may be used again (rule RU). Called by those who leave, by the reaper, and once by a
 // daemon that goes on.
 
-#include <base/step.hpp>
 #include <daemon/lifecycle/membership_parts.hpp>
+#include <daemon/state/steps.hpp>
 
 #include <algorithm>
 #include <functional>

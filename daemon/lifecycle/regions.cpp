@@ -7,7 +7,7 @@
 #include <base/map_count.hpp>
 #include <base/memfd.hpp>
 #include <base/populate.hpp>
-#include <base/step.hpp>
+#include <daemon/state/steps.hpp>
 #include <daemon/transport/requests.hpp>
 
 #include <fcntl.h>

@@ -11,8 +11,8 @@
 #include <base/check.hpp>
 #include <base/clock.hpp>
 #include <base/names.hpp>
-#include <base/step.hpp>
 #include <daemon/state/memory_reserve.hpp>
+#include <daemon/state/steps.hpp>
 #include <journal/cases.hpp>
 
 #include <fcntl.h>

@@ -7,7 +7,7 @@
 #include <daemon/state/registry_counters.hpp>
 
 #include <base/check.hpp>
-#include <base/step.hpp>
+#include <daemon/state/steps.hpp>
 
 #include <algorithm>
 #include <bit>

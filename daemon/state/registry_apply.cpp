@@ -5,10 +5,11 @@
 // repeated: it stores what the record says, and never adds to what it finds.
 
 #include <base/check.hpp>
-#include <base/step.hpp>
 #include <daemon/state/memory_reserve.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/state/registry_counters.hpp>
+#include <daemon/state/steps.hpp>
+#include <journal/steps.hpp>
 
 #include <sys/mman.h>
 #include <unistd.h>

@@ -11,7 +11,8 @@
 #include <agnocast/abi/board.hpp>
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/check.hpp>
-#include <base/step.hpp>
+#include <daemon/state/steps.hpp>
+#include <journal/steps.hpp>
 
 #include <cinttypes>
 #include <cstdio>

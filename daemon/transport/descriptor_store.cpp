@@ -2,7 +2,7 @@
 
 #include <daemon/transport/descriptor_store.hpp>
 
-#include <base/step.hpp>
+#include <daemon/state/steps.hpp>
 
 #include <fcntl.h>
 #include <poll.h>

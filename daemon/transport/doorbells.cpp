@@ -3,7 +3,7 @@
 #include <daemon/transport/doorbells.hpp>
 
 #include <base/packet_socket.hpp>
-#include <base/step.hpp>
+#include <daemon/state/steps.hpp>
 
 #include <dirent.h>
 #include <fcntl.h>

@@ -8,6 +8,7 @@
 //   recovery    decides by its table and touches only the slot and the ring entry that it may
 //   verify      ends with an answer
 
+#include <dataplane/frontier.hpp>
 #include <dataplane/publisher_core.hpp>
 #include <dataplane/subscription_core.hpp>
 #include <journal/board_steps.hpp>
@@ -205,7 +206,7 @@ void publish_to_a_liar(FuzzedDataProvider& input) {
   const region::TopicWords<M> topic{board.base(), abi::topic_offset(0)};
   const region::PublisherWords<M> words{queue.base(), extent};
   words.head().store(abi::pack_entry(first, 0));
-  region::store_frontier<M>(queue.base(), 0, window_bytes);
+  dataplane::store_frontier<M>(queue.base(), 0, window_bytes);
   journal::BoardSteps<M> steps(topic);
   steps.add_publisher(0, generation, {offered, 0, extent, slots, first});
   auto publisher = std::make_unique<PublisherCore<M>>(

@@ -6,9 +6,9 @@
 // with SIGKILL at its n-th crash point, for n = 1, 2, 3 … until it survives; every run uses the
 // places of the run before.
 
-#include <journal/crash_point.hpp>
 #include <journal/verify.hpp>
 #include <tests/recovery/stage.hpp>
+#include <tests/support/crash_point.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/wire_node.hpp>
 

@@ -4,6 +4,7 @@
 // going on. Method: as daemon_restart_test.cpp, with a daemon that dies at the n-th crash point, for
 // n = 1, 2, 3 … until it survives.
 
+#include <daemon/state/steps.hpp>
 #include <tests/integration/daemon_restart.hpp>
 #include <tests/support/child.hpp>
 #include <tests/support/crash_control.hpp>
@@ -188,10 +189,10 @@ TEST(DaemonRestart, ASleeperIsRungByTheNextDaemonIfTheFormerOneDiedBeforeItsRing
   pollfd rung{datagram, POLLIN, 0};
   ASSERT_EQ(::poll(&rung, 1, 0), 0) << "it sleeps";
   const pid_t former = daemon.pid();
-  control.arm_at(Step::B_ring);
+  control.arm_at(steps::B_ring);
   publisher.end();
   ASSERT_TRUE(daemon.wait_for_next(former)) << daemon.log();
-  ASSERT_TRUE(control.died_at(Step::B_ring));
+  ASSERT_TRUE(control.died_at(steps::B_ring));
   EXPECT_EQ(::poll(&rung, 1, 10'000), 1) << "nobody rings\n" << daemon.log();
 }
 

@@ -16,7 +16,7 @@
 // of its buffer: exactly what a SIGKILL between two instructions leaves.
 #pragma once
 
-#include <base/step.hpp>
+#include <tests/support/step_names.hpp>
 
 #include <setjmp.h>
 
@@ -49,7 +49,7 @@ struct Thread {
 /// One change to the shipped statements, to see whether the explorer notices.
 struct Mutation {
   enum class Kind : std::uint8_t { none, leave_out, force_true, force_false };
-  Step step = Step::count;
+  Step step = no_step;
   Kind kind = Kind::none;
 };
 
@@ -58,7 +58,7 @@ struct Access {
   const char* what = "";
   std::uint64_t word = 0;
   std::uint64_t value = 0;
-  Step step = Step::count;
+  Step step = no_step;
 };
 
 struct Machine {
@@ -82,10 +82,10 @@ struct Machine {
   Mutation mutation;
   // Findings.
   const char* violation = nullptr;
-  Step last_step = Step::count;
+  Step last_step = no_step;
   Access access;
-  std::array<bool, static_cast<std::size_t>(Step::count)> statements{};
-  std::array<bool, static_cast<std::size_t>(Step::count)> decisions{};
+  std::array<bool, step_bound> statements{};
+  std::array<bool, step_bound> decisions{};
 
   void begin(std::uint64_t* world_memory, Thread* world_thread, std::uint64_t taken_choice) {
     memory = world_memory;
@@ -219,7 +219,7 @@ struct Machine {
     if (replayed(value)) return value;
     scheduling_point();
     choice_count = count;
-    access = {"choose", 0, choice, Step::count};
+    access = {"choose", 0, choice, no_step};
     append(choice);
     return choice;
   }
@@ -230,6 +230,9 @@ struct Machine {
     append(now);
     return now;
   }
+
+  bool has_stated(Step name) const { return statements[static_cast<std::size_t>(name)]; }
+  bool has_decided(Step name) const { return decisions[static_cast<std::size_t>(name)]; }
 
   bool step(Step name) {
     last_step = name;

@@ -30,18 +30,18 @@ struct Equivalent {
 // Survivors, each with the reason. A mutant listed here that is noticed after all fails the test as
 // well: then the list is out of date.
 const Equivalent equivalent[] = {
-    {{Step::P7_changed, Mutation::Kind::force_true}, "reads the same words again"},
-    {{Step::P7_seen, Mutation::Kind::leave_out},
+    {{steps::P7_changed, Mutation::Kind::force_true}, "reads the same words again"},
+    {{steps::P7_seen, Mutation::Kind::leave_out},
      "since is too low: keeps more until the member links, loses nothing"},
-    {{Step::P9_linked, Mutation::Kind::force_true},
+    {{steps::P9_linked, Mutation::Kind::force_true},
      "a line that is not linked is zero: it counts as having read nothing"},
-    {{Step::P10_past, Mutation::Kind::force_false},
+    {{steps::P10_past, Mutation::Kind::force_false},
      "no direct free: marked now, freed by a later pass"},
-    {{Step::T2_order, Mutation::Kind::force_true}, "T3 and T5 compare the slot's own sequence"},
-    {{Step::T3_live, Mutation::Kind::force_true}, "saves a pin only; T5 decides"},
-    {{Step::J6_check, Mutation::Kind::force_true}, "rule RU guarantees it already"},
-    {{Step::E2_clear, Mutation::Kind::force_false}, "looked at for ever: costs a look"},
-    {{Step::S5_disarm, Mutation::Kind::leave_out},
+    {{steps::T2_order, Mutation::Kind::force_true}, "T3 and T5 compare the slot's own sequence"},
+    {{steps::T3_live, Mutation::Kind::force_true}, "saves a pin only; T5 decides"},
+    {{steps::J6_check, Mutation::Kind::force_true}, "rule RU guarantees it already"},
+    {{steps::E2_clear, Mutation::Kind::force_false}, "looked at for ever: costs a look"},
+    {{steps::S5_disarm, Mutation::Kind::leave_out},
      "somebody awake is rung once per generation: costs a system call"},
 };
 
@@ -79,10 +79,10 @@ std::vector<Mutation> learn_mutants() {
     explorer.explore(scenario.start());
   }
   std::vector<Mutation> mutants;
-  for (std::size_t i = 0; i < machine.statements.size(); ++i) {
-    const Step step = static_cast<Step>(i);
-    if (machine.statements[i]) mutants.push_back({step, Mutation::Kind::leave_out});
-    if (machine.decisions[i]) {
+  for (const NamedStep& named : all_steps) {
+    const Step step = named.step;
+    if (machine.has_stated(step)) mutants.push_back({step, Mutation::Kind::leave_out});
+    if (machine.has_decided(step)) {
       mutants.push_back({step, Mutation::Kind::force_true});
       mutants.push_back({step, Mutation::Kind::force_false});
     }
@@ -101,16 +101,16 @@ TEST(ModelMutants, EveryStatementFenceAndDecisionOfTheProtocolIsNeeded) {
   const std::vector<Mutation> mutants = learn_mutants();
   ReuseScenario reuse({.name = "rule RU"});  // its mutants are in reuse_model_test.cpp
   Explorer<ReuseScenario>(reuse, 1'000'000).explore(reuse.start());
-  for (std::size_t i = 0; i < machine.statements.size(); ++i) {
-    const Step step = static_cast<Step>(i);
-    const char kind = name_of(step)[0];
+  for (const NamedStep& named : all_steps) {
+    const Step step = named.step;
+    const char kind = named.name[0];
     // The redo log and the control plane: the crash sweeps kill at each.
     if (kind == 'W' || kind == 'B' || kind == 'C') continue;
     const bool reached =
-        kind == 'R' ? machine.statements[i] || machine.decisions[i]
+        kind == 'R' ? machine.has_stated(step) || machine.has_decided(step)
                     : std::any_of(mutants.begin(), mutants.end(),
                                   [&](const Mutation& mutant) { return mutant.step == step; });
-    EXPECT_TRUE(reached) << name_of(step) << " is never reached";
+    EXPECT_TRUE(reached) << named.name << " is never reached";
   }
   // Plans that have noticed one notice the next: they come first.
   std::vector<const QueuePlan*> plans;

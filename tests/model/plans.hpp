@@ -377,10 +377,10 @@ inline constexpr FaultyPlan faulty_plans[] = {
      .fault = QueueFault::links_without_waking},
     {.name = "one executor is not rung",
      .plan = one_executor_for_linked,
-     .mutation = {Step::P8_ring, Mutation::Kind::leave_out}},
+     .mutation = {steps::P8_ring, Mutation::Kind::leave_out}},
     {.name = "one executor is rung for each subscription",
      .plan = one_executor_for_linked,
-     .mutation = {Step::P8_rung, Mutation::Kind::leave_out},
+     .mutation = {steps::P8_rung, Mutation::Kind::leave_out},
      .violation = "one sleep was rung twice"},
 };
 

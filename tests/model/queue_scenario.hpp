@@ -12,12 +12,14 @@
 // beside a message, nothing is leaked, nobody is stuck, recovery left a consistent queue.
 #pragma once
 
+#include <dataplane/frontier.hpp>
 #include <dataplane/publisher_core.hpp>
 #include <dataplane/subscription_core.hpp>
 #include <journal/board_steps.hpp>
 #include <journal/recovery.hpp>
 #include <region/windows.hpp>
 #include <tests/model/explorer.hpp>
+#include <tests/model/steps.hpp>
 
 #include <algorithm>
 #include <cstdint>
@@ -842,7 +844,7 @@ class QueueScenario {
     const std::uint64_t number = own.published + 1;
     const std::uint64_t frontier =
         plan_.grow_before != 0 && number >= plan_.grow_before ? 2 * page : page;
-    if (number == plan_.grow_before) region::store_frontier<MM>({publisher_region}, 0, frontier);
+    if (number == plan_.grow_before) dataplane::store_frontier<MM>({publisher_region}, 0, frontier);
     if (number == plan_.second_window_from) {
       if (machine.remember(state.second_window) != 2) {
         // The hook cannot allocate there before it has the window.
@@ -851,7 +853,7 @@ class QueueScenario {
         thread.pc = await_window;
         return;
       }
-      region::store_frontier<MM>({publisher_region}, 1, frontier);
+      dataplane::store_frontier<MM>({publisher_region}, 1, frontier);
     }
     if (machine.live) state.need_open[number] = frontier;
     const std::uint64_t cursor_before = machine.remember(lowest_keep_all_cursor(world));
@@ -1008,7 +1010,7 @@ class QueueScenario {
         if (own.link.drained()) {
           own.sleep.disarm();
           thread.pc = drain_holds;
-        } else if (M_holds(Step::S3_news, own.link.has_news()) && !awaits_window(world, s, own)) {
+        } else if (M_holds(steps::S3_news, own.link.has_news()) && !awaits_window(world, s, own)) {
           own.sleep.disarm();
           thread.pc = take;
         } else {
@@ -1088,7 +1090,7 @@ class QueueScenario {
         own(0).sleep.arm();
         bool news = plan_.fault != QueueFault::looks_at_last_link && own(0).link.has_news();
         if (!news && second()) news = own(1).link.has_news();
-        news = M_holds(Step::S3_news, news);
+        news = M_holds(steps::S3_news, news);
         if (news) own(0).sleep.disarm();
         thread.pc = news ? take : blocked;
         break;
@@ -1369,7 +1371,7 @@ class QueueScenario {
           default:
             state.publisher_dead = 3;
             for (std::uint32_t s = 0; s < 2; ++s) {
-              if (MM::step(Step::D3_ring)) state.bell[s] = 1;
+              if (MM::step(steps::D3_ring)) state.bell[s] = 1;
               state.announced[s] = 0;
             }
             state.kick = 0;

@@ -72,15 +72,17 @@ using Kind = Mutation::Kind;
 INSTANTIATE_TEST_SUITE_P(
     Each, ReuseMutants,
     testing::Values(
-        Mutation{Step::R1_tell, Kind::leave_out}, Mutation{Step::R2_let_go, Kind::leave_out},
-        Mutation{Step::R2_generation, Kind::force_true},
-        Mutation{Step::R2_generation, Kind::force_false}, Mutation{Step::R3_died, Kind::leave_out},
-        Mutation{Step::R4_reusable, Kind::force_true},
-        Mutation{Step::R4_reusable, Kind::force_false}, Mutation{Step::R5_again, Kind::force_true},
-        Mutation{Step::R5_again, Kind::force_false}, Mutation{Step::R6_link, Kind::leave_out},
-        Mutation{Step::R7_unlinked, Kind::leave_out}, Mutation{Step::R8_again, Kind::leave_out},
-        Mutation{Step::J6_generation, Kind::leave_out}, Mutation{Step::L1_release, Kind::leave_out},
-        Mutation{Step::U1_generation, Kind::leave_out}, Mutation{Step::U2_cursor, Kind::leave_out}),
+        Mutation{steps::R1_tell, Kind::leave_out}, Mutation{steps::R2_let_go, Kind::leave_out},
+        Mutation{steps::R2_generation, Kind::force_true},
+        Mutation{steps::R2_generation, Kind::force_false},
+        Mutation{steps::R3_died, Kind::leave_out}, Mutation{steps::R4_reusable, Kind::force_true},
+        Mutation{steps::R4_reusable, Kind::force_false},
+        Mutation{steps::R5_again, Kind::force_true}, Mutation{steps::R5_again, Kind::force_false},
+        Mutation{steps::R6_link, Kind::leave_out}, Mutation{steps::R7_unlinked, Kind::leave_out},
+        Mutation{steps::R8_again, Kind::leave_out}, Mutation{steps::J6_generation, Kind::leave_out},
+        Mutation{steps::L1_release, Kind::leave_out},
+        Mutation{steps::U1_generation, Kind::leave_out},
+        Mutation{steps::U2_cursor, Kind::leave_out}),
     [](const auto& mutant) {
       return std::string(name_of(mutant.param.step)) + "_" +
              std::to_string(static_cast<int>(mutant.param.kind));

@@ -16,6 +16,7 @@
 #include <dataplane/subscription_core.hpp>
 #include <journal/announce_set.hpp>
 #include <tests/model/explorer.hpp>
+#include <tests/model/steps.hpp>
 
 #include <cstdint>
 
@@ -406,7 +407,7 @@ class ReuseScenario {
     state.known_life = state.life;
     // (c) the daemon sends every member its announcement again; a newcomer is told by the task
     // `announce`.
-    if (state.set.contains(state.life) && machine.step(Step::R8_again))
+    if (state.set.contains(state.life) && machine.step(steps::R8_again))
       state.to_subscriber.push(state.set.generation());
     world.threads[subscriber].pc = serving;
   }

@@ -7,8 +7,8 @@
 
 #include <base/mapping.hpp>
 #include <base/memfd.hpp>
-#include <journal/crash_point.hpp>
 #include <journal/redo_log.hpp>
+#include <tests/support/crash_point.hpp>
 
 #include <gtest/gtest.h>
 #include <sys/wait.h>
@@ -32,12 +32,12 @@ abi::SharedWord& cell(std::byte* region, std::uint64_t index) {
 
 /// Two stores, so that a death can fall between them; made twice it is the same.
 void apply(std::byte* region, const Record& record) {
-  crash_point(Step::count);
+  crash_point(no_step);
   cell(region, record.argument[0]).store(record.argument[1], std::memory_order_release);
-  crash_point(Step::count);
+  crash_point(no_step);
   cell(region, (record.argument[0] + 1) % cell_count)
       .store(~record.argument[1], std::memory_order_release);
-  crash_point(Step::count);
+  crash_point(no_step);
 }
 
 Record change(std::uint64_t number) {

@@ -9,13 +9,13 @@
 #pragma once
 
 #include <client/heap/peer_heap.hpp>
+#include <dataplane/frontier.hpp>
 #include <dataplane/publisher_core.hpp>
 #include <dataplane/subscription_core.hpp>
 #include <journal/board_steps.hpp>
-#include <journal/crash_point.hpp>
 #include <journal/recovery.hpp>
 #include <journal/verify.hpp>
-#include <region/windows.hpp>
+#include <tests/support/crash_point.hpp>
 
 #include <base/mapping.hpp>
 #include <base/memfd.hpp>
@@ -226,7 +226,7 @@ class PublisherSide {
     for (std::uint64_t offset = frontier_; offset < bytes; offset += message_bytes)
       blocks_.push_back(stage_.heap_base() + offset);
     frontier_ = bytes;
-    region::store_frontier<M>(stage_.publisher_region(), 0, frontier_);
+    dataplane::store_frontier<M>(stage_.publisher_region(), 0, frontier_);
   }
   std::uint64_t allocate() {
     if (blocks_.empty()) std::abort();

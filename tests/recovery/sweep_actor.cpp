@@ -23,8 +23,8 @@
 //   quit                                ends like a program that returns from main
 
 #include <base/packet_socket.hpp>
-#include <journal/crash_point.hpp>
 #include <tests/recovery/sweep_parcel.hpp>
+#include <tests/support/crash_point.hpp>
 
 #include <fcntl.h>
 #include <grp.h>

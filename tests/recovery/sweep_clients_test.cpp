@@ -158,8 +158,8 @@ TEST(ClientSweep, AProcessKilledAtAnyPointDisturbsNobodyAndLeavesNothing) {
               std::uintmax_t{losses.points}, std::uintmax_t{losses.deaths},
               runs_everything() ? "" : " (a sample; AGNOCAST_SWEEP=all: every point)");
   std::set<Step> left;
-  for (std::uint16_t s = 0; s < static_cast<std::uint16_t>(Step::count); ++s) {
-    if (name_of(Step{s})[0] == 'C' && sum.died_at.count(Step{s}) == 0) left.insert(Step{s});
+  for (const NamedStep& named : client_steps) {
+    if (sum.died_at.count(named.step) == 0) left.insert(named.step);
   }
   std::printf("fewest deaths at:%s\n", rarest_of(sum.died_at).c_str());
   if (stride == 1 && only == 0 && sum.violations.empty()) sweep_names(left, sum);

@@ -7,7 +7,8 @@
 
 #include <daemon/death/reaper.hpp>
 #include <daemon/lifecycle/membership.hpp>
-#include <journal/crash_point.hpp>
+#include <daemon/state/steps.hpp>
+#include <tests/support/crash_point.hpp>
 
 #include <cstdint>
 #include <iterator>
@@ -239,10 +240,10 @@ class Core final : private Post {
   void send(ClientIndex client, Outgoing packet) override {
     Session* const session = session_of(client);
     if (session == nullptr) return;
-    crash_point(Step::B_send);
+    crash_point(steps::B_send);
     session->push(std::move(packet));
     session->drop_output();
-    crash_point(Step::B_sent);
+    crash_point(steps::B_sent);
   }
 
   Regions& regions_;

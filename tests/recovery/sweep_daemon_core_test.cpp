@@ -13,6 +13,7 @@
 // it opens its tables, and every 31st or so of the others.
 
 #include <tests/recovery/sweep_daemon_core.hpp>
+#include <tests/support/step_names.hpp>
 #include <tests/support/temporary_directory.hpp>
 
 #include <gtest/gtest.h>
@@ -147,7 +148,7 @@ class CoreSweep : public testing::Test {
 
   struct Death {
     bool died = false;
-    Step step = Step::count;
+    Step step = no_step;
     std::uint64_t progress = 0;  // operations that were over
   };
   /// `body` in a child that dies at its n-th crash point.
@@ -194,7 +195,7 @@ class CoreSweep : public testing::Test {
       KeptMemory memory;
       const Death death = first_life(memory, n);
       if (!death.died) return found;
-      if (death.step == Step::D3_slot) found.insert(death.progress);
+      if (death.step == steps::D3_slot) found.insert(death.progress);
     }
   }
   /// Resumes and repeats the operation; the progress is 1 when the tables are open.
@@ -271,7 +272,7 @@ TEST_F(CoreSweep, ADaemonKilledAtAnyStoreIsFollowedByOneThatGoesOn) {
       if (!is_new)
         expect_equal(core.state(Core::Generations::exact), known->second.first,
                      "record " + std::to_string(lsn) + " and " + known->second.second);
-      if (first.step == Step::W1_record) untouched.insert(lsn);
+      if (first.step == steps::W1_record) untouched.insert(lsn);
     }
     complete(memory, true);
     for (std::uint64_t m = 1; with_pairs && violations < 5;) {

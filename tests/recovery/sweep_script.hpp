@@ -20,6 +20,7 @@
 #pragma once
 
 #include <tests/recovery/sweep_stage.hpp>
+#include <tests/support/step_names.hpp>
 
 #include <algorithm>
 #include <cstdint>
@@ -151,7 +152,7 @@ class Performance {
   /// V dies at its n-th point, and the daemon at the m-th point of its reap; 0: it lives, and the points
   /// are counted.
   Ended perform_pair(std::uint64_t n, std::uint64_t m) {
-    stage_.daemon_control().arm_between(Step::B_reap, Step::B_reaped, m);
+    stage_.daemon_control().arm_between(steps::B_reap, steps::B_reaped, m);
     return perform_both(n);
   }
   /// V dies when it comes to this step for the first time, and the daemon as above.
@@ -332,7 +333,7 @@ class Performance {
     stage_.end_daemon();
     // One that dies before it ever served takes its supervisor along: from the first connection on.
     if (daemon_deadly_)
-      stage_.daemon_control().arm_from(Step::B_accepted, daemon_deadly_->first,
+      stage_.daemon_control().arm_from(steps::B_accepted, daemon_deadly_->first,
                                        daemon_deadly_->second);
     stage_.begin_daemon();
   }

@@ -11,7 +11,7 @@
 #include <base/pidfd.hpp>
 #include <ctl/snapshot/audit.hpp>
 #include <ctl/snapshot/system.hpp>
-#include <journal/crash_point.hpp>
+#include <tests/support/crash_point.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/listen_at.hpp>
 #include <tests/support/steered_process.hpp>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // CrashControl: what an agnocastd_crash that is started meanwhile looks at, each of its daemons in
-// turn; see journal/crash_point.hpp, which the test itself is built without.
+// turn; see tests/support/crash_point.hpp, which the test itself is built without.
 #pragma once
 
 #include <agnocast/abi/limits.hpp>

@@ -12,10 +12,10 @@
 #include <base/doorbell.hpp>
 #include <base/memfd.hpp>
 #include <client/heap/peer_heap.hpp>
+#include <dataplane/frontier.hpp>
 #include <dataplane/publisher_core.hpp>
 #include <dataplane/subscription_core.hpp>
 #include <journal/verify.hpp>
-#include <region/windows.hpp>
 #include <tests/support/wire_client.hpp>
 
 #include <sys/mman.h>
@@ -85,7 +85,7 @@ class WireNode {
     ::madvise(heap_, window_.bytes, MADV_DONTFORK);  // a child of ours may be a client itself
     for (std::uint64_t at = 0; at < heap_used_bytes; at += message_bytes)
       blocks_.push_back(window_.base + at);
-    region::store_frontier<M>(region_.base(), 0, heap_used_bytes);
+    dataplane::store_frontier<M>(region_.base(), 0, heap_used_bytes);
     const Incoming created = wire_.create_publisher(topic_name, qos);
     if (created.opcode() != wire::Opcode::endpoint_created) return false;
     publisher_ = created.as<wire::EndpointCreated>();

@@ -18,6 +18,7 @@
 #include <base/unique_fd.hpp>
 #include <tests/support/ctl.hpp>
 #include <tests/support/daemon_process.hpp>
+#include <tests/support/step_names.hpp>
 #include <tests/system/random.hpp>
 #include <tests/system/soak_client.hpp>
 
@@ -64,7 +65,7 @@ double option(std::string_view name, const char* variable, double otherwise) {
 struct Deaths {
   std::uint64_t all = 0, publishers = 0, subscribers = 0, unjoined = 0, at_points = 0;
   std::uint64_t stops = 0, left = 0;
-  std::bitset<static_cast<std::size_t>(Step::count)> steps;
+  std::bitset<step_bound> steps;
 };
 
 /// Keeps the places filled, and kills.

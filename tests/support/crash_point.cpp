@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <journal/crash_point.hpp>
+#include <dataplane/steps.hpp>
+#include <tests/support/crash_point.hpp>
 
 #ifdef AGNOCAST_CRASH_POINTS
 
@@ -52,8 +53,8 @@ void jitter(Control& told, Step step, std::uint64_t seed, std::uint64_t n) noexc
 }
 
 void count_commit(Control& told, Step step) noexcept {
-  thread_local Step before = Step::count;
-  if (before == Step::P5_head && ::gettid() == ::getpid())
+  thread_local Step before = no_step;
+  if (before == steps::P5_head && ::gettid() == ::getpid())
     told.commits.fetch_add(1, std::memory_order_relaxed);
   before = step;
 }

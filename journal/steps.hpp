@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Steps of the daemon's changes to the board (J3, D2, D3) and of its redo log (W); steps of rule RU,
+// on both sides (R). What a step is: base/step.hpp.
+#pragma once
+
+#include <base/step.hpp>
+
+#define AGNOCAST_JOURNAL_STEPS(X)                                \
+  /* the daemon's board */                                       \
+  X(J3_descriptor, "board: descriptor of a new member")          \
+  X(J3_word, "board: word of a new member")                      \
+  X(J3_epoch, "board: epoch after a new member")                 \
+  X(D2_word, "board: state of a subscription")                   \
+  X(D2_epoch, "board: epoch after it")                           \
+  X(D3_slot, "roll back: slot")                                  \
+  X(D3_order, "roll back: order ring entry")                     \
+  X(D3_intent, "recovered: intent idle")                         \
+  X(D3_final_head, "board: final head")                          \
+  X(D3_word, "board: publisher orphaned")                        \
+  X(D3_epoch, "board: epoch after it")                           \
+  /* the daemon's redo log */                                    \
+  X(W1_record, "redo log: the record")                           \
+  X(W2_committed, "redo log: committed")                         \
+  X(W3_applied, "redo log: applied")                             \
+  /* rule RU: who was told about a generation */                 \
+  X(R1_tell, "journal: told, before the announcement is sent")   \
+  X(R2_let_go, "journal: has let go")                            \
+  X(R2_generation, "does the message speak of this generation?") \
+  X(R3_died, "journal: died")                                    \
+  X(R4_reusable, "has everybody let go?")                        \
+  X(R5_again, "was this generation unlinked before?")            \
+  X(R6_link, "client: the generation is linked")                 \
+  X(R7_unlinked, "client: the generation is unlinked")           \
+  /* inside a journaled change */                                \
+  X(B_board_field, "board: the next word that is not its own step")
+
+AGNOCAST_STEPS(journal, 128, AGNOCAST_JOURNAL_STEPS)

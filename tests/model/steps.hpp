@@ -1,0 +1,14 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Steps that only the explorer has: statements and decisions of what it models around the shipped
+// templates (queue_scenario.hpp, reuse_scenario.hpp). What a step is: base/step.hpp.
+#pragma once
+
+#include <base/step.hpp>
+
+#define AGNOCAST_MODEL_STEPS(X)                         \
+  X(S3_news, "has something been published meanwhile?") \
+  X(D3_ring, "ring every subscription of the topic")    \
+  X(R8_again, "announce again to every member after a reconnect")
+
+AGNOCAST_STEPS(model, 768, AGNOCAST_MODEL_STEPS)
