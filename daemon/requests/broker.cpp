@@ -74,11 +74,13 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
                                     options.config.limits.subscriptions_per_topic,
                                     options.config.limits.slots_per_publisher,
                                     options.config.limits.depth_max}),
+      access_(options_.config.access, registry_, log),
       plan_(options.arena, options.former_count),
       obstacles_(options.arena),
       doorbells_(listener.bells_directory(), store,
                  [&disposal](std::uint32_t uid, UniqueFd fd) { disposal.close(uid, std::move(fd)); }),
       membership_(registry_, regions_, doorbells_, *this),
+      admission_(options_.config, options_.arena, plan_, registry_, membership_, store, access_),
       hold_watch_(registry_, regions_),
       let_go_watch_(registry_, regions_, membership_, *this),
       by_client_(abi::client_count_max, nullptr),
@@ -207,7 +209,7 @@ void Broker::accept(PacketSocket socket) {
   const bool only_observes = used.clients >= options_.config.quota.clients + used.detached;
   if (only_observes && used.observers >= abi::observer_count_max) {
     ++registry_.counters().connections_refused;
-    send_refused(socket, Errc::quota_exceeded, clients_text());
+    send_refused(socket, Errc::quota_exceeded, admission_.clients_text());
     log_.write_limited("connections uid=" + std::to_string(uid), LogLevel::warning,
                        "connection refused",
                        {{"pid", identity->pid},

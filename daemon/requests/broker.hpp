@@ -19,13 +19,14 @@
 #pragma once
 
 #include <base/log.hpp>
-#include <daemon/config/access.hpp>
 #include <daemon/config/config.hpp>
 #include <daemon/death/hold_watch.hpp>
 #include <daemon/death/let_go_watch.hpp>
 #include <daemon/death/reaper.hpp>
 #include <daemon/lifecycle/membership.hpp>
 #include <daemon/lifecycle/regions.hpp>
+#include <daemon/requests/access_control.hpp>
+#include <daemon/requests/admission.hpp>
 #include <daemon/requests/dump.hpp>
 #include <daemon/state/address_plan.hpp>
 #include <daemon/state/obstacles.hpp>
@@ -213,8 +214,6 @@ class Broker final : private Post {
   [[nodiscard]] Result<void> rejoin(Peer& peer, const wire::Rejoin& request);
   [[nodiscard]] Result<Peer*> lost_peer(const Peer& peer, const wire::Rejoin& request);
   [[nodiscard]] Result<void> open_window(Peer& peer, const wire::WindowRequest& request);
-  [[nodiscard]] Result<void> room_for_brought(const ClientRecord& record, std::uint64_t bytes);
-  [[nodiscard]] Result<void> check_window(std::uint32_t uid, std::uint64_t bytes);
   [[nodiscard]] Result<void> bring_window(Peer& peer, const wire::BringWindow& request,
                                           const UniqueFd& window);
   /// A window comes with a descriptor, which is received elsewhere.
@@ -226,25 +225,11 @@ class Broker final : private Post {
   [[nodiscard]] Result<void> open_executor(Peer& peer, const ExecutorRequest& request);
   void renew_bells(Peer& peer);
   [[nodiscard]] Result<void> admit_executor(ClientIndex client, const ExecutorRequest& request);
-  [[nodiscard]] Result<void> check_topics(const ClientRecord& record, std::string_view topic);
-  [[nodiscard]] Result<void> check_places(const ClientRecord& record, const CreateRequest& request);
-  [[nodiscard]] Result<void> check_hold_quota(const ClientRecord& record,
-                                              const CreateRequest& request);
   [[nodiscard]] Result<void> create(Peer& peer, const CreateRequest& request);
   /// True: memory for the endpoint is prepared first; the request waits for that.
   [[nodiscard]] Result<bool> clear_before(Peer& peer, const CreateRequest& request);
   /// Refuses creations whose memory was not prepared in time.
   void refuse_uncleared(std::uint64_t now);
-  // broker_access.cpp: the rules, and what they mean for the memory behind the topics
-  static Subject subject_of(const Peer& peer);
-  [[nodiscard]] Result<void> check_access(const Peer& peer, const CreateRequest& request);
-  [[nodiscard]] Result<void> check_readers(ClientIndex client, std::string_view topic);
-  [[nodiscard]] Result<void> check_publishers(const Subject& who, std::uint64_t domain,
-                                              std::string_view topic);
-  /// Says in the log whose memory others have been given than may subscribe now.
-  void warn_of_other_readers(ClientIndex client);
-  /// What a process has and, by the rules in force, may not have; empty: nothing.
-  std::string forbidden_endpoint(ClientIndex client, const Subject& who) const;
   [[nodiscard]] Result<void> observe(Peer& peer, const wire::Observe& request);
   [[nodiscard]] Result<void> dump(Peer& peer, const wire::Dump& request);
   [[nodiscard]] Result<void> revoke(Peer& peer, const wire::Revoke& request);
@@ -296,24 +281,6 @@ class Broker final : private Post {
   /// A line that any client can cause: limited per user, unless somebody looks at everything.
   void note(LogLevel level, std::uint32_t uid, std::string_view event, Log::Fields fields);
 
-  /// Why the last request was refused, when there is more to say than a static text.
-  [[nodiscard]] tl::unexpected<Failure> refusal(Errc code, const std::string& text);
-  /// The same of a bound of this user, which the log names by itself.
-  struct Exceeded {
-    std::string_view limit;  // static text
-    std::uint64_t value = 0, used = 0, asked = 0;
-  };
-  [[nodiscard]] tl::unexpected<Failure> over_quota(const Exceeded& exceeded,
-                                                   const std::string& text);
-  std::string clients_text() const;
-  /// [quota] heap_bytes as it is in force.
-  std::uint64_t heap_quota() const noexcept;
-  std::uint64_t places_quota(Kind kind) const noexcept;
-  /// Has this user's share of what is kept over the daemon's death room for so many descriptors more?
-  [[nodiscard]] Result<void> check_kept(std::uint32_t uid, std::uint64_t more);
-  [[nodiscard]] Result<void> check_limit(std::uint64_t used, std::uint64_t more,
-                                         std::uint64_t limit, std::string_view name);
-
   BrokerOptions options_;
   Log& log_;
   Dispatcher& dispatcher_;
@@ -324,14 +291,15 @@ class Broker final : private Post {
   std::shared_ptr<char> here_ = std::make_shared<char>();  // what answers of errands look for
   Regions regions_;
   Registry registry_;
+  AccessControl access_;
   AddressPlan plan_;
   Obstacles obstacles_;
   Doorbells doorbells_;
   Membership membership_;
+  Admission admission_;
   HoldWatch hold_watch_;
   LetGoWatch let_go_watch_;
   Refusals refusals_;
-  Exceeded exceeded_;  // by the last request that was refused with quota_exceeded
   std::unordered_map<PeerId, std::unique_ptr<Peer>> peers_;
   std::vector<Peer*> by_client_;
   std::unordered_map<std::uint32_t, std::deque<PeerId>> waiting_;  // for their turn, by uid

@@ -50,10 +50,7 @@ Result<void> Broker::observe(Peer& peer, const wire::Observe& request) {
   MemoryReserve::no_return();
   Connections& used = connections_[peer.session.identity().uid];
   if (!peer.counts_as_observer) {
-    if (used.observers >= abi::observer_count_max)
-      return over_quota(
-          {"observers", abi::observer_count_max, used.observers, 1},
-          "this user may have " + std::to_string(abi::observer_count_max) + " observers");
+    if (auto admitted = admission_.admit_observer(used.observers); !admitted) return admitted;
     --used.clients;
     ++used.observers;
     peer.counts_as_observer = true;
@@ -158,7 +155,7 @@ Result<void> Broker::set_log_level(Peer& peer, const wire::SetLogLevel& request)
   const PeerIdentity& who = peer.session.identity();
   if (request.level != 0) {
     if (who.uid != 0 && who.uid != ::geteuid())
-      return refusal(Errc::permission_denied,
+      return fail_with(Errc::permission_denied,
                      "user " + std::to_string(who.uid) + " may not change what agnocastd logs");
     log_.set_level(static_cast<LogLevel>(request.level));
     log_.write(LogLevel::notice, "log level",
@@ -174,7 +171,7 @@ Result<void> Broker::ask_access(Peer& peer, const wire::AskAccess& request) {
   std::string_view topic;
   AGNOCAST_CHECK(text_of(request.topic, topic));  // decode() has looked
   if (const auto problem = check_topic_name(topic))
-    return refusal(Errc::invalid_name, "topic " + printable(topic) + ": " + problem->text());
+    return fail_with(Errc::invalid_name, "topic " + printable(topic) + ": " + problem->text());
   const auto& rules = options_.config.access;
   for (const Action action : {Action::publish, Action::subscribe}) {
     auto answer = make_body<wire::AccessIs>(wire::Opcode::access_is, request.header.request);
@@ -250,9 +247,9 @@ DumpFacts Broker::facts() const {
                    options_.config.heap.windows_per_process};
   const Config::Quota& quota = options_.config.quota;
   daemon.quota = {quota.clients, quota.publishers,    quota.subscriptions, quota.executors,
-                  heap_quota(),  quota.held_messages, quota.topics,
+                  admission_.heap_quota(),  quota.held_messages, quota.topics,
                   quota.queued_bytes, quota.queued_seconds, quota.dumps_per_second,
-                  places_quota(Kind::publisher), places_quota(Kind::subscription)};
+                  admission_.places_quota(Kind::publisher), admission_.places_quota(Kind::subscription)};
   const std::uint64_t now_ms = monotonic_ms();
   for (const auto& [id, peer] : peers_) {
     std::uint64_t& waits_ms = facts.users[peer->session.identity().uid].waits_ms;

@@ -32,49 +32,11 @@ namespace {
 
 // Places that a hello waits for: a daemon that died twice while it welcomed a process has left two.
 constexpr std::size_t unused_count_max = 4;
-// Its region and its pidfd.
-constexpr std::uint64_t kept_per_client = 2;
-
 const char* name_of_kind(Kind kind) noexcept {
   return kind == Kind::publisher ? "publisher" : "subscription";
 }
 
 }  // namespace
-
-tl::unexpected<Failure> Broker::refusal(Errc code, const std::string& text) {
-  return fail_with(code, text);
-}
-
-std::string Broker::clients_text() const {
-  return "[quota] clients is " + std::to_string(options_.config.quota.clients) +
-         ", this user has as many";
-}
-
-std::uint64_t Broker::heap_quota() const noexcept {
-  const std::uint64_t quota = options_.config.quota.heap_bytes;
-  return quota != 0 ? quota : share_of_one_user(plan_.window_count()) * options_.arena.window_bytes;
-}
-
-Result<void> Broker::check_kept(std::uint32_t uid, std::uint64_t more) {
-  if (!store_.keeps()) return {};
-  const Usage usage = registry_.usage_of(uid);
-  return check_limit(kept_per_client * usage.clients + usage.windows + usage.executors, more,
-                     share_of_one_user(store_.capacity()),
-                     "three quarters of FileDescriptorStoreMax");
-}
-
-Result<void> Broker::check_limit(std::uint64_t used, std::uint64_t more, std::uint64_t limit,
-                                 std::string_view name) {
-  if (used <= limit && more <= limit - used) return {};
-  return over_quota({name, limit, used, more},
-                    std::string(name) + " is " + std::to_string(limit) + ", this user has " +
-                        std::to_string(used) + " and asks for " + std::to_string(more) + " more");
-}
-
-tl::unexpected<Failure> Broker::over_quota(const Exceeded& exceeded, const std::string& text) {
-  exceeded_ = exceeded;
-  return refusal(Errc::quota_exceeded, text);
-}
 
 void Broker::refuse(Peer& peer, const Request& request, std::uint64_t id, Errc code, int os_errno,
                     std::string_view text) {
@@ -87,11 +49,12 @@ void Broker::refuse(Peer& peer, const Request& request, std::uint64_t id, Errc c
   std::optional<std::string_view> topic, limit;
   std::optional<std::uint64_t> value, used, asked;
   if (const auto* const create = std::get_if<CreateRequest>(&request)) topic = create->topic;
-  if (code == Errc::quota_exceeded && !exceeded_.limit.empty()) {
-    limit = exceeded_.limit;
-    value = exceeded_.value;
-    used = exceeded_.used;
-    asked = exceeded_.asked;
+  const Admission::Exceeded& exceeded = admission_.exceeded();
+  if (code == Errc::quota_exceeded && !exceeded.limit.empty()) {
+    limit = exceeded.limit;
+    value = exceeded.value;
+    used = exceeded.used;
+    asked = exceeded.asked;
   }
   log_.write_limited("refused uid=" + std::to_string(uid), LogLevel::warning, "request refused",
                      {{"pid", peer.session.identity().pid},
@@ -129,7 +92,7 @@ void Broker::remember(const Peer& peer, const Request& request, Errc code, std::
 void Broker::serve(Peer& peer, const Request& request, std::span<UniqueFd> fds) {
   Result<void> served;
   std::uint64_t id = 0;
-  exceeded_ = {};
+  admission_.begin_request();
   why_not_moved_.clear();
   if (std::holds_alternative<CreateRequest>(request) ||
       std::holds_alternative<wire::WindowRequest>(request) ||
@@ -190,7 +153,7 @@ void Broker::serve(Peer& peer, const Request& request, std::span<UniqueFd> fds) 
       served = ask_access(peer, body);
     } else {
       id = body.request;
-      served = refusal(body.code, body.text);
+      served = fail_with(body.code, body.text);
     }
   };
   std::visit(handle, request);
@@ -208,11 +171,11 @@ void Broker::serve(Peer& peer, const Request& request, std::span<UniqueFd> fds) 
 
 Result<void> Broker::check_caller(const Peer& peer, std::uint64_t fingerprint) {
   if (fingerprint != abi::fingerprint())
-    return refusal(Errc::layout_mismatch, "the library has layout " + hexadecimal(fingerprint) +
+    return fail_with(Errc::layout_mismatch, "the library has layout " + hexadecimal(fingerprint) +
                                               ", the daemon has layout " +
                                               hexadecimal(abi::fingerprint()));
   if (!peer.session.identity().confirmed)
-    return refusal(Errc::permission_denied,
+    return fail_with(Errc::permission_denied,
                    "the process that connected is not the one that says hello");
   return {};
 }
@@ -280,18 +243,14 @@ Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
   Session& session = peer.session;
   if (auto known = check_caller(peer, hello.fingerprint); !known) return known;
   if (look_before(peer, hello)) return {};
-  // Room for one more connection there may be for processes that come back. Those that are gone count
-  // as long as others have something of them.
-  const std::uint64_t quota = options_.config.quota.clients;
-  const std::uint64_t used = registry_.usage_of(session.identity().uid).clients;
-  if (peer.counts_as_observer || used >= quota)
-    return over_quota({"[quota] clients", quota, used, 1}, clients_text());
-  if (auto kept = check_kept(session.identity().uid, kept_per_client); !kept) return kept;
+  if (auto admitted = admission_.admit_client(session.identity().uid, peer.counts_as_observer);
+      !admitted)
+    return admitted;
   switch (std::exchange(peer.revoked_trace, std::nullopt).value_or(Trace::none)) {
     case Trace::none:
       break;
     case Trace::some:
-      return refusal(Errc::revoked, "the membership of this process was revoked");
+      return fail_with(Errc::revoked, "the membership of this process was revoked");
     case Trace::unknown:
       // It may have become another program since. Whoever loses its connection says hello again.
       disconnect(peer, "no time to look whether the process was revoked");
@@ -356,15 +315,15 @@ Result<Broker::Peer*> Broker::lost_peer(const Peer& peer, const wire::Rejoin& re
     case RejoinDecision::take_back:
       return before;
     case RejoinDecision::started_anew:
-      return refusal(Errc::started_anew, "the daemon does not know this process");
+      return fail_with(Errc::started_anew, "the daemon does not know this process");
     case RejoinDecision::revoked:
-      return refusal(Errc::revoked, "the membership of this process is over");
+      return fail_with(Errc::revoked, "the membership of this process is over");
     case RejoinDecision::layout_mismatch:
     case RejoinDecision::permission_denied:
       break;
   }
   // check_caller() has said the other reasons for these two.
-  return refusal(Errc::permission_denied, "that is the place of another process");
+  return fail_with(Errc::permission_denied, "that is the place of another process");
 }
 
 Result<void> Broker::rejoin(Peer& peer, const wire::Rejoin& request) {
@@ -374,13 +333,14 @@ Result<void> Broker::rejoin(Peer& peer, const wire::Rejoin& request) {
   const ClientIndex client{static_cast<std::uint32_t>(request.client)};
   peer.returns = (*before)->returns;
   if (!peer.returns.take(monotonic_ms()))
-    return refusal(Errc::limit_reached, "this process comes back too often; later it may");
+    return fail_with(Errc::limit_reached, "this process comes back too often; later it may");
   // The rules may be others than those by which it was let in.
-  if (const std::string why = forbidden_endpoint(client, subject_of(peer)); !why.empty()) {
+  if (const std::string why = access_.forbidden_endpoint(client, peer.session.identity());
+      !why.empty()) {
     revoke(**before, why);
-    return refusal(Errc::revoked, why);
+    return fail_with(Errc::revoked, why);
   }
-  warn_of_other_readers(client);
+  access_.warn_of_other_readers(client);
   MemoryReserve::no_return();
   if (std::exchange(peer.counts_as_observer, false)) {
     // It was taken for one more because the daemon had not seen yet that the old one had ended.
@@ -420,19 +380,6 @@ void Broker::renew_bells(Peer& peer) {
     reply(peer, packet_of(packet), std::move(*bells));
     membership_.renewed(client, executor);
   }
-}
-
-Result<void> Broker::room_for_brought(const ClientRecord& record, std::uint64_t bytes) {
-  if (record.window_count >= options_.config.heap.windows_per_process)
-    return refusal(Errc::window_exhausted,
-                   "[heap] windows_per_process is " +
-                       std::to_string(options_.config.heap.windows_per_process));
-  return check_window(record.uid, bytes);
-}
-
-Result<void> Broker::check_window(std::uint32_t uid, std::uint64_t bytes) {
-  if (auto kept = check_kept(uid, 1); !kept) return kept;
-  return check_limit(registry_.usage_of(uid).heap_bytes, bytes, heap_quota(), "[quota] heap_bytes");
 }
 
 // A process brings what it has from a former incarnation before it asks this one for anything. Until then the
@@ -507,7 +454,7 @@ Result<void> Broker::bring_window(Peer& peer, const wire::BringWindow& request,
     facts.possible_group =
         request.first == request.window ||
         (request.window != 0 && request.first == record.window[request.window - 1].first);
-    allowed = room_for_brought(record, request.bytes);
+    allowed = admission_.admit_brought_window(record, request.bytes);
     // The later failure is the one whose text is kept, and the one that is said.
     ours = Regions::check_window(window.get(), request.base, request.bytes, record.uid);
     facts.room = allowed.has_value();
@@ -527,7 +474,7 @@ Result<void> Broker::bring_window(Peer& peer, const wire::BringWindow& request,
       ++registry_.counters().requests_answered_again;
       return done();
     case journal::BroughtDecision::protocol_violation:
-      return refusal(Errc::protocol_violation,
+      return fail_with(Errc::protocol_violation,
                      facts.number == brought::known   ? "another window has this number"
                      : facts.number == brought::later ? "windows are brought one after the other"
                                                       : "a window that cannot be of this group");
@@ -536,7 +483,7 @@ Result<void> Broker::bring_window(Peer& peer, const wire::BringWindow& request,
     case journal::BroughtDecision::over_limit:
       return allowed;
     case journal::BroughtDecision::arena_occupied:
-      return refusal(Errc::arena_occupied,
+      return fail_with(Errc::arena_occupied,
                      "the window at " + hexadecimal(request.base) +
                          " is another process's, or outside [heap] arena_base and arena_bytes");
   }
@@ -561,20 +508,14 @@ Result<void> Broker::open_window(Peer& peer, const wire::WindowRequest& request)
   const ClientIndex client = *peer.session.client();
   const ClientRecord& record = registry_.client(client);
   if (request.window > record.window_count)
-    return refusal(Errc::protocol_violation, "windows are opened one after the other");
+    return fail_with(Errc::protocol_violation, "windows are opened one after the other");
   Result<SharedFd> writer = SharedFd();
   if (request.window < record.window_count) {
     ++registry_.counters().requests_answered_again;
     writer = regions_.window_writer(client, request.window);  // asked for again
     if (!writer) return tl::unexpected(writer.error());
   } else {
-    if (record.window_count >= options_.config.heap.windows_per_process)
-      return refusal(Errc::window_exhausted,
-                     "[heap] windows_per_process is " +
-                         std::to_string(options_.config.heap.windows_per_process) +
-                         ", this process has as many");
-    const std::uint64_t bytes = options_.arena.window_bytes;
-    if (auto allowed = check_window(record.uid, bytes); !allowed) return allowed;
+    if (auto admitted = admission_.admit_window(record); !admitted) return admitted;
     MemoryReserve::no_return();
     const auto window = choose_window(client);
     if (!window) return tl::unexpected(window.error());
@@ -595,7 +536,7 @@ Result<void> Broker::open_window(Peer& peer, const wire::WindowRequest& request)
                 {"window", request.window},
                 {"first", window->first},
                 {"base", hexadecimal(window->base)},
-                {"bytes", bytes}});
+                {"bytes", options_.arena.window_bytes}});
     look_for_collisions_of_publishers(client);
   }
   auto packet = make_body<wire::WindowOpened>(wire::Opcode::window_opened, request.header.request);
@@ -619,12 +560,9 @@ Result<void> Broker::admit_executor(ClientIndex client, const ExecutorRequest& r
                               !is_open ? found::not_done
                               : in_use ? found::used
                                        : found::done) != journal::RequestDecision::carry_out)
-    return refusal(Errc::protocol_violation, "the executor is open");
+    return fail_with(Errc::protocol_violation, "the executor is open");
   if (!is_open) {
-    const std::uint32_t uid = registry_.client(client).uid;
-    if (auto kept = check_kept(uid, 1); !kept) return kept;
-    return check_limit(registry_.usage_of(uid).executors, 1, options_.config.quota.executors,
-                       "[quota] executors");
+    return admission_.admit_executor(registry_.client(client).uid);
   }
   ++registry_.counters().requests_answered_again;  // the bells were lost with the answer
   return {};
@@ -643,96 +581,20 @@ Result<void> Broker::open_executor(Peer& peer, const ExecutorRequest& request) {
   return {};
 }
 
-// Also of a topic that is there: whoever joins it keeps it there when the others have left.
-Result<void> Broker::check_topics(const ClientRecord& record, std::string_view topic) {
-  const auto known = registry_.find_topic(record.domain, topic);
-  if (known && registry_.takes_part(record.uid, *known)) return {};
-  return check_limit(registry_.usage_of(record.uid).topics, 1, options_.config.quota.topics,
-                     "[quota] topics");
-}
-
-std::uint64_t Broker::places_quota(Kind kind) const noexcept {
-  const auto& quota = options_.config.quota;
-  const auto& limits = options_.config.limits;
-  const std::uint64_t configured =
-      kind == Kind::publisher ? quota.publishers_per_topic : quota.subscriptions_per_topic;
-  if (configured != 0) return configured;
-  const std::uint64_t all =
-      kind == Kind::publisher ? limits.publishers_per_topic : limits.subscriptions_per_topic;
-  const std::uint64_t share = share_of_one_user(all);
-  return share < all ? share : unlimited;
-}
-
-Result<void> Broker::check_places(const ClientRecord& record, const CreateRequest& request) {
-  const auto known = registry_.find_topic(record.domain, request.topic);
-  if (!known) return {};
-  const Places used = registry_.user_places(record.uid, *known);
-  if (request.kind == Kind::subscription)
-    return check_limit(used.subscriptions, 1, places_quota(Kind::subscription),
-                       "[quota] subscriptions_per_topic");
-  const auto allowed = check_limit(used.publishers, 1, places_quota(Kind::publisher),
-                                   "[quota] publishers_per_topic");
-  if (!allowed) return membership_.explain_full(*known, allowed.error(), record.uid);
-  return {};
-}
-
-// A number that its user has set and cannot have of any publisher there is. Where one is its own user's
-// the number is true of that one, and nobody who publishes as well can keep it out.
-Result<void> Broker::check_hold_quota(const ClientRecord& record, const CreateRequest& request) {
-  const auto known = registry_.find_topic(record.domain, request.topic);
-  if (request.quota_or_less || !known) return {};
-  const HoldPool pool = registry_.hold_pool();
-  const HoldPool::Use use = registry_.pool_use(record.uid, *known);
-  const std::uint64_t at_most = pool.at_most(use);
-  if (request.quota <= at_most) return {};
-  bool any = false, own = false;
-  registry_.for_each_publisher(*known, [&](std::uint32_t, const PublisherRecord& publisher) {
-    if (publisher.state != EndpointState::active) return;
-    any = true;
-    own = own || registry_.client(publisher.client).uid == record.uid;
-  });
-  if (!any || own) return {};
-  return over_quota(
-      {"hold_quota", at_most, use.user + use.others, request.quota},
-      "the publishers of " + request.topic + " are other users', and have " +
-          std::to_string(at_most) + " messages left for one more subscription of user " +
-          std::to_string(record.uid) + ": ask for a hold_quota of at most that, not " +
-          std::to_string(request.quota));
-}
-
 Result<void> Broker::create(Peer& peer, const CreateRequest& request) {
   const ClientIndex client = *peer.session.client();
   const ClientRecord& record = registry_.client(client);
   if (request.again && membership_.answer_again(client, request)) return {};
   if (const auto problem = check_topic_name(request.topic))
-    return refusal(Errc::invalid_name,
+    return fail_with(Errc::invalid_name,
                    "topic " + printable(request.topic) + ": " + problem->text());
-  if (request.qos.depth > options_.config.limits.depth_max)
-    return refusal(Errc::depth_refused,
-                   "[limits] depth_max is " + std::to_string(options_.config.limits.depth_max) +
-                       ", depth " + std::to_string(request.qos.depth) + " is asked for");
-  const bool publisher = request.kind == Kind::publisher;
-  if (auto allowed = check_access(peer, request); !allowed) return allowed;
-  if (auto allowed = check_topics(record, request.topic); !allowed) return allowed;
-  const Usage usage = registry_.usage_of(record.uid);
-  auto allowed =
-      publisher
-          ? check_limit(usage.publishers, 1, options_.config.quota.publishers, "[quota] publishers")
-          : check_limit(usage.subscriptions, 1, options_.config.quota.subscriptions,
-                        "[quota] subscriptions");
-  if (!allowed) return allowed;
-  if (allowed = check_places(record, request); !allowed) return allowed;
-  if (!publisher) {
-    allowed = check_limit(usage.held_messages, request.quota, options_.config.quota.held_messages,
-                          "[quota] held_messages");
-    if (!allowed) return allowed;
-    if (allowed = check_hold_quota(record, request); !allowed) return allowed;
-  }
+  if (auto admitted = admission_.admit_endpoint(peer.session.identity(), client, request); !admitted)
+    return admitted;
   const auto waits = clear_before(peer, request);
   if (!waits) return tl::unexpected(waits.error());
   if (*waits) return {};
   // Before anybody is told of the publisher, and with it of the heap.
-  const bool is_first = publisher && record.readers == 0;
+  const bool is_first = request.kind == Kind::publisher && record.readers == 0;
   if (is_first)
     registry_.set_readers(client,
                           readers_of(options_.config.access, record.domain, request.topic));
@@ -754,11 +616,11 @@ Result<void> Broker::revoke(Peer& peer, const wire::Revoke& request) {
   const ClientIndex client{static_cast<std::uint32_t>(request.client)};
   if (number(client) >= registry_.client_high() || !registry_.is_alive(client) ||
       registry_.client(client).generation != request.generation)
-    return refusal(Errc::endpoint_gone, "there is no such process, or it is no member any more");
+    return fail_with(Errc::endpoint_gone, "there is no such process, or it is no member any more");
   const PeerIdentity& who = peer.session.identity();
   const ClientRecord& record = registry_.client(client);
   if (who.uid != 0 && who.uid != ::geteuid() && who.uid != record.uid)
-    return refusal(Errc::permission_denied, "user " + std::to_string(who.uid) +
+    return fail_with(Errc::permission_denied, "user " + std::to_string(who.uid) +
                                                 " may not revoke a process of user " +
                                                 std::to_string(record.uid));
   Peer* const revoked = by_client_[number(client)];

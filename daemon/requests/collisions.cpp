@@ -126,10 +126,10 @@ Result<WindowRecord> Broker::choose_window(ClientIndex client) {
   const std::uint64_t bytes = options_.arena.window_bytes;
   const auto choice = plan_.take(obstacles_.against(client));
   if (!choice && plan_.best())
-    return refusal(Errc::arena_occupied, "no window is left that this process can map; it has " +
+    return fail_with(Errc::arena_occupied, "no window is left that this process can map; it has " +
                                              obstacles_.of(client).front().what);
   if (!choice)
-    return refusal(Errc::limit_reached, "[heap] arena_bytes has room for " +
+    return fail_with(Errc::limit_reached, "[heap] arena_bytes has room for " +
                                             std::to_string(plan_.window_count()) + " windows of " +
                                             std::to_string(bytes) + " bytes, all are given out");
   if (choice->weight != 0)
@@ -185,7 +185,7 @@ std::string Broker::find_why_not_moved(ClientIndex owner, ClientIndex reader) co
     return "[heap] windows_per_process is " +
            std::to_string(options_.config.heap.windows_per_process) + what_remains;
   const std::uint64_t used = registry_.usage_of(record.uid).heap_bytes;
-  const std::uint64_t quota = heap_quota();
+  const std::uint64_t quota = admission_.heap_quota();
   if (used > quota || bytes * (1 + reserve) > quota - used)
     return "[quota] heap_bytes is used up" + what_remains;
   const auto choice = plan_.best(obstacles_.against(owner));
