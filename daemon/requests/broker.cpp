@@ -10,6 +10,7 @@
 #include <base/names.hpp>
 #include <base/step.hpp>
 #include <daemon/state/memory_reserve.hpp>
+#include <daemon/state/user_log.hpp>
 
 #include <fcntl.h>
 #include <malloc.h>
@@ -81,6 +82,7 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
                  [&disposal](std::uint32_t uid, UniqueFd fd) { disposal.close(uid, std::move(fd)); }),
       membership_(registry_, regions_, doorbells_, *this),
       admission_(options_.config, options_.arena, plan_, registry_, membership_, store, access_),
+      conflicts_(options_.config.heap, options_.arena, registry_, admission_, plan_, obstacles_, membership_, *this, log),
       hold_watch_(registry_, regions_),
       let_go_watch_(registry_, regions_, membership_, *this),
       by_client_(abi::client_count_max, nullptr),
@@ -88,7 +90,7 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
   regions_.use(errands);
   membership_.on_ended = [this](ClientIndex client) { on_ended(client); };
   membership_.on_matched = [this](const EndpointRef& publisher, const EndpointRef& subscription) {
-    look_for_collision(publisher, subscription);
+    conflicts_.look_at(publisher, subscription);
   };
 }
 
@@ -612,7 +614,7 @@ void Broker::free_revoked(ClientIndex client, DeathReason reason, std::string_vi
   registry_.client_died(client, reason);
   store_.remove(DescriptorStore::process(client));
   const ClientRecord& record = registry_.client(client);
-  note(LogLevel::info, record.uid, "client gone",
+  log_for_user(log_, LogLevel::info, record.uid, "client gone",
        {{"client", number(client)},
         {"pid", record.pid},
         {"uid", record.uid},
@@ -648,7 +650,7 @@ void Broker::repair(ClientIndex client, DeathReason reason, std::string_view how
   obstacles_.forget(client);
   const auto after = [this, client, uid, pid, how = std::string(how)](const Reaped& reaped) {
     if (!registry_.is_revoked(client)) store_.remove(DescriptorStore::process(client));
-    note(reaped.corrupt == 0 ? LogLevel::info : LogLevel::warning, uid, "client gone",
+    log_for_user(log_, reaped.corrupt == 0 ? LogLevel::info : LogLevel::warning, uid, "client gone",
          {{"client", number(client)},
           {"pid", pid},
           {"uid", uid},
@@ -918,14 +920,6 @@ void Broker::reply(Peer& peer, Outgoing packet) {
   if (!waiting || peer.session.queued_count() > Session::queue_count_max) flush(peer);
   if (peer.session.is_over()) end_longest_output(peer.session.identity().uid);
   AGNOCAST_CRASH_POINT(B_sent);
-}
-
-void Broker::note(LogLevel level, std::uint32_t uid, std::string_view event, Log::Fields fields) {
-  if (log_.is_written(LogLevel::debug)) {
-    log_.write(level, event, fields);
-  } else {
-    log_.write_limited(std::string(event) + " uid=" + std::to_string(uid), level, event, fields);
-  }
 }
 
 void Broker::on_ended(ClientIndex client) {

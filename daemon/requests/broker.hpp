@@ -26,6 +26,7 @@
 #include <daemon/lifecycle/membership.hpp>
 #include <daemon/lifecycle/regions.hpp>
 #include <daemon/requests/access_control.hpp>
+#include <daemon/requests/address_conflicts.hpp>
 #include <daemon/requests/admission.hpp>
 #include <daemon/requests/dump.hpp>
 #include <daemon/state/address_plan.hpp>
@@ -221,7 +222,6 @@ class Broker final : private Post {
   void serve_window(PeerId id, std::uint64_t ticket, Disposal::Received& received);
   void expect_windows(Peer& peer);
   void expect_no_windows(Peer& peer);
-  [[nodiscard]] Result<WindowRecord> choose_window(ClientIndex client);
   [[nodiscard]] Result<void> open_executor(Peer& peer, const ExecutorRequest& request);
   void renew_bells(Peer& peer);
   [[nodiscard]] Result<void> admit_executor(ClientIndex client, const ExecutorRequest& request);
@@ -243,27 +243,6 @@ class Broker final : private Post {
   int answers_due_ms() const noexcept;
   void answer_at_length(Peer& peer, std::vector<Outgoing> packets);
 
-  // collisions.cpp: heaps where somebody else has something else
-  [[nodiscard]] Result<void> blocked(Peer& peer, const wire::Blocked& range);
-  void note_withdrawn(Peer& peer, const wire::Withdrawn& said);
-  /// A window of the group that `owner` allocates from and `reader` cannot map.
-  struct Collision {
-    std::uint64_t window = 0;
-    const Obstacles::Claim* claim = nullptr;
-  };
-  std::optional<Collision> collision(ClientIndex owner, ClientIndex reader) const;
-  void look_for_collision(const EndpointRef& publisher, const EndpointRef& subscription);
-  void look_for_collisions_of_publishers(ClientIndex owner);
-  void look_for_collisions_of_subscriptions(ClientIndex reader);
-  /// Why its heap does not move for this reader; empty: it does.
-  const std::string& why_not_moved(ClientIndex owner, ClientIndex reader);
-  std::string find_why_not_moved(ClientIndex owner, ClientIndex reader) const;
-  // By owner and reader; of the request that is being served.
-  std::map<std::pair<std::uint32_t, std::uint32_t>, std::string> why_not_moved_;
-  bool should_move(ClientIndex owner) const;
-  template <class Function>
-  void for_each_match(ClientIndex client, Kind kind, Function function) const;
-
   DumpFacts facts() const;
   void drop_slow_observers(std::uint64_t now);
   void look_around(std::uint64_t now);
@@ -278,9 +257,6 @@ class Broker final : private Post {
   void reply(Peer& peer, std::span<const std::byte> packet, std::vector<SharedFd> fds = {});
   void announce_what_waits();
   void on_ended(ClientIndex client);
-  /// A line that any client can cause: limited per user, unless somebody looks at everything.
-  void note(LogLevel level, std::uint32_t uid, std::string_view event, Log::Fields fields);
-
   BrokerOptions options_;
   Log& log_;
   Dispatcher& dispatcher_;
@@ -297,6 +273,7 @@ class Broker final : private Post {
   Doorbells doorbells_;
   Membership membership_;
   Admission admission_;
+  AddressConflicts conflicts_;
   HoldWatch hold_watch_;
   LetGoWatch let_go_watch_;
   Refusals refusals_;

@@ -93,7 +93,7 @@ void Broker::serve(Peer& peer, const Request& request, std::span<UniqueFd> fds) 
   Result<void> served;
   std::uint64_t id = 0;
   admission_.begin_request();
-  why_not_moved_.clear();
+  conflicts_.begin_request();
   if (std::holds_alternative<CreateRequest>(request) ||
       std::holds_alternative<wire::WindowRequest>(request) ||
       std::holds_alternative<ExecutorRequest>(request))
@@ -129,10 +129,10 @@ void Broker::serve(Peer& peer, const Request& request, std::span<UniqueFd> fds) 
       served = membership_.unlinked(*peer.session.client(), body);
     } else if constexpr (std::is_same_v<Body, wire::Blocked>) {
       id = body.header.request;
-      served = blocked(peer, body);
+      served = conflicts_.add_obstacle(peer.session.identity(), *peer.session.client(), body);
     } else if constexpr (std::is_same_v<Body, wire::Withdrawn>) {
       id = body.header.request;
-      note_withdrawn(peer, body);
+      conflicts_.log_withdrawn(peer.session.identity(), *peer.session.client(), body);
     } else if constexpr (std::is_same_v<Body, wire::Observe>) {
       id = body.header.request;
       served = observe(peer, body);
@@ -360,7 +360,7 @@ Result<void> Broker::rejoin(Peer& peer, const wire::Rejoin& request) {
   let_go_watch_.told_again(client);
   renew_bells(peer);
   membership_.welcome_back(client);
-  look_for_collisions_of_publishers(client);  // it may have been asked to move in vain
+  conflicts_.look_at_publishers_of(client);  // it may have been asked to move in vain
   log_.write(LogLevel::debug, "client is back",
              {{"client", number(client)}, {"pid", peer.session.identity().pid}});
   return {};
@@ -500,7 +500,7 @@ Result<void> Broker::bring_window(Peer& peer, const wire::BringWindow& request,
               {"pid", peer.session.identity().pid},
               {"window", request.window},
               {"base", hexadecimal(request.base)}});
-  look_for_collisions_of_publishers(client);
+  conflicts_.look_at_publishers_of(client);
   return done();
 }
 
@@ -517,7 +517,7 @@ Result<void> Broker::open_window(Peer& peer, const wire::WindowRequest& request)
   } else {
     if (auto admitted = admission_.admit_window(record); !admitted) return admitted;
     MemoryReserve::no_return();
-    const auto window = choose_window(client);
+    const auto window = conflicts_.choose_window(client);
     if (!window) return tl::unexpected(window.error());
     AGNOCAST_CRASH_POINT(B_window_base);
     writer = regions_.open_window(client, window->base, record.uid);
@@ -537,7 +537,7 @@ Result<void> Broker::open_window(Peer& peer, const wire::WindowRequest& request)
                 {"first", window->first},
                 {"base", hexadecimal(window->base)},
                 {"bytes", options_.arena.window_bytes}});
-    look_for_collisions_of_publishers(client);
+    conflicts_.look_at_publishers_of(client);
   }
   auto packet = make_body<wire::WindowOpened>(wire::Opcode::window_opened, request.header.request);
   packet.window = request.window;
