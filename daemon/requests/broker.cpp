@@ -48,8 +48,6 @@ constexpr std::size_t looks_waiting_max = 256;
 // How often holds are looked at, what is let go of, and observers.
 constexpr int watch_interval_ms = 1'000;
 
-constexpr std::string_view no_memory_text = "agnocastd has no memory left";
-
 // To a connection that is not taken: it is closed afterwards, but not without a word.
 void send_refused(const PacketSocket& socket, Errc code, std::string_view text) noexcept {
   auto packet = make_body<wire::Refused>(wire::Opcode::refused);
@@ -69,6 +67,12 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
       store_(store),
       errands_(errands),
       disposal_(disposal),
+      connections_(dispatcher, disposal),
+      output_({options.config.quota.queued_bytes,
+               options.config.quota.queued_seconds == unlimited
+                   ? std::nullopt
+                   : std::optional(options.config.quota.queued_seconds)},
+              connections_, dispatcher, log),
       regions_(std::move(regions)),
       registry_(regions_.memory(), {options.config.limits.clients, options.config.limits.topics,
                                     options.config.limits.publishers_per_topic,
@@ -80,12 +84,11 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
       obstacles_(options.arena),
       doorbells_(listener.bells_directory(), store,
                  [&disposal](std::uint32_t uid, UniqueFd fd) { disposal.close(uid, std::move(fd)); }),
-      membership_(registry_, regions_, doorbells_, *this),
+      membership_(registry_, regions_, doorbells_, output_),
       admission_(options_.config, options_.arena, plan_, registry_, membership_, store, access_),
-      conflicts_(options_.config.heap, options_.arena, registry_, admission_, plan_, obstacles_, membership_, *this, log),
+      conflicts_(options_.config.heap, options_.arena, registry_, admission_, plan_, obstacles_, membership_, output_, log),
       hold_watch_(registry_, regions_),
-      let_go_watch_(registry_, regions_, membership_, *this),
-      by_client_(abi::client_count_max, nullptr),
+      let_go_watch_(registry_, regions_, membership_, output_),
       spare_(::open("/dev/null", O_RDONLY | O_CLOEXEC)) {
   regions_.use(errands);
   membership_.on_ended = [this](ClientIndex client) { on_ended(client); };
@@ -102,17 +105,7 @@ Result<void> Broker::found(std::uint64_t incarnation) {
   return listener_.keep(store_);
 }
 
-Broker::~Broker() {
-  dispatcher_.remove(listening_);
-  for (auto& [id, peer] : peers_) {
-    dispatcher_.remove(peer->connection);
-    dispatcher_.remove(peer->process);
-    // The end of the process closes it, and does not linger. Its other end hears of it now.
-    UniqueFd socket = peer->session.close();
-    ::shutdown(socket.get(), SHUT_RDWR);
-    static_cast<void>(socket.release());
-  }
-}
+Broker::~Broker() { dispatcher_.remove(listening_); }
 
 Result<void> Broker::start() {
   const auto token =
@@ -144,13 +137,6 @@ void Broker::accept_some() {
 void Broker::pause_listening() {
   dispatcher_.change(listening_, 0);
   listens_ = false;
-}
-
-void Broker::close_connection(Peer& peer) {
-  const MemoryReserve::MustNotFail must_not_fail;
-  const bool may_carry = peer.session.may_carry();
-  UniqueFd socket = peer.session.close();
-  if (may_carry) disposal_.close_connection(peer.session.identity().uid, std::move(socket));
 }
 
 void Broker::close_connection(PacketSocket socket, std::uint32_t uid) {
@@ -205,7 +191,7 @@ void Broker::accept(PacketSocket socket) {
                         {"uid", uid},
                         {"threads", stuck},
                         {"why", "what this user has sent does not come to its end"}});
-  Connections& used = connections_[uid];
+  UserConnections& used = connections_.user(uid);
   // Who has all the clients he may have can still look at them: such a connection can only observe.
   // Processes that have lost their connection may come back.
   const bool only_observes = used.clients >= options_.config.quota.clients + used.detached;
@@ -227,7 +213,7 @@ void Broker::accept(PacketSocket socket) {
   // A former daemon may have listened without.
   const bool may_carry = !refuses_descriptors(socket.fd());
   if (may_carry) refuse_descriptors(socket.fd());
-  const PeerId id = ++last_peer_;
+  const PeerId id = connections_.next_id();
   used.kept->bytes_max = options_.config.quota.queued_bytes;
   auto peer =
       std::make_unique<Peer>(Peer{id, Session(std::move(socket), std::move(*identity), used.kept)});
@@ -241,14 +227,13 @@ void Broker::accept(PacketSocket socket) {
   if (!process) {
     if (connection) dispatcher_.remove(*connection);
     send_refused(peer->session.socket(), process.error().code, process.error().what);
-    close_connection(*peer);
+    connections_.close(*peer);
     return;
   }
   peer->connection = *connection;
   peer->process = *process;
   peer->counts_as_observer = only_observes;
-  ++(only_observes ? used.observers : used.clients);
-  find_user_namespace(*peers_.emplace(id, std::move(peer)).first->second);
+  find_user_namespace(connections_.add(std::move(peer)));
 }
 
 // Before Linux 6.11 only /proc says it, and whoever looks there may have to wait: so long nothing is read from the
@@ -268,17 +253,17 @@ void Broker::find_user_namespace(Peer& peer) {
       [found, pid = identity.pid] { *found = agnocast::user_namespace_of(pid).value_or(0); },
       [this, found, id = peer.id, ticket, here = std::weak_ptr(here_)] {
         if (here.expired()) return;
-        const auto at = peers_.find(id);
-        if (at == peers_.end()) return;
-        at->second->session.user_namespace = *found;
+        Peer* const at = connections_.find(id);
+        if (at == nullptr) return;
+        at->session.user_namespace = *found;
         unpark(id, ticket);
       });
 }
 
 void Broker::wait_for_turn(PeerId id, bool ended) {
-  const auto found = peers_.find(id);
-  if (found == peers_.end()) return;
-  Peer& peer = *found->second;
+  Peer* const found = connections_.find(id);
+  if (found == nullptr) return;
+  Peer& peer = *found;
   peer.ended = peer.ended || ended;
   if (!std::exchange(peer.waits, true)) waiting_[peer.session.identity().uid].push_back(id);
 }
@@ -300,14 +285,14 @@ void Broker::serve_waiting() {
 
 // Who has more to say is found by the dispatcher again, and waits behind the others of its user.
 void Broker::take_turn(PeerId id, Turn& turn) {
-  const auto found = peers_.find(id);
-  if (found == peers_.end()) return;
-  found->second->waits = false;
-  const bool ended = found->second->ended;
+  Peer* const found = connections_.find(id);
+  if (found == nullptr) return;
+  found->waits = false;
+  const bool ended = found->ended;
   // Once a whole turn: another process may hold the connection, and never be done.
   const unsigned count = read_packets(id, ended ? Turn{packets_per_turn} : turn);
-  if (const auto still = peers_.find(id); ended && still != peers_.end())
-    reap_peer(*still->second, DeathReason::died, "process ended");
+  if (Peer* const still = connections_.find(id); ended && still != nullptr)
+    reap_peer(*still, DeathReason::died, "process ended");
   const bool late = monotonic_ns() >= turn.until_ns;
   turn.left = late ? 0 : turn.left - std::clamp(count, 1U, turn.left);
 }
@@ -316,9 +301,9 @@ unsigned Broker::read_packets(PeerId id, const Turn& share) {
   std::array<std::byte, wire::packet_bytes_max> buffer;
   for (unsigned turn = 0; turn < share.left; ++turn) {
     if (turn > 0 && monotonic_ns() >= share.until_ns) return turn;
-    const auto found = peers_.find(id);
-    if (found == peers_.end() || found->second->session.closed()) return turn;
-    Peer& peer = *found->second;
+    Peer* const found = connections_.find(id);
+    if (found == nullptr || found->session.closed()) return turn;
+    Peer& peer = *found;
     if (peer.revoked) {
       say_farewell(peer);
       return turn;
@@ -328,8 +313,8 @@ unsigned Broker::read_packets(PeerId id, const Turn& share) {
     if (observes && turn > 0) return turn;  // a dump is work
     // A blocked writer is woken here as well: the handler does not tell the events apart.
     if (peer.wants_writable && turn == 0) {
-      flush(peer);
-      if (peers_.find(id) == peers_.end() || peer.session.closed()) return turn;
+      output_.flush(peer);
+      if (connections_.find(id) == nullptr || peer.session.closed()) return turn;
     }
     if (peer.session.may_carry() && !may_receive(peer, buffer)) return turn;
     auto packet = peer.session.socket().receive(buffer);
@@ -446,8 +431,8 @@ bool Broker::may_receive(Peer& peer, std::span<std::byte> buffer) {
   }
   const PeerId id = peer.id;
   serve_packet(peer, buffer.first(next->bytes), {1, next->truncated, true}, {});
-  if (const auto found = peers_.find(id); found != peers_.end() && !found->second->session.closed())
-    disconnect(*found->second, "descriptors came with a packet");
+  if (Peer* const found = connections_.find(id); found != nullptr && !found->session.closed())
+    disconnect(*found, "descriptors came with a packet");
   return false;
 }
 
@@ -457,10 +442,10 @@ void Broker::park(Peer& peer, std::uint64_t ticket) {
   peer.connection = 0;
 }
 
-Broker::Peer* Broker::unpark(PeerId id, std::uint64_t ticket) {
-  const auto found = peers_.find(id);
-  if (found == peers_.end() || found->second->parked != ticket) return nullptr;
-  Peer& peer = *found->second;
+Peer* Broker::unpark(PeerId id, std::uint64_t ticket) {
+  Peer* const found = connections_.find(id);
+  if (found == nullptr || found->parked != ticket) return nullptr;
+  Peer& peer = *found;
   peer.parked = 0;
   if (peer.session.closed()) return nullptr;
   const auto token =
@@ -475,78 +460,6 @@ Broker::Peer* Broker::unpark(PeerId id, std::uint64_t ticket) {
   return peer.revoked ? nullptr : &peer;
 }
 
-void Broker::flush(Peer& peer) {
-  const MemoryReserve::MustNotFail completes;  // what is made for a packet is made once
-  switch (peer.session.flush()) {
-    case Session::Flushed::all:
-      if (peer.wants_writable) dispatcher_.change(peer.connection, EPOLLIN);
-      peer.wants_writable = false;
-      break;
-    case Session::Flushed::blocked:
-      if (!peer.wants_writable) dispatcher_.change(peer.connection, EPOLLIN | EPOLLOUT);
-      peer.wants_writable = true;
-      break;
-    case Session::Flushed::later:
-      flush_later_ = true;
-      break;
-    case Session::Flushed::gone:
-      peer.session.drop_output();
-      break;
-    case Session::Flushed::over:
-      end_output(peer, "the process does not read");
-      break;
-  }
-}
-
-// Not disconnected: the caller may be in the middle of an announcement. The connection is shut, and its
-// end is read like any other.
-void Broker::end_output(Peer& peer, std::string_view why) {
-  const std::uint32_t uid = peer.session.identity().uid;
-  log_.write_limited("output uid=" + std::to_string(uid), LogLevel::warning, "connection ended",
-                     {{"pid", peer.session.identity().pid},
-                      {"uid", uid},
-                      {"queued", peer.session.queued_count()},
-                      {"bytes", peer.session.queued_bytes()},
-                      {"waited_ms", peer.session.waits_ms(monotonic_ms())},
-                      {"why", why}});
-  ::shutdown(peer.session.socket().fd(), SHUT_RDWR);
-  peer.session.drop_output();
-}
-
-// Whoever has most of what waits for this user: it reads least.
-void Broker::end_longest_output(std::uint32_t uid) {
-  Peer* most = nullptr;
-  for (const auto& [id, peer] : peers_) {
-    if (peer->session.identity().uid == uid && !peer->session.closed() &&
-        (most == nullptr || peer->session.queued_bytes() > most->session.queued_bytes()))
-      most = peer.get();
-  }
-  if (most != nullptr)
-    end_output(*most, "the processes of its user do not read, it least: [quota] queued_bytes is " +
-                          std::to_string(options_.config.quota.queued_bytes));
-}
-
-void Broker::end_old_output(std::uint64_t now) {
-  const std::uint64_t seconds = options_.config.quota.queued_seconds;
-  if (seconds == unlimited) return;
-  for (const auto& [id, peer] : peers_) {
-    // Of who was revoked only the word that says so is left, for whenever it reads again.
-    if (!peer->session.closed() && !peer->revoked && peer->session.waits_ms(now) > seconds * 1000)
-      end_output(*peer,
-                 "the process does not read: [quota] queued_seconds is " + std::to_string(seconds));
-  }
-}
-
-// malloc keeps what was freed. Once most of what was queued is not queued any more, its pages go back.
-void Broker::give_memory_back() {
-  constexpr std::uint64_t worth_it = std::uint64_t{8} << 20;
-  for (auto& [uid, used] : connections_) {
-    gives_back_ |= used.kept->peak >= worth_it && used.kept->bytes < used.kept->peak / 4;
-    if (used.kept->bytes < used.kept->peak / 4) used.kept->peak = used.kept->bytes;
-  }
-  if (std::exchange(gives_back_, false)) ::malloc_trim(0);
-}
-
 std::uint8_t Broker::whose(const Peer& peer) noexcept {
   if (!peer.session.greeted()) return journal::end::stranger;
   return peer.revoked ? journal::end::revoked : journal::end::member;
@@ -558,22 +471,19 @@ void Broker::disconnect(Peer& peer, std::string_view why) {
   AGNOCAST_CRASH_POINT(B_ended);
   dispatcher_.remove(peer.connection);
   peer.connection = 0;
-  close_connection(peer);
+  connections_.close(peer);
   const auto decision = journal::decide_end(whose(peer), false, false);
   if (decision == EndDecision::drop) {
     if (peer.session.role() == Role::observer)
       log_.write(LogLevel::debug, "observer gone",
                  {{"pid", peer.session.identity().pid}, {"why", why}});
-    drop(peer.id);
+    connections_.remove(peer.id);
     return;
   }
   const ClientIndex client = *peer.session.client();
   log_.write(LogLevel::debug, "connection closed",
              {{"client", number(client)}, {"pid", peer.session.identity().pid}, {"why", why}});
-  if (!std::exchange(peer.detached, true)) {
-    ++detached_count_;
-    ++connections_[peer.session.identity().uid].detached;
-  }
+  connections_.detach(peer);
   // After exec, or when the library was shut down, nothing of the region is left in the process.
   if (!peer.ended) look_whether_gone(peer);
 }
@@ -584,12 +494,12 @@ void Broker::reap_peer(Peer& peer, DeathReason reason, std::string_view how) {
   const PeerId id = peer.id;
   const auto decision = journal::decide_end(whose(peer), reason == DeathReason::died, true);
   if (decision == EndDecision::drop) {
-    drop(id);
+    connections_.remove(id);
     return;
   }
   const ClientIndex client = *peer.session.client();
-  by_client_[number(client)] = nullptr;
-  drop(id);
+  connections_.set_client(client, nullptr);
+  connections_.remove(id);
   if (decision == EndDecision::free_place) {
     const auto ending =
         std::find_if(endings_.begin(), endings_.end(),
@@ -670,12 +580,9 @@ void Broker::revoke(Peer& peer, const std::string& why) {
   MemoryReserve::no_return();
   AGNOCAST_CRASH_POINT(B_revoke);
   const ClientIndex client = *peer.session.client();
-  by_client_[number(client)] = nullptr;
+  connections_.set_client(client, nullptr);
   peer.revoked = true;
-  if (!std::exchange(peer.detached, true)) {
-    ++detached_count_;
-    ++connections_[peer.session.identity().uid].detached;
-  }
+  connections_.detach(peer);
   obstacles_.forget(client);
   const auto after = [this, client, pid = peer.session.identity().pid,
                       uid = peer.session.identity().uid, why](const Reaped& reaped) {
@@ -712,10 +619,10 @@ void Broker::say_farewell(Peer& peer) {
 // A process may have tens of thousands of mappings, and reading them takes a tenth of a second; one that holds
 // the lock of its memory keeps whoever reads waiting. That is its user's time, and what it took is not to be most
 // of what a processor does: for a while none of its processes is looked at, and the next tick asks again.
-bool Broker::look_at(const Peer& peer, std::function<void(Trace)> then) {
+bool Broker::look_at(const Peer& peer, std::function<void(RegionTrace)> then) {
   const MemoryReserve::MustNotFail must_not_fail;
   const std::uint32_t uid = peer.session.identity().uid;
-  if (monotonic_ns() < connections_[uid].look_due_ns ||
+  if (monotonic_ns() < connections_.user(uid).look_due_ns ||
       errands_.waiting(Errands::Lane::looking, uid) >= looks_waiting_max)
     return false;
   struct Look {
@@ -733,48 +640,24 @@ bool Broker::look_at(const Peer& peer, std::function<void(Trace)> then) {
       },
       [this, look, uid, then = std::move(then), here = std::weak_ptr(here_)] {
         if (here.expired()) return;
-        if (const auto user = connections_.find(uid); user != connections_.end())
+        if (const auto user = connections_.users().find(uid); user != connections_.users().end())
           user->second.look_due_ns =
               look->took_ns > look_budget_ns ? monotonic_ns() + look->took_ns * look_rest : 0;
-        then(!look->maps ? Trace::unknown : *look->maps ? Trace::some : Trace::none);
+        then(!look->maps ? RegionTrace::unknown : *look->maps ? RegionTrace::some : RegionTrace::none);
       });
   return true;
 }
 
 void Broker::look_whether_gone(Peer& peer) {
   if (peer.looking) return;
-  peer.looking = look_at(peer, [this, id = peer.id](Trace trace) {
-    const auto found = peers_.find(id);
-    if (found == peers_.end()) return;
-    found->second->looking = false;
-    if (journal::decide_end(whose(*found->second), false, trace == Trace::none) !=
+  peer.looking = look_at(peer, [this, id = peer.id](RegionTrace trace) {
+    Peer* const found = connections_.find(id);
+    if (found == nullptr) return;
+    found->looking = false;
+    if (journal::decide_end(whose(*found), false, trace == RegionTrace::none) !=
         EndDecision::wait)
-      reap_peer(*found->second, DeathReason::let_go, "process let go of its region");
+      reap_peer(*found, DeathReason::let_go, "process let go of its region");
   });
-}
-
-void Broker::drop(PeerId id) {
-  const auto found = peers_.find(id);
-  AGNOCAST_CHECK(found != peers_.end());
-  Peer& peer = *found->second;
-  dispatcher_.remove(peer.connection);
-  dispatcher_.remove(peer.process);
-  const auto user = connections_.find(peer.session.identity().uid);
-  AGNOCAST_CHECK(user != connections_.end());
-  std::uint64_t& count = peer.counts_as_observer ? user->second.observers : user->second.clients;
-  AGNOCAST_CHECK(count > 0);
-  --count;
-  if (peer.detached) {
-    --detached_count_;
-    --user->second.detached;
-  }
-  if (user->second.clients + user->second.observers == 0) {
-    gives_back_ |= user->second.kept->peak >= std::uint64_t{8} << 20;
-    connections_.erase(user);
-  }
-  if (peer.session.role() == Role::observer) --observer_count_;
-  close_connection(peer);
-  peers_.erase(found);
 }
 
 void Broker::tick() {
@@ -792,15 +675,10 @@ void Broker::look_around(std::uint64_t now) {
     if (!spare_) spare_.reset(::open("/dev/null", O_RDONLY | O_CLOEXEC));
     dispatcher_.change(listening_, EPOLLIN);
   }
-  if (flush_later_) {
-    flush_later_ = false;
-    for (auto& [id, peer] : peers_) {
-      if (!peer->session.closed() && !peer->revoked && peer->session.has_output()) flush(*peer);
-    }
-  }
-  if (detached_count_ > 0) {
+  output_.go_on_flushing();
+  if (connections_.detached_count() > 0) {
     std::vector<Peer*> lost;
-    for (const auto& [id, peer] : peers_) {
+    for (const auto& [id, peer] : connections_.all()) {
       if (peer->detached) lost.push_back(peer.get());
     }
     // Those first that have waited longest: there may be no time for all.
@@ -816,8 +694,8 @@ void Broker::look_around(std::uint64_t now) {
   membership_.announce_renewed();
   announce_what_waits();
   drop_slow_observers(now);
-  end_old_output(now);
-  give_memory_back();
+  output_.end_old(now);
+  connections_.give_memory_back();
   std::erase_if(answers_, [&](const auto& one) {
     return one.second.waiting.empty() && one.second.allowance.is_whole(now);
   });
@@ -842,17 +720,17 @@ int Broker::due_ms() const noexcept {
   if (!waiting_.empty() || !endings_.empty()) return 0;
   if (!listens_) return short_interval_ms;
   if (const int due = answers_due_ms(); due >= 0) return std::min(due, short_interval_ms);
-  if (detached_count_ > 0 || flush_later_ || membership_.has_waiting() || membership_.tells() ||
+  if (connections_.detached_count() > 0 || output_.flushes_later() || membership_.has_waiting() || membership_.tells() ||
       membership_.has_renewed() || !uncleared_.empty())
     return short_interval_ms;
-  return peers_.empty() ? 10'000 : watch_interval_ms;
+  return connections_.all().empty() ? 10'000 : watch_interval_ms;
 }
 
 void Broker::watch_holds() {
   for (const HoldWatch::Finding& liar : hold_watch_.look()) {
     // The end of another one may have been the end of this place.
     if (!registry_.is_used(liar.subscription)) continue;
-    Peer* const peer = by_client_[number(registry_.owner_of(liar.subscription))];
+    Peer* const peer = connections_.of_client(registry_.owner_of(liar.subscription));
     if (peer == nullptr) continue;
     revoke(*peer, "its subscription to " +
                       std::string(registry_.topic(liar.subscription.topic).name) + " holds " +
@@ -863,10 +741,10 @@ void Broker::watch_holds() {
 
 void Broker::watch_letting_go() {
   for (const LetGoWatch::Finding& found : let_go_watch_.look()) {
-    if (by_client_[number(found.client)] == nullptr) continue;
+    if (connections_.of_client(found.client) == nullptr) continue;
     // It may have said so, and wait for its turn.
-    read_packets(by_client_[number(found.client)]->id, Turn{packets_per_turn});
-    Peer* const peer = by_client_[number(found.client)];
+    read_packets(connections_.of_client(found.client)->id, Turn{packets_per_turn});
+    Peer* const peer = connections_.of_client(found.client);
     if (peer == nullptr || !let_go_watch_.is_true(found)) continue;
     const EndpointRef& oldest = found.oldest;
     revoke(*peer, "it does not let go of " + std::to_string(found.count) +
@@ -874,52 +752,6 @@ void Broker::watch_letting_go() {
                       (oldest.kind == Kind::publisher ? "publisher" : "subscription") + " of " +
                       printable(registry_.topic(oldest.topic).name));
   }
-}
-
-// --- Post
-
-Session* Broker::session_of(ClientIndex client) {
-  Peer* const peer = by_client_[number(client)];
-  return peer == nullptr || peer->session.closed() ? nullptr : &peer->session;
-}
-
-std::uint64_t Broker::user_namespace_of(ClientIndex client) {
-  const Peer* const peer = by_client_[number(client)];
-  return peer == nullptr ? 0 : peer->session.user_namespace;
-}
-
-void Broker::send(ClientIndex client, Outgoing packet) {
-  Peer* const peer = by_client_[number(client)];
-  if (peer == nullptr || peer->session.closed()) return;
-  reply(*peer, std::move(packet));
-}
-
-void Broker::reply(Peer& peer, std::span<const std::byte> packet, std::vector<SharedFd> fds) {
-  reply(peer, Outgoing{{packet.begin(), packet.end()}, std::move(fds), {}});
-}
-
-void Broker::begin_anew(ClientIndex client, std::string_view why) {
-  Peer* const peer = by_client_[number(client)];
-  if (peer != nullptr && !peer->session.closed()) end_output(*peer, why);
-}
-
-void Broker::reply(Peer& peer, Outgoing packet) {
-  AGNOCAST_CRASH_POINT(B_send);
-  const bool waiting = peer.session.has_output();
-  packet.since_ms = monotonic_ms();
-  try {
-    const MemoryReserve::MayFail may_fail;
-    peer.session.push(std::move(packet));
-  } catch (const std::bad_alloc&) {
-    // It comes back and is told everything again.
-    const MemoryReserve::MustNotFail ends;
-    end_output(peer, no_memory_text);
-    return;
-  }
-  // While something waits for the socket there is nothing to gain from another try.
-  if (!waiting || peer.session.queued_count() > Session::queue_count_max) flush(peer);
-  if (peer.session.is_over()) end_longest_output(peer.session.identity().uid);
-  AGNOCAST_CRASH_POINT(B_sent);
 }
 
 void Broker::on_ended(ClientIndex client) {

@@ -34,12 +34,14 @@
 #include <daemon/state/refusals.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/allowance.hpp>
+#include <daemon/transport/connection_table.hpp>
 #include <daemon/transport/descriptor_store.hpp>
 #include <daemon/transport/dispatcher.hpp>
 #include <daemon/transport/disposal.hpp>
 #include <daemon/transport/doorbells.hpp>
 #include <daemon/transport/errands.hpp>
 #include <daemon/transport/listener.hpp>
+#include <daemon/transport/peer_output.hpp>
 #include <daemon/transport/requests.hpp>
 #include <daemon/transport/session.hpp>
 #include <journal/cases.hpp>
@@ -64,11 +66,11 @@ struct BrokerOptions {
   std::uint64_t former_count = 0;  // daemons that began here before
 };
 
-class Broker final : private Post {
+class Broker final {
  public:
   Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, Listener& listener,
          Regions regions, DescriptorStore& store, Errands& errands, Disposal& disposal);
-  ~Broker() override;
+  ~Broker();
   Broker(const Broker&) = delete;
   Broker& operator=(const Broker&) = delete;
 
@@ -88,56 +90,11 @@ class Broker final : private Post {
   const Arena& arena() const noexcept { return options_.arena; }
 
  private:
-  using PeerId = std::uint64_t;
-  /// What a process has of its region. Unknown: there is no time to look now, or no descriptor.
-  enum class Trace : std::uint8_t { none, some, unknown };
-  /// What an observer has asked for and is answered at length.
-  using LongRequest = std::variant<wire::Dump, wire::ReadJournal>;
-  struct Peer {
-    PeerId id;
-    Session session;
-    Dispatcher::Token connection = 0;
-    Dispatcher::Token process = 0;
-    bool wants_writable = false;
-    bool waits = false;     // for its turn
-    bool ended = false;     // the process; its turn is the last
-    bool detached = false;  // without a connection, or revoked, but alive and mapping its region
-    bool revoked = false;   // its client is dead in the tables; nothing it says counts
-    bool counts_as_observer = false;
-    std::uint64_t parked = 0;    // it waits for the errand with this ticket
-    bool brings_windows = false;  // it may, until it asks for something new
-    std::uint64_t refuses_since_ms = 0;  // since when the kernel refuses descriptors again
-    std::uint64_t asked_ms = 0;   // of an observer: when its last answer was made
-    std::optional<abi::wire::Dump> awaits_change = {};  // of an observer: to be answered then
-    std::optional<LongRequest> asked = {};              // of an observer: when its user's turn comes
-    std::uint64_t looked_ns = 0;  // when tick() last asked whether it has let go
-    bool looking = false;         // somebody looks right now
-    // Of a hello: whether the process was looked at, and what it has of a region that was revoked.
-    std::optional<Trace> revoked_trace = {};
-    // Of its process: to be told everything again is work. An honest one tries four times a second at
-    // last (client/session/reconnection.hpp), a few times more often at first.
-    Allowance returns{20, 250};
-  };
-  /// Connections of one user.
-  struct Connections {
-    std::uint64_t clients = 0;
-    std::uint64_t observers = 0;
-    std::uint64_t detached = 0;  // of the clients: processes without a connection
-    std::uint64_t look_due_ns = 0;  // before that no process of this user is looked at
-    std::shared_ptr<KeptForUser> kept = std::make_shared<KeptForUser>();
-  };
   /// Answers at length of one user; outlives its connections.
   struct Answers {
     Allowance allowance;
     std::deque<PeerId> waiting;
   };
-
-  // Post
-  Session* session_of(ClientIndex client) override;
-  std::uint64_t user_namespace_of(ClientIndex client) override;
-  using Post::send;
-  void send(ClientIndex client, Outgoing packet) override;
-  void begin_anew(ClientIndex client, std::string_view why) override;
 
   void accept_some();
   /// Nobody is accepted until the next look around: there is no descriptor.
@@ -161,17 +118,9 @@ class Broker final : private Post {
   /// What is read from it waits until unpark(); nothing when it is gone by then.
   void park(Peer& peer, std::uint64_t ticket);
   Peer* unpark(PeerId id, std::uint64_t ticket);
-  void close_connection(Peer& peer);
   void close_connection(PacketSocket socket, std::uint32_t uid);
-  void flush(Peer& peer);
-  /// Nothing more is sent to it; its end is read like any other.
-  void end_output(Peer& peer, std::string_view why);
-  void end_longest_output(std::uint32_t uid);
-  void end_old_output(std::uint64_t now);
-  void give_memory_back();
   /// The connection is over; the process may live.
   void disconnect(Peer& peer, std::string_view why);
-  void drop(PeerId id);
   void reap_peer(Peer& peer, journal::DeathReason reason, std::string_view how);
   void repair(ClientIndex client, journal::DeathReason reason, std::string_view how,
               std::uint64_t budget_ns = reap_budget_ns);
@@ -188,7 +137,7 @@ class Broker final : private Post {
   /// Sends what a revoked process is to hear last, then shuts its connection.
   void say_farewell(Peer& peer);
   /// Has somebody look elsewhere what the process has of its region; `then` hears of it later. False: not now.
-  bool look_at(const Peer& peer, std::function<void(Trace)> then);
+  bool look_at(const Peer& peer, std::function<void(RegionTrace)> then);
   /// Of a process without a connection: it is reaped if it has let go.
   void look_whether_gone(Peer& peer);
   /// True: the process has been here before, and is looked at first; its hello waits for that.
@@ -253,8 +202,6 @@ class Broker final : private Post {
               std::string_view text);
   /// For people who ask later.
   void remember(const Peer& peer, const Request& request, Errc code, std::string_view why);
-  void reply(Peer& peer, Outgoing packet);
-  void reply(Peer& peer, std::span<const std::byte> packet, std::vector<SharedFd> fds = {});
   void announce_what_waits();
   void on_ended(ClientIndex client);
   BrokerOptions options_;
@@ -264,6 +211,8 @@ class Broker final : private Post {
   DescriptorStore& store_;
   Errands& errands_;
   Disposal& disposal_;
+  ConnectionTable connections_;
+  PeerOutput output_;
   std::shared_ptr<char> here_ = std::make_shared<char>();  // what answers of errands look for
   Regions regions_;
   Registry registry_;
@@ -277,20 +226,14 @@ class Broker final : private Post {
   HoldWatch hold_watch_;
   LetGoWatch let_go_watch_;
   Refusals refusals_;
-  std::unordered_map<PeerId, std::unique_ptr<Peer>> peers_;
-  std::vector<Peer*> by_client_;
   std::unordered_map<std::uint32_t, std::deque<PeerId>> waiting_;  // for their turn, by uid
-  std::unordered_map<std::uint32_t, Connections> connections_;     // by uid
   std::unordered_map<std::uint32_t, Answers> answers_;             // by uid
-  bool gives_back_ = false;  // much that was queued is not queued any more
-  std::uint64_t observer_count_ = 0;
   struct Ending {
     Reaping reaping;
     AfterReaping then;
   };
   std::list<Ending> endings_;  // that have begun
   std::uint64_t answered_lsn_ = 0;  // up to here who awaits a change was answered
-  PeerId last_peer_ = 0;
   std::uint64_t last_ticket_ = 0;
   /// A creation whose memory is being prepared.
   struct Uncleared {
@@ -300,8 +243,6 @@ class Broker final : private Post {
   // Microseconds, unless its process keeps the file, or others every thread that could do it.
   static constexpr std::uint64_t clearing_ms = 10'000;
   std::deque<Uncleared> uncleared_;
-  std::uint64_t detached_count_ = 0;  // processes without a connection
-  bool flush_later_ = false;
   std::uint64_t looked_ms_ = 0;    // when tick() last had a look
   std::uint64_t watched_ms_ = 0;   // the same, at what is held and what is let go of
   UniqueFd spare_;                 // given up for a moment when no descriptor is left

@@ -48,20 +48,17 @@ constexpr std::uint64_t observer_patience_ms = 5'000;
 Result<void> Broker::observe(Peer& peer, const wire::Observe& request) {
   if (auto known = check_caller(peer, request.fingerprint); !known) return known;
   MemoryReserve::no_return();
-  Connections& used = connections_[peer.session.identity().uid];
+  UserConnections& used = connections_.user(peer.session.identity().uid);
   if (!peer.counts_as_observer) {
     if (auto admitted = admission_.admit_observer(used.observers); !admitted) return admitted;
-    --used.clients;
-    ++used.observers;
-    peer.counts_as_observer = true;
+    connections_.count_as_observer(peer);
   }
-  peer.session.observe();
-  ++observer_count_;
+  connections_.become_observer(peer);
   auto packet = make_body<wire::Observed>(wire::Opcode::observed, request.header.request);
   packet.fingerprint = abi::fingerprint();
   packet.incarnation = registry_.incarnation();
   packet.client_region_bytes = Registry::client_region_bytes;
-  reply(peer, packet_of(packet), {regions_.board_reader()});
+  output_.reply(peer, packet_of(packet), {regions_.board_reader()});
   log_.write(LogLevel::debug, "observer",
              {{"pid", peer.session.identity().pid}, {"uid", peer.session.identity().uid}});
   return {};
@@ -93,8 +90,7 @@ void Broker::answer_whose_turn_it_is() {
   const std::uint64_t now = monotonic_ms();
   for (auto& [uid, answers] : answers_) {
     while (!answers.waiting.empty()) {
-      const auto found = peers_.find(answers.waiting.front());
-      Peer* const peer = found == peers_.end() ? nullptr : found->second.get();
+      Peer* const peer = connections_.find(answers.waiting.front());
       if (peer == nullptr || peer->session.closed() || !peer->asked) {
         answers.waiting.pop_front();
         continue;
@@ -118,7 +114,7 @@ void Broker::answer(Peer& peer, const LongRequest& request) {
           peer, make_journal(registry_, std::get<wire::ReadJournal>(request), monotonic_ns()));
     }
   } catch (const std::bad_alloc&) {
-    end_output(peer, "agnocastd has no memory left for an answer at length");
+    output_.end(peer, "agnocastd has no memory left for an answer at length");
   }
 }
 
@@ -127,9 +123,9 @@ int Broker::answers_due_ms() const noexcept {
   std::uint64_t due = UINT64_MAX;
   for (const auto& [uid, answers] : answers_) {
     if (answers.waiting.empty()) continue;
-    const auto first = peers_.find(answers.waiting.front());
+    const Peer* const first = connections_.find(answers.waiting.front());
     // Who waits for room does not wait for time, and is looked at with everything else.
-    const bool is_crowded = first != peers_.end() && first->second->session.is_crowded();
+    const bool is_crowded = first != nullptr && first->session.is_crowded();
     due = std::min(due, is_crowded ? 1000 : answers.allowance.due_ms(now));
   }
   return due == UINT64_MAX ? -1 : static_cast<int>(std::min<std::uint64_t>(due, 1000));
@@ -137,9 +133,9 @@ int Broker::answers_due_ms() const noexcept {
 
 void Broker::answer_who_awaits_change() {
   const std::uint64_t lsn = registry_.log().committed_lsn();
-  if (observer_count_ == 0 || lsn == answered_lsn_) return;
+  if (connections_.observer_count() == 0 || lsn == answered_lsn_) return;
   answered_lsn_ = lsn;
-  for (const auto& [id, peer] : peers_) {
+  for (const auto& [id, peer] : connections_.all()) {
     if (peer->session.closed() || !peer->awaits_change || peer->awaits_change->seen == lsn)
       continue;
     answer_in_turn(*peer, *std::exchange(peer->awaits_change, std::nullopt));
@@ -163,7 +159,7 @@ Result<void> Broker::set_log_level(Peer& peer, const wire::SetLogLevel& request)
   }
   auto answer = make_body<wire::LogLevelIs>(wire::Opcode::log_level_is, request.header.request);
   answer.level = static_cast<std::uint64_t>(log_.level());
-  reply(peer, packet_of(answer));
+  output_.reply(peer, packet_of(answer));
   return {};
 }
 
@@ -186,7 +182,7 @@ Result<void> Broker::ask_access(Peer& peer, const wire::AskAccess& request) {
       answer.pattern = name_of(rule->topic);
       write_list(who.written, answer.principals);
     }
-    reply(peer, packet_of(answer));
+    output_.reply(peer, packet_of(answer));
   }
   return {};
 }
@@ -203,19 +199,19 @@ void Broker::answer_at_length(Peer& peer, std::vector<Outgoing> packets) {
     together.fds.insert(together.fds.end(), packet.fds.begin(), packet.fds.end());
   }
   peer.session.push(std::move(together));
-  flush(peer);
-  if (peer.session.is_over()) end_longest_output(peer.session.identity().uid);
+  output_.flush(peer);
+  if (peer.session.is_over()) output_.end_longest(peer.session.identity().uid);
 }
 
 void Broker::drop_slow_observers(std::uint64_t now) {
-  if (observer_count_ == 0) return;
+  if (connections_.observer_count() == 0) return;
   std::vector<PeerId> slow;
-  for (const auto& [id, peer] : peers_) {
+  for (const auto& [id, peer] : connections_.all()) {
     if (peer->session.role() == Role::observer && peer->session.has_output() &&
         now - peer->asked_ms > observer_patience_ms)
       slow.push_back(id);
   }
-  for (const PeerId id : slow) disconnect(*peers_.at(id), "an observer does not read");
+  for (const PeerId id : slow) disconnect(*connections_.find(id), "an observer does not read");
 }
 
 DumpFacts Broker::facts() const {
@@ -251,15 +247,15 @@ DumpFacts Broker::facts() const {
                   quota.queued_bytes, quota.queued_seconds, quota.dumps_per_second,
                   admission_.places_quota(Kind::publisher), admission_.places_quota(Kind::subscription)};
   const std::uint64_t now_ms = monotonic_ms();
-  for (const auto& [id, peer] : peers_) {
+  for (const auto& [id, peer] : connections_.all()) {
     std::uint64_t& waits_ms = facts.users[peer->session.identity().uid].waits_ms;
     waits_ms = std::max(waits_ms, peer->session.waits_ms(now_ms));
   }
   for (const auto& [uid, answers] : answers_) {
-    if (connections_.contains(uid))
+    if (connections_.users().contains(uid))
       facts.users[uid].answers_ahead = answers.allowance.ahead(now_ms);
   }
-  for (const auto& [uid, used] : connections_) {
+  for (const auto& [uid, used] : connections_.users()) {
     DumpFacts::User& user = facts.users[uid];
     user.connections = used.clients;
     user.observers = used.observers;
@@ -271,7 +267,7 @@ DumpFacts Broker::facts() const {
   facts.now_ns = now;
   facts.process_of = [this, now](ClientIndex client) {
     DumpFacts::Process process;
-    const Peer* const peer = by_client_[number(client)];
+    const Peer* const peer = connections_.of_client(client);
     if (peer != nullptr)
       process.state = peer->detached ? wire::ProcessState::orphaned : wire::ProcessState::connected;
     if (registry_.is_revoked(client)) process.state = wire::ProcessState::revoked;

@@ -67,7 +67,7 @@ void Broker::refuse(Peer& peer, const Request& request, std::uint64_t id, Errc c
                       {"code", word_of(code)},
                       {"errno", os_errno},
                       {"why", text}});
-  reply(peer, packet_of(packet));
+  output_.reply(peer, packet_of(packet));
 }
 
 void Broker::remember(const Peer& peer, const Request& request, Errc code, std::string_view why) {
@@ -183,12 +183,12 @@ Result<void> Broker::check_caller(const Peer& peer, std::uint64_t fingerprint) {
 /// What is found out of a process that has been here before.
 struct Broker::Before {
   std::size_t open = 0;  // looks that have not ended
-  Trace revoked = Trace::none;
+  RegionTrace revoked = RegionTrace::none;
   std::vector<PeerId> unused;  // places
-  void add(PeerId id, bool is_revoked, Trace trace) {
+  void add(PeerId id, bool is_revoked, RegionTrace trace) {
     if (!is_revoked) {
-      if (trace == Trace::none) unused.push_back(id);
-    } else if (trace == Trace::some || revoked == Trace::none) {
+      if (trace == RegionTrace::none) unused.push_back(id);
+    } else if (trace == RegionTrace::some || revoked == RegionTrace::none) {
       revoked = trace;
     }
   }
@@ -197,10 +197,10 @@ struct Broker::Before {
 // A daemon that died while it welcomed a process has left a place that nobody uses. And a process that was
 // revoked may not come back while it has its region; after exec it is another program.
 bool Broker::look_before(Peer& peer, const wire::Hello& hello) {
-  if (detached_count_ == 0 || peer.revoked_trace) return false;
+  if (connections_.detached_count() == 0 || peer.revoked_trace) return false;
   const auto before = std::make_shared<Before>();
   const std::uint64_t ticket = ++last_ticket_;
-  for (const auto& [id, other] : peers_) {
+  for (const auto& [id, other] : connections_.all()) {
     // Of the places that a process leaves behind again and again, each is found by its own look.
     if (!other->detached || (before->open >= unused_count_max && !other->revoked) ||
         other->session.identity().pid != peer.session.identity().pid ||
@@ -208,14 +208,14 @@ bool Broker::look_before(Peer& peer, const wire::Hello& hello) {
       continue;
     const bool asked = look_at(
         *other, [this, before, hello, caller = peer.id, ticket, id = id, revoked = other->revoked](
-                    Trace trace) {
+                    RegionTrace trace) {
           before->add(id, revoked, trace);
           if (--before->open == 0) welcome_after(caller, ticket, hello, *before);
         });
     if (asked) {
       ++before->open;
     } else {
-      before->add(id, other->revoked, Trace::unknown);
+      before->add(id, other->revoked, RegionTrace::unknown);
     }
   }
   if (before->open == 0) {
@@ -229,9 +229,9 @@ bool Broker::look_before(Peer& peer, const wire::Hello& hello) {
 void Broker::welcome_after(PeerId id, std::uint64_t ticket, const wire::Hello& hello,
                            const Before& before) {
   for (const PeerId unused : before.unused) {
-    const auto found = peers_.find(unused);
-    if (found != peers_.end() && found->second->detached && !found->second->revoked)
-      reap_peer(*found->second, DeathReason::let_go, "process says hello again");
+    Peer* const found = connections_.find(unused);
+    if (found != nullptr && found->detached && !found->revoked)
+      reap_peer(*found, DeathReason::let_go, "process says hello again");
   }
   Peer* const peer = unpark(id, ticket);
   if (peer == nullptr) return;
@@ -246,12 +246,12 @@ Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
   if (auto admitted = admission_.admit_client(session.identity().uid, peer.counts_as_observer);
       !admitted)
     return admitted;
-  switch (std::exchange(peer.revoked_trace, std::nullopt).value_or(Trace::none)) {
-    case Trace::none:
+  switch (std::exchange(peer.revoked_trace, std::nullopt).value_or(RegionTrace::none)) {
+    case RegionTrace::none:
       break;
-    case Trace::some:
+    case RegionTrace::some:
       return fail_with(Errc::revoked, "the membership of this process was revoked");
-    case Trace::unknown:
+    case RegionTrace::unknown:
       // It may have become another program since. Whoever loses its connection says hello again.
       disconnect(peer, "no time to look whether the process was revoked");
       return {};
@@ -274,7 +274,7 @@ Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
   const ClientRecord& record = registry_.client(client);
   expect_windows(peer);
   session.greet(client);
-  by_client_[number(client)] = &peer;
+  connections_.set_client(client, &peer);
   auto packet = make_body<wire::Welcome>(wire::Opcode::welcome, hello.header.request);
   packet.fingerprint = abi::fingerprint();
   packet.incarnation = registry_.incarnation();
@@ -283,7 +283,7 @@ Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
   packet.arena_base = options_.arena.base;
   packet.arena_bytes = options_.arena.bytes;
   packet.client_region_bytes = Registry::client_region_bytes;
-  reply(peer, packet_of(packet), {regions_.board_reader(), regions_.region_writer(client)});
+  output_.reply(peer, packet_of(packet), {regions_.board_reader(), regions_.region_writer(client)});
   log_.write(LogLevel::debug, "client registered",
              {{"client", number(client)},
               {"generation", record.generation},
@@ -295,11 +295,11 @@ Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
 }
 
 // The connection that the process had before.
-Result<Broker::Peer*> Broker::lost_peer(const Peer& peer, const wire::Rejoin& request) {
+Result<Peer*> Broker::lost_peer(const Peer& peer, const wire::Rejoin& request) {
   using journal::RejoinDecision;
   const ClientIndex client{static_cast<std::uint32_t>(request.client)};
   const bool is_place = number(client) < registry_.client_high();
-  Peer* const before = is_place ? by_client_[number(client)] : nullptr;
+  Peer* const before = is_place ? connections_.of_client(client) : nullptr;
   journal::RejoinFacts facts;
   facts.same_layout = request.fingerprint == abi::fingerprint();
   facts.confirmed = peer.session.identity().confirmed;
@@ -342,21 +342,17 @@ Result<void> Broker::rejoin(Peer& peer, const wire::Rejoin& request) {
   }
   access_.warn_of_other_readers(client);
   MemoryReserve::no_return();
-  if (std::exchange(peer.counts_as_observer, false)) {
-    // It was taken for one more because the daemon had not seen yet that the old one had ended.
-    Connections& used = connections_[peer.session.identity().uid];
-    --used.observers;
-    ++used.clients;
-  }
+  // It may have been taken for one more because the daemon had not seen yet that the old one had ended.
+  connections_.count_as_client(peer);
   peer.session.greet(client);
-  by_client_[number(client)] = &peer;
-  drop((*before)->id);
+  connections_.set_client(client, &peer);
+  connections_.remove((*before)->id);
   if (registry_.endpoints_of(client).empty() && registry_.client(client).executors == 0)
     expect_windows(peer);
   registry_.note_rejoined(client);
   auto packet = make_body<wire::Rejoined>(wire::Opcode::rejoined, request.header.request);
   packet.incarnation = registry_.incarnation();
-  reply(peer, packet_of(packet));
+  output_.reply(peer, packet_of(packet));
   let_go_watch_.told_again(client);
   renew_bells(peer);
   membership_.welcome_back(client);
@@ -377,7 +373,7 @@ void Broker::renew_bells(Peer& peer) {
     AGNOCAST_CRASH_POINT(B_bell_bound);
     auto packet = make_body<wire::BellsRenewed>(wire::Opcode::bells_renewed);
     packet.executor = executor;
-    reply(peer, packet_of(packet), std::move(*bells));
+    output_.reply(peer, packet_of(packet), std::move(*bells));
     membership_.renewed(client, executor);
   }
 }
@@ -439,7 +435,7 @@ Result<void> Broker::bring_window(Peer& peer, const wire::BringWindow& request,
   const ClientRecord& record = registry_.client(client);
   const auto done = [&] {
     const auto packet = make_body<wire::Done>(wire::Opcode::done, request.header.request);
-    reply(peer, packet_of(packet));
+    output_.reply(peer, packet_of(packet));
     return Result<void>();
   };
   namespace brought = journal::brought;
@@ -544,7 +540,7 @@ Result<void> Broker::open_window(Peer& peer, const wire::WindowRequest& request)
   packet.base = record.window[request.window].base;
   packet.bytes = record.window[request.window].bytes;
   packet.first = record.window[request.window].first;
-  reply(peer, packet_of(packet), {*writer, regions_.window_readers(client)[request.window]});
+  output_.reply(peer, packet_of(packet), {*writer, regions_.window_readers(client)[request.window]});
   return {};
 }
 
@@ -577,7 +573,7 @@ Result<void> Broker::open_executor(Peer& peer, const ExecutorRequest& request) {
   AGNOCAST_CRASH_POINT(B_bell_bound);
   registry_.open_executor(client, static_cast<std::uint32_t>(request.executor));
   const auto packet = make_body<wire::Done>(wire::Opcode::executor_opened, request.request);
-  reply(peer, packet_of(packet), std::move(*bells));
+  output_.reply(peer, packet_of(packet), std::move(*bells));
   return {};
 }
 
@@ -623,11 +619,11 @@ Result<void> Broker::revoke(Peer& peer, const wire::Revoke& request) {
     return fail_with(Errc::permission_denied, "user " + std::to_string(who.uid) +
                                                 " may not revoke a process of user " +
                                                 std::to_string(record.uid));
-  Peer* const revoked = by_client_[number(client)];
+  Peer* const revoked = connections_.of_client(client);
   AGNOCAST_CHECK(revoked != nullptr);
   revoke(*revoked,
          "revoked by user " + std::to_string(who.uid) + " (pid " + std::to_string(who.pid) + ")");
-  reply(peer, packet_of(make_body<wire::Done>(wire::Opcode::done, request.header.request)));
+  output_.reply(peer, packet_of(make_body<wire::Done>(wire::Opcode::done, request.header.request)));
   return {};
 }
 

@@ -152,7 +152,7 @@ Result<void> Broker::watch(ClientIndex client, Pidfd process) {
   identity.pid = static_cast<pid_t>(record.pid);
   identity.process = std::move(process);
   identity.confirmed = true;
-  const PeerId id = ++last_peer_;
+  const PeerId id = connections_.next_id();
   auto peer = std::make_unique<Peer>(Peer{id, Session(PacketSocket(), std::move(identity))});
   const auto token = dispatcher_.add(peer->session.identity().process.fd(), EPOLLIN,
                                      [this, id](std::uint32_t) { wait_for_turn(id, true); });
@@ -160,12 +160,9 @@ Result<void> Broker::watch(ClientIndex client, Pidfd process) {
   peer->process = *token;
   peer->session.greet(client);
   peer->detached = true;
-  ++detached_count_;
   peer->revoked = registry_.is_revoked(client);
-  if (!peer->revoked) by_client_[number(client)] = peer.get();
-  ++connections_[record.uid].clients;
-  ++connections_[record.uid].detached;
-  find_user_namespace(*peers_.emplace(id, std::move(peer)).first->second);
+  if (!peer->revoked) connections_.set_client(client, peer.get());
+  find_user_namespace(connections_.add(std::move(peer)));
   return {};
 }
 
