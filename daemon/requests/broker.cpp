@@ -29,7 +29,6 @@
 namespace agnocast::daemon {
 
 using journal::DeathReason;
-using journal::EndDecision;
 
 namespace {
 
@@ -41,10 +40,6 @@ constexpr std::uint64_t turn_budget_ns = 2'000'000;
 constexpr unsigned connections_per_turn = 8;
 // How often a process without a connection is looked at.
 constexpr int short_interval_ms = 250;
-// How many times as long as a look has taken that took longer than this no process of that user is looked at
-// again; and how many of its processes wait for a look.
-constexpr std::uint64_t look_budget_ns = 20'000'000, look_rest = 20;
-constexpr std::size_t looks_waiting_max = 256;
 // How often holds are looked at, what is let go of, and observers.
 constexpr int watch_interval_ms = 1'000;
 
@@ -87,6 +82,10 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
       membership_(registry_, regions_, doorbells_, output_),
       admission_(options_.config, options_.arena, plan_, registry_, membership_, store, access_),
       conflicts_(options_.config.heap, options_.arena, registry_, admission_, plan_, obstacles_, membership_, output_, log),
+      reaping_(registry_, regions_, doorbells_, membership_),
+      region_look_(connections_, errands, regions_),
+      termination_(connections_, dispatcher, registry_, store, obstacles_, membership_, reaping_,
+                   region_look_, log),
       hold_watch_(registry_, regions_),
       let_go_watch_(registry_, regions_, membership_, output_),
       spare_(::open("/dev/null", O_RDONLY | O_CLOEXEC)) {
@@ -243,7 +242,7 @@ void Broker::find_user_namespace(Peer& peer) {
   const auto known = identity.process.user_namespace();
   peer.session.user_namespace = known.value_or(0);
   if (known || identity.pid <= 0 ||
-      errands_.waiting(Errands::Lane::looking, identity.uid) >= looks_waiting_max)
+      errands_.waiting(Errands::Lane::looking, identity.uid) >= RegionLook::waiting_max)
     return;
   const std::uint64_t ticket = ++last_ticket_;
   park(peer, ticket);
@@ -292,7 +291,7 @@ void Broker::take_turn(PeerId id, Turn& turn) {
   // Once a whole turn: another process may hold the connection, and never be done.
   const unsigned count = read_packets(id, ended ? Turn{packets_per_turn} : turn);
   if (Peer* const still = connections_.find(id); ended && still != nullptr)
-    reap_peer(*still, DeathReason::died, "process ended");
+    termination_.reap(*still, DeathReason::died, "process ended");
   const bool late = monotonic_ns() >= turn.until_ns;
   turn.left = late ? 0 : turn.left - std::clamp(count, 1U, turn.left);
 }
@@ -305,7 +304,7 @@ unsigned Broker::read_packets(PeerId id, const Turn& share) {
     if (found == nullptr || found->session.closed()) return turn;
     Peer& peer = *found;
     if (peer.revoked) {
-      say_farewell(peer);
+      termination_.say_farewell(peer);
       return turn;
     }
     if (peer.parked != 0) return turn;
@@ -319,18 +318,18 @@ unsigned Broker::read_packets(PeerId id, const Turn& share) {
     if (peer.session.may_carry() && !may_receive(peer, buffer)) return turn;
     auto packet = peer.session.socket().receive(buffer);
     if (!packet) {
-      disconnect(peer, packet.error().what);
+      termination_.disconnect(peer, packet.error().what);
       return turn;
     }
     if (packet->kind == Packet::Kind::nothing) return turn;
     if (packet->kind == Packet::Kind::end) {
-      disconnect(peer, "closed by the process");
+      termination_.disconnect(peer, "closed by the process");
       return turn;
     }
     if (packet->credentials && !peer.session.identity().confirmed)
       confirm(peer.session.identity(), *packet->credentials);
     if (observes && (peer.session.has_output() || peer.asked)) {
-      disconnect(peer, "an observer asks before it has read");
+      termination_.disconnect(peer, "an observer asks before it has read");
       return turn;
     }
     AGNOCAST_CRASH_POINT(B_request);
@@ -409,7 +408,7 @@ void Broker::refuse_uncleared(std::uint64_t now) {
 bool Broker::may_receive(Peer& peer, std::span<std::byte> buffer) {
   const auto next = peer.session.socket().peek(buffer);
   if (!next) {
-    disconnect(peer, next.error().what);
+    termination_.disconnect(peer, next.error().what);
     return false;
   }
   if (next->kind == Packet::Kind::nothing) {
@@ -432,7 +431,7 @@ bool Broker::may_receive(Peer& peer, std::span<std::byte> buffer) {
   const PeerId id = peer.id;
   serve_packet(peer, buffer.first(next->bytes), {1, next->truncated, true}, {});
   if (Peer* const found = connections_.find(id); found != nullptr && !found->session.closed())
-    disconnect(*found, "descriptors came with a packet");
+    termination_.disconnect(*found, "descriptors came with a packet");
   return false;
 }
 
@@ -453,215 +452,15 @@ Peer* Broker::unpark(PeerId id, std::uint64_t ticket) {
                       peer.wants_writable || peer.revoked ? EPOLLIN | EPOLLOUT : EPOLLIN,
                       [this, id](std::uint32_t) { wait_for_turn(id, false); });
   if (!token) {
-    disconnect(peer, token.error().what);
+    termination_.disconnect(peer, token.error().what);
     return nullptr;
   }
   peer.connection = *token;
   return peer.revoked ? nullptr : &peer;
 }
 
-std::uint8_t Broker::whose(const Peer& peer) noexcept {
-  if (!peer.session.greeted()) return journal::end::stranger;
-  return peer.revoked ? journal::end::revoked : journal::end::member;
-}
-
-void Broker::disconnect(Peer& peer, std::string_view why) {
-  const MemoryReserve::MustNotFail must_not_fail;
-  MemoryReserve::no_return();
-  AGNOCAST_CRASH_POINT(B_ended);
-  dispatcher_.remove(peer.connection);
-  peer.connection = 0;
-  connections_.close(peer);
-  const auto decision = journal::decide_end(whose(peer), false, false);
-  if (decision == EndDecision::drop) {
-    if (peer.session.role() == Role::observer)
-      log_.write(LogLevel::debug, "observer gone",
-                 {{"pid", peer.session.identity().pid}, {"why", why}});
-    connections_.remove(peer.id);
-    return;
-  }
-  const ClientIndex client = *peer.session.client();
-  log_.write(LogLevel::debug, "connection closed",
-             {{"client", number(client)}, {"pid", peer.session.identity().pid}, {"why", why}});
-  connections_.detach(peer);
-  // After exec, or when the library was shut down, nothing of the region is left in the process.
-  if (!peer.ended) look_whether_gone(peer);
-}
-
-void Broker::reap_peer(Peer& peer, DeathReason reason, std::string_view how) {
-  MemoryReserve::no_return();
-  AGNOCAST_CRASH_POINT(B_reap);
-  const PeerId id = peer.id;
-  const auto decision = journal::decide_end(whose(peer), reason == DeathReason::died, true);
-  if (decision == EndDecision::drop) {
-    connections_.remove(id);
-    return;
-  }
-  const ClientIndex client = *peer.session.client();
-  connections_.set_client(client, nullptr);
-  connections_.remove(id);
-  if (decision == EndDecision::free_place) {
-    const auto ending =
-        std::find_if(endings_.begin(), endings_.end(),
-                     [&](const Ending& one) { return one.reaping.client() == client; });
-    if (ending == endings_.end()) {
-      free_revoked(client, reason, how);
-    } else {
-      ending->then = [this, client, reason, how = std::string(how), before = ending->then](
-                         const Reaped& reaped) {
-        before(reaped);
-        free_revoked(client, reason, how);
-      };
-    }
-  } else {
-    repair(client, reason, how);
-  }
-  AGNOCAST_CRASH_POINT(B_reaped);
-}
-
-// The rest was done when it was revoked; now its place may be used again.
-void Broker::free_revoked(ClientIndex client, DeathReason reason, std::string_view how) {
-  registry_.client_died(client, reason);
-  store_.remove(DescriptorStore::process(client));
-  const ClientRecord& record = registry_.client(client);
-  log_for_user(log_, LogLevel::info, record.uid, "client gone",
-       {{"client", number(client)},
-        {"pid", record.pid},
-        {"uid", record.uid},
-        {"how", how},
-        {"was", "revoked"}});
-  membership_.settle_client(client);
-}
-
-void Broker::reap_in_turns(ClientIndex client, DeathReason reason, AfterReaping then,
-                           std::uint64_t budget_ns) {
-  Reaping reaping(client, reason, registry_, regions_, doorbells_, membership_);
-  const std::uint64_t now = monotonic_ns();
-  const bool done = reaping.go_on(budget_ns > UINT64_MAX - now ? UINT64_MAX : now + budget_ns);
-  if (done) return then(reaping.reaped());
-  endings_.push_back({std::move(reaping), std::move(then)});
-}
-
-void Broker::go_on_reaping() {
-  if (endings_.empty()) return;
-  // Each has its turn: who leaves much behind does not keep others from being told of another end.
-  endings_.splice(endings_.end(), endings_, endings_.begin());
-  const auto ending = std::prev(endings_.end());
-  if (!ending->reaping.go_on(monotonic_ns() + reap_budget_ns)) return;
-  const Ending done = std::move(*ending);
-  endings_.erase(ending);
-  done.then(done.reaping.reaped());
-}
-
-void Broker::repair(ClientIndex client, DeathReason reason, std::string_view how,
-                    std::uint64_t budget_ns) {
-  const std::uint32_t uid = registry_.client(client).uid;
-  const std::uint32_t pid = registry_.client(client).pid;
-  obstacles_.forget(client);
-  const auto after = [this, client, uid, pid, how = std::string(how)](const Reaped& reaped) {
-    if (!registry_.is_revoked(client)) store_.remove(DescriptorStore::process(client));
-    log_for_user(log_, reaped.corrupt == 0 ? LogLevel::info : LogLevel::warning, uid, "client gone",
-         {{"client", number(client)},
-          {"pid", pid},
-          {"uid", uid},
-          {"how", how},
-          {"publishers", reaped.publishers},
-          {"subscriptions", reaped.subscriptions},
-          {"rolled_back", reaped.rolled_back},
-          {"rolled_forward", reaped.rolled_forward},
-          {"corrupt_intents", reaped.corrupt}});
-  };
-  reap_in_turns(client, reason, after, budget_ns);
-}
-
-// Until the process ends the peer stays, and with it the connection's place in its user's quota and
-// the pidfd: so long the process has its memory, and may not come back.
-void Broker::revoke(Peer& peer, const std::string& why) {
-  MemoryReserve::no_return();
-  AGNOCAST_CRASH_POINT(B_revoke);
-  const ClientIndex client = *peer.session.client();
-  connections_.set_client(client, nullptr);
-  peer.revoked = true;
-  connections_.detach(peer);
-  obstacles_.forget(client);
-  const auto after = [this, client, pid = peer.session.identity().pid,
-                      uid = peer.session.identity().uid, why](const Reaped& reaped) {
-    log_.write(LogLevel::warning, "client revoked",
-               {{"client", number(client)},
-                {"pid", pid},
-                {"uid", uid},
-                {"why", why},
-                {"publishers", reaped.publishers},
-                {"subscriptions", reaped.subscriptions}});
-  };
-  reap_in_turns(client, DeathReason::revoked, after);
-  if (peer.session.closed()) return;
-  // What waits for it is about a membership that it does not have any more.
-  peer.session.drop_output();
-  auto packet = make_body<wire::Refused>(wire::Opcode::revoked);
-  packet.code = static_cast<std::uint32_t>(Errc::revoked);
-  packet.text = name_of(why);
-  peer.session.push(packet_of(packet), {});
-  say_farewell(peer);
-}
-
-void Broker::say_farewell(Peer& peer) {
-  if (peer.session.flush() == Session::Flushed::blocked) {
-    dispatcher_.change(peer.connection, EPOLLOUT);  // nothing that it says is read any more
-    return;
-  }
-  dispatcher_.remove(peer.connection);
-  peer.connection = 0;
-  // Not closed: what of its requests was never read would cost it the packet that waits for it.
-  ::shutdown(peer.session.socket().fd(), SHUT_RDWR);
-}
-
-// A process may have tens of thousands of mappings, and reading them takes a tenth of a second; one that holds
-// the lock of its memory keeps whoever reads waiting. That is its user's time, and what it took is not to be most
-// of what a processor does: for a while none of its processes is looked at, and the next tick asks again.
-bool Broker::look_at(const Peer& peer, std::function<void(RegionTrace)> then) {
-  const MemoryReserve::MustNotFail must_not_fail;
-  const std::uint32_t uid = peer.session.identity().uid;
-  if (monotonic_ns() < connections_.user(uid).look_due_ns ||
-      errands_.waiting(Errands::Lane::looking, uid) >= looks_waiting_max)
-    return false;
-  struct Look {
-    std::optional<bool> maps;
-    std::uint64_t took_ns = 0;
-  };
-  const auto look = std::make_shared<Look>();
-  errands_.run(
-      Errands::Lane::looking, uid,
-      [look, pid = peer.session.identity().pid,
-       file = regions_.region_file(*peer.session.client())] {
-        const std::uint64_t begin = monotonic_ns();
-        look->maps = maps_file(pid, file);
-        look->took_ns = monotonic_ns() - begin;
-      },
-      [this, look, uid, then = std::move(then), here = std::weak_ptr(here_)] {
-        if (here.expired()) return;
-        if (const auto user = connections_.users().find(uid); user != connections_.users().end())
-          user->second.look_due_ns =
-              look->took_ns > look_budget_ns ? monotonic_ns() + look->took_ns * look_rest : 0;
-        then(!look->maps ? RegionTrace::unknown : *look->maps ? RegionTrace::some : RegionTrace::none);
-      });
-  return true;
-}
-
-void Broker::look_whether_gone(Peer& peer) {
-  if (peer.looking) return;
-  peer.looking = look_at(peer, [this, id = peer.id](RegionTrace trace) {
-    Peer* const found = connections_.find(id);
-    if (found == nullptr) return;
-    found->looking = false;
-    if (journal::decide_end(whose(*found), false, trace == RegionTrace::none) !=
-        EndDecision::wait)
-      reap_peer(*found, DeathReason::let_go, "process let go of its region");
-  });
-}
-
 void Broker::tick() {
-  go_on_reaping();
+  reaping_.go_on();
   const std::uint64_t now = monotonic_ms();
   if (now - looked_ms_ >= short_interval_ms) look_around(now);  // however many events there are
   answer_who_awaits_change();                                   // of the events, and of the look
@@ -687,7 +486,7 @@ void Broker::look_around(std::uint64_t now) {
     for (Peer* const peer : lost) {
       if (peer->looking || peer->ended) continue;
       peer->looked_ns = monotonic_ns();
-      look_whether_gone(*peer);
+      termination_.look_whether_gone(*peer);
     }
   }
   membership_.go_on_telling();
@@ -717,7 +516,7 @@ void Broker::announce_what_waits() {
 }
 
 int Broker::due_ms() const noexcept {
-  if (!waiting_.empty() || !endings_.empty()) return 0;
+  if (!waiting_.empty() || !reaping_.is_empty()) return 0;
   if (!listens_) return short_interval_ms;
   if (const int due = answers_due_ms(); due >= 0) return std::min(due, short_interval_ms);
   if (connections_.detached_count() > 0 || output_.flushes_later() || membership_.has_waiting() || membership_.tells() ||
@@ -732,7 +531,7 @@ void Broker::watch_holds() {
     if (!registry_.is_used(liar.subscription)) continue;
     Peer* const peer = connections_.of_client(registry_.owner_of(liar.subscription));
     if (peer == nullptr) continue;
-    revoke(*peer, "its subscription to " +
+    termination_.revoke(*peer, "its subscription to " +
                       std::string(registry_.topic(liar.subscription.topic).name) + " holds " +
                       std::to_string(liar.held) + " messages of one publisher, its quota is " +
                       std::to_string(liar.quota));
@@ -747,7 +546,7 @@ void Broker::watch_letting_go() {
     Peer* const peer = connections_.of_client(found.client);
     if (peer == nullptr || !let_go_watch_.is_true(found)) continue;
     const EndpointRef& oldest = found.oldest;
-    revoke(*peer, "it does not let go of " + std::to_string(found.count) +
+    termination_.revoke(*peer, "it does not let go of " + std::to_string(found.count) +
                       " endpoints that are gone, the oldest a " +
                       (oldest.kind == Kind::publisher ? "publisher" : "subscription") + " of " +
                       printable(registry_.topic(oldest.topic).name));

@@ -20,9 +20,11 @@
 
 #include <base/log.hpp>
 #include <daemon/config/config.hpp>
+#include <daemon/death/client_termination.hpp>
 #include <daemon/death/hold_watch.hpp>
 #include <daemon/death/let_go_watch.hpp>
-#include <daemon/death/reaper.hpp>
+#include <daemon/death/reaping_queue.hpp>
+#include <daemon/death/region_look.hpp>
 #include <daemon/lifecycle/membership.hpp>
 #include <daemon/lifecycle/regions.hpp>
 #include <daemon/requests/access_control.hpp>
@@ -119,27 +121,6 @@ class Broker final {
   void park(Peer& peer, std::uint64_t ticket);
   Peer* unpark(PeerId id, std::uint64_t ticket);
   void close_connection(PacketSocket socket, std::uint32_t uid);
-  /// The connection is over; the process may live.
-  void disconnect(Peer& peer, std::string_view why);
-  void reap_peer(Peer& peer, journal::DeathReason reason, std::string_view how);
-  void repair(ClientIndex client, journal::DeathReason reason, std::string_view how,
-              std::uint64_t budget_ns = reap_budget_ns);
-  /// One of them after the other, for a while.
-  void go_on_reaping();
-  // Of the ends of processes, in one turn of the loop. One with thousands of endpoints takes many turns.
-  static constexpr std::uint64_t reap_budget_ns = 2'000'000;
-  using AfterReaping = std::function<void(const Reaped&)>;
-  void reap_in_turns(ClientIndex client, journal::DeathReason reason, AfterReaping then,
-                     std::uint64_t budget_ns = reap_budget_ns);
-  void free_revoked(ClientIndex client, journal::DeathReason reason, std::string_view how);
-  /// Ends the membership of a process that lives. `why` is for it and for the log.
-  void revoke(Peer& peer, const std::string& why);
-  /// Sends what a revoked process is to hear last, then shuts its connection.
-  void say_farewell(Peer& peer);
-  /// Has somebody look elsewhere what the process has of its region; `then` hears of it later. False: not now.
-  bool look_at(const Peer& peer, std::function<void(RegionTrace)> then);
-  /// Of a process without a connection: it is reaped if it has let go.
-  void look_whether_gone(Peer& peer);
   /// True: the process has been here before, and is looked at first; its hello waits for that.
   bool look_before(Peer& peer, const wire::Hello& hello);
   struct Before;
@@ -150,7 +131,6 @@ class Broker final {
                                                             std::uint64_t& lost);
   void back_endpoints(ClientIndex client);
   [[nodiscard]] Result<void> watch(ClientIndex client, Pidfd process);
-  static std::uint8_t whose(const Peer& peer) noexcept;  // of journal::end
   std::uint64_t reap_while_away(const std::vector<ClientIndex>& ended);
 
   /// `fds`: what came with the packet. Without memory it is refused.
@@ -223,16 +203,14 @@ class Broker final {
   Membership membership_;
   Admission admission_;
   AddressConflicts conflicts_;
+  ReapingQueue reaping_;
+  RegionLook region_look_;
+  ClientTermination termination_;
   HoldWatch hold_watch_;
   LetGoWatch let_go_watch_;
   Refusals refusals_;
   std::unordered_map<std::uint32_t, std::deque<PeerId>> waiting_;  // for their turn, by uid
   std::unordered_map<std::uint32_t, Answers> answers_;             // by uid
-  struct Ending {
-    Reaping reaping;
-    AfterReaping then;
-  };
-  std::list<Ending> endings_;  // that have begun
   std::uint64_t answered_lsn_ = 0;  // up to here who awaits a change was answered
   std::uint64_t last_ticket_ = 0;
   /// A creation whose memory is being prepared.

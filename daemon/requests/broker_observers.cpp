@@ -211,7 +211,7 @@ void Broker::drop_slow_observers(std::uint64_t now) {
         now - peer->asked_ms > observer_patience_ms)
       slow.push_back(id);
   }
-  for (const PeerId id : slow) disconnect(*connections_.find(id), "an observer does not read");
+  for (const PeerId id : slow) termination_.disconnect(*connections_.find(id), "an observer does not read");
 }
 
 DumpFacts Broker::facts() const {

@@ -166,7 +166,7 @@ void Broker::serve(Peer& peer, const Request& request, std::span<UniqueFd> fds) 
   refuse(peer, request, id, served.error().code, served.error().os_errno, why);
   const auto* const rejected = std::get_if<Rejected>(&request);
   if (rejected != nullptr && rejected->ends_connection)
-    disconnect(peer, "a packet could not be parsed");
+    termination_.disconnect(peer, "a packet could not be parsed");
 }
 
 Result<void> Broker::check_caller(const Peer& peer, std::uint64_t fingerprint) {
@@ -206,7 +206,7 @@ bool Broker::look_before(Peer& peer, const wire::Hello& hello) {
         other->session.identity().pid != peer.session.identity().pid ||
         !same_process(other->session.identity().process, peer.session.identity().process))
       continue;
-    const bool asked = look_at(
+    const bool asked = region_look_.begin(
         *other, [this, before, hello, caller = peer.id, ticket, id = id, revoked = other->revoked](
                     RegionTrace trace) {
           before->add(id, revoked, trace);
@@ -231,7 +231,7 @@ void Broker::welcome_after(PeerId id, std::uint64_t ticket, const wire::Hello& h
   for (const PeerId unused : before.unused) {
     Peer* const found = connections_.find(unused);
     if (found != nullptr && found->detached && !found->revoked)
-      reap_peer(*found, DeathReason::let_go, "process says hello again");
+      termination_.reap(*found, DeathReason::let_go, "process says hello again");
   }
   Peer* const peer = unpark(id, ticket);
   if (peer == nullptr) return;
@@ -253,7 +253,7 @@ Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
       return fail_with(Errc::revoked, "the membership of this process was revoked");
     case RegionTrace::unknown:
       // It may have become another program since. Whoever loses its connection says hello again.
-      disconnect(peer, "no time to look whether the process was revoked");
+      termination_.disconnect(peer, "no time to look whether the process was revoked");
       return {};
   }
   std::string_view name;
@@ -337,7 +337,7 @@ Result<void> Broker::rejoin(Peer& peer, const wire::Rejoin& request) {
   // The rules may be others than those by which it was let in.
   if (const std::string why = access_.forbidden_endpoint(client, peer.session.identity());
       !why.empty()) {
-    revoke(**before, why);
+    termination_.revoke(**before, why);
     return fail_with(Errc::revoked, why);
   }
   access_.warn_of_other_readers(client);
@@ -399,7 +399,7 @@ void Broker::receive_window(Peer& peer) {
   // Another number of the connection: the loop may close its own meanwhile.
   PacketSocket socket(UniqueFd(::fcntl(peer.session.socket().fd(), F_DUPFD_CLOEXEC, 0)));
   if (!socket) {
-    disconnect(peer, "no descriptor is left to receive a window with");
+    termination_.disconnect(peer, "no descriptor is left to receive a window with");
     return;
   }
   const std::uint64_t ticket = ++last_ticket_;
@@ -417,7 +417,7 @@ void Broker::serve_window(PeerId id, std::uint64_t ticket, Disposal::Received& r
   if (peer == nullptr) return;
   const Result<Packet>& packet = received.memory.packet;
   if (!packet) {
-    disconnect(*peer, packet.error().what);
+    termination_.disconnect(*peer, packet.error().what);
   } else if (packet->kind == Packet::Kind::data) {
     AGNOCAST_CRASH_POINT(B_request);
     serve_packet(
@@ -621,7 +621,7 @@ Result<void> Broker::revoke(Peer& peer, const wire::Revoke& request) {
                                                 std::to_string(record.uid));
   Peer* const revoked = connections_.of_client(client);
   AGNOCAST_CHECK(revoked != nullptr);
-  revoke(*revoked,
+  termination_.revoke(*revoked,
          "revoked by user " + std::to_string(who.uid) + " (pid " + std::to_string(who.pid) + ")");
   output_.reply(peer, packet_of(make_body<wire::Done>(wire::Opcode::done, request.header.request)));
   return {};

@@ -172,10 +172,10 @@ std::uint64_t Broker::reap_while_away(const std::vector<ClientIndex>& ended) {
     // The end of one may be the end of another that was waited for.
     const ClientState state = registry_.client(client).state;
     if (state == ClientState::alive) {
-      repair(client, DeathReason::died, "ended while the daemon was away", UINT64_MAX);
+      termination_.repair(client, DeathReason::died, "ended while the daemon was away", UINT64_MAX);
       ++dead;
     } else if (state == ClientState::dead) {
-      repair(client, registry_.client(client).reason,
+      termination_.repair(client, registry_.client(client).reason,
              "its end was not finished by the former daemon", UINT64_MAX);
     }
   }
