@@ -32,11 +32,7 @@ using journal::DeathReason;
 
 namespace {
 
-// Packets of one user handled in a row, however many connections they come from, and how long that may
-// take (one packet is always handled); the others must not wait for a flood, nor for what is much work.
-constexpr unsigned packets_per_turn = 32;
-constexpr std::uint64_t turn_budget_ns = 2'000'000;
-// Likewise connections: whoever connects again and again, refused or not, is never done.
+// How many connections are accepted in a row: whoever connects again and again, refused or not, is never done.
 constexpr unsigned connections_per_turn = 8;
 // How often a process without a connection is looked at.
 constexpr int short_interval_ms = 250;
@@ -86,6 +82,8 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
       region_look_(connections_, errands, regions_),
       termination_(connections_, dispatcher, registry_, store, obstacles_, membership_, reaping_,
                    region_look_, log),
+      scheduler_(connections_, dispatcher, termination_),
+      namespaces_(connections_, errands, scheduler_),
       hold_watch_(registry_, regions_),
       let_go_watch_(registry_, regions_, membership_, output_),
       spare_(::open("/dev/null", O_RDONLY | O_CLOEXEC)) {
@@ -218,11 +216,11 @@ void Broker::accept(PacketSocket socket) {
       std::make_unique<Peer>(Peer{id, Session(std::move(socket), std::move(*identity), used.kept)});
   peer->session.set_may_carry(may_carry);
   const auto connection = dispatcher_.add(peer->session.socket().fd(), EPOLLIN,
-                                          [this, id](std::uint32_t) { wait_for_turn(id, false); });
+                                          scheduler_.event_handler(id, false));
   const auto process =
       !connection ? connection
                   : dispatcher_.add(peer->session.identity().process.fd(), EPOLLIN,
-                                    [this, id](std::uint32_t) { wait_for_turn(id, true); });
+                                    scheduler_.event_handler(id, true));
   if (!process) {
     if (connection) dispatcher_.remove(*connection);
     send_refused(peer->session.socket(), process.error().code, process.error().what);
@@ -232,74 +230,32 @@ void Broker::accept(PacketSocket socket) {
   peer->connection = *connection;
   peer->process = *process;
   peer->counts_as_observer = only_observes;
-  find_user_namespace(connections_.add(std::move(peer)));
-}
-
-// Before Linux 6.11 only /proc says it, and whoever looks there may have to wait: so long nothing is read from the
-// process.
-void Broker::find_user_namespace(Peer& peer) {
-  const PeerIdentity& identity = peer.session.identity();
-  const auto known = identity.process.user_namespace();
-  peer.session.user_namespace = known.value_or(0);
-  if (known || identity.pid <= 0 ||
-      errands_.waiting(Errands::Lane::looking, identity.uid) >= RegionLook::waiting_max)
-    return;
-  const std::uint64_t ticket = ++last_ticket_;
-  park(peer, ticket);
-  const auto found = std::make_shared<std::uint64_t>(0);
-  errands_.run(
-      Errands::Lane::looking, identity.uid,
-      [found, pid = identity.pid] { *found = agnocast::user_namespace_of(pid).value_or(0); },
-      [this, found, id = peer.id, ticket, here = std::weak_ptr(here_)] {
-        if (here.expired()) return;
-        Peer* const at = connections_.find(id);
-        if (at == nullptr) return;
-        at->session.user_namespace = *found;
-        unpark(id, ticket);
-      });
-}
-
-void Broker::wait_for_turn(PeerId id, bool ended) {
-  Peer* const found = connections_.find(id);
-  if (found == nullptr) return;
-  Peer& peer = *found;
-  peer.ended = peer.ended || ended;
-  if (!std::exchange(peer.waits, true)) waiting_[peer.session.identity().uid].push_back(id);
+  namespaces_.find(connections_.add(std::move(peer)));
 }
 
 void Broker::serve_waiting() {
-  for (auto user = waiting_.begin(); user != waiting_.end();) {
-    std::deque<PeerId>& queue = user->second;
-    Turn turn{packets_per_turn, monotonic_ns() + turn_budget_ns};
-    while (turn.left > 0 && !queue.empty()) {
-      const PeerId id = queue.front();
-      queue.pop_front();
-      take_turn(id, turn);
-    }
-    user = queue.empty() ? waiting_.erase(user) : std::next(user);
-  }
+  scheduler_.serve([this](PeerId id, const TimeSlice& slice) { return take_turn(id, slice); });
   // Whose connection has just ended may take another one.
   if (std::exchange(knocks_, false)) accept_some();
 }
 
 // Who has more to say is found by the dispatcher again, and waits behind the others of its user.
-void Broker::take_turn(PeerId id, Turn& turn) {
+std::optional<unsigned> Broker::take_turn(PeerId id, const TimeSlice& slice) {
   Peer* const found = connections_.find(id);
-  if (found == nullptr) return;
+  if (found == nullptr) return std::nullopt;
   found->waits = false;
   const bool ended = found->ended;
-  // Once a whole turn: another process may hold the connection, and never be done.
-  const unsigned count = read_packets(id, ended ? Turn{packets_per_turn} : turn);
+  // Once a whole slice: another process may hold the connection, and never be done.
+  const unsigned count = read_packets(id, ended ? TimeSlice() : slice);
   if (Peer* const still = connections_.find(id); ended && still != nullptr)
     termination_.reap(*still, DeathReason::died, "process ended");
-  const bool late = monotonic_ns() >= turn.until_ns;
-  turn.left = late ? 0 : turn.left - std::clamp(count, 1U, turn.left);
+  return count;
 }
 
-unsigned Broker::read_packets(PeerId id, const Turn& share) {
+unsigned Broker::read_packets(PeerId id, const TimeSlice& slice) {
   std::array<std::byte, wire::packet_bytes_max> buffer;
-  for (unsigned turn = 0; turn < share.left; ++turn) {
-    if (turn > 0 && monotonic_ns() >= share.until_ns) return turn;
+  for (unsigned turn = 0; turn < slice.packets_left; ++turn) {
+    if (turn > 0 && monotonic_ns() >= slice.until_ns) return turn;
     Peer* const found = connections_.find(id);
     if (found == nullptr || found->session.closed()) return turn;
     Peer& peer = *found;
@@ -336,7 +292,7 @@ unsigned Broker::read_packets(PeerId id, const Turn& share) {
     const Envelope envelope{packet->descriptor_count, packet->truncated, packet->descriptors_lost};
     serve_packet(peer, {buffer.data(), packet->bytes}, envelope, packet->fds());
   }
-  return share.left;
+  return slice.packets_left;
 }
 
 // The one place where a request may fail for want of memory. Until something is changed it is as if it
@@ -372,19 +328,19 @@ Result<bool> Broker::clear_before(Peer& peer, const CreateRequest& request) {
                                                               : abi::subscription_extent_bytes;
   const auto offset = registry_.lowest_extent(client, bytes);
   if (!offset || regions_.is_clear(client, {*offset, bytes})) return false;
-  const std::uint64_t ticket = ++last_ticket_;
+  const std::uint64_t ticket = scheduler_.next_ticket();
   const auto cleared = regions_.clear(
       client, registry_.client(client).uid, {*offset, bytes},
       [this, id = peer.id, ticket, request, here = std::weak_ptr(here_)] {
         if (here.expired()) return;
         std::erase_if(uncleared_, [&](const Uncleared& one) { return one.ticket == ticket; });
-        Peer* const back = unpark(id, ticket);
+        Peer* const back = scheduler_.unpark(id, ticket);
         if (back == nullptr) return;
         serve_or_refuse(*back, request.request, [&] { serve(*back, request, {}); });
       });
   if (!cleared) return tl::unexpected(cleared.error());
   uncleared_.push_back({peer.id, ticket, request.request, monotonic_ms() + clearing_ms});
-  park(peer, ticket);
+  scheduler_.park(peer, ticket);
   return true;
 }
 
@@ -392,7 +348,7 @@ void Broker::refuse_uncleared(std::uint64_t now) {
   while (!uncleared_.empty() && uncleared_.front().until_ms <= now) {
     const Uncleared waits = uncleared_.front();
     uncleared_.pop_front();
-    Peer* const peer = unpark(waits.id, waits.ticket);
+    Peer* const peer = scheduler_.unpark(waits.id, waits.ticket);
     if (peer == nullptr) continue;  // it has gone, or come back on another connection
     constexpr std::string_view why =
         "memory of this process could not be prepared in time: something of it, or of its user, keeps "
@@ -433,30 +389,6 @@ bool Broker::may_receive(Peer& peer, std::span<std::byte> buffer) {
   if (Peer* const found = connections_.find(id); found != nullptr && !found->session.closed())
     termination_.disconnect(*found, "descriptors came with a packet");
   return false;
-}
-
-void Broker::park(Peer& peer, std::uint64_t ticket) {
-  peer.parked = ticket;
-  dispatcher_.remove(peer.connection);
-  peer.connection = 0;
-}
-
-Peer* Broker::unpark(PeerId id, std::uint64_t ticket) {
-  Peer* const found = connections_.find(id);
-  if (found == nullptr || found->parked != ticket) return nullptr;
-  Peer& peer = *found;
-  peer.parked = 0;
-  if (peer.session.closed()) return nullptr;
-  const auto token =
-      dispatcher_.add(peer.session.socket().fd(),
-                      peer.wants_writable || peer.revoked ? EPOLLIN | EPOLLOUT : EPOLLIN,
-                      [this, id](std::uint32_t) { wait_for_turn(id, false); });
-  if (!token) {
-    termination_.disconnect(peer, token.error().what);
-    return nullptr;
-  }
-  peer.connection = *token;
-  return peer.revoked ? nullptr : &peer;
 }
 
 void Broker::tick() {
@@ -516,7 +448,7 @@ void Broker::announce_what_waits() {
 }
 
 int Broker::due_ms() const noexcept {
-  if (!waiting_.empty() || !reaping_.is_empty()) return 0;
+  if (!scheduler_.nobody_waits() || !reaping_.is_empty()) return 0;
   if (!listens_) return short_interval_ms;
   if (const int due = answers_due_ms(); due >= 0) return std::min(due, short_interval_ms);
   if (connections_.detached_count() > 0 || output_.flushes_later() || membership_.has_waiting() || membership_.tells() ||
@@ -542,7 +474,7 @@ void Broker::watch_letting_go() {
   for (const LetGoWatch::Finding& found : let_go_watch_.look()) {
     if (connections_.of_client(found.client) == nullptr) continue;
     // It may have said so, and wait for its turn.
-    read_packets(connections_.of_client(found.client)->id, Turn{packets_per_turn});
+    read_packets(connections_.of_client(found.client)->id, TimeSlice());
     Peer* const peer = connections_.of_client(found.client);
     if (peer == nullptr || !let_go_watch_.is_true(found)) continue;
     const EndpointRef& oldest = found.oldest;

@@ -31,6 +31,8 @@
 #include <daemon/requests/address_conflicts.hpp>
 #include <daemon/requests/admission.hpp>
 #include <daemon/requests/dump.hpp>
+#include <daemon/requests/request_scheduler.hpp>
+#include <daemon/requests/user_namespaces.hpp>
 #include <daemon/state/address_plan.hpp>
 #include <daemon/state/obstacles.hpp>
 #include <daemon/state/refusals.hpp>
@@ -102,24 +104,15 @@ class Broker final {
   /// Nobody is accepted until the next look around: there is no descriptor.
   void pause_listening();
   void accept(PacketSocket socket);
-  void find_user_namespace(Peer& peer);
   /// Takes one waiting connection although no descriptor is left, and says why it is refused.
   void turn_away();
-  void wait_for_turn(PeerId id, bool ended);
-  /// What one user may still be served before the next one is.
-  struct Turn {
-    unsigned left = 0;  // packets
-    std::uint64_t until_ns = UINT64_MAX;
-  };
-  void take_turn(PeerId id, Turn& turn);
-  /// Says how many packets there were.
-  unsigned read_packets(PeerId id, const Turn& share);
+  /// Serves one connection in its user's time slice. Returns how many packets there were; nothing: it is gone.
+  std::optional<unsigned> take_turn(PeerId id, const TimeSlice& slice);
+  /// Returns how many packets there were.
+  unsigned read_packets(PeerId id, const TimeSlice& slice);
   /// Looks at the next packet of a connection that descriptors may have come into. False: it is not to be
   /// received here, and has been dealt with.
   bool may_receive(Peer& peer, std::span<std::byte> buffer);
-  /// What is read from it waits until unpark(); nothing when it is gone by then.
-  void park(Peer& peer, std::uint64_t ticket);
-  Peer* unpark(PeerId id, std::uint64_t ticket);
   void close_connection(PacketSocket socket, std::uint32_t uid);
   /// True: the process has been here before, and is looked at first; its hello waits for that.
   bool look_before(Peer& peer, const wire::Hello& hello);
@@ -206,13 +199,13 @@ class Broker final {
   ReapingQueue reaping_;
   RegionLook region_look_;
   ClientTermination termination_;
+  RequestScheduler scheduler_;
+  UserNamespaces namespaces_;
   HoldWatch hold_watch_;
   LetGoWatch let_go_watch_;
   Refusals refusals_;
-  std::unordered_map<std::uint32_t, std::deque<PeerId>> waiting_;  // for their turn, by uid
   std::unordered_map<std::uint32_t, Answers> answers_;             // by uid
   std::uint64_t answered_lsn_ = 0;  // up to here who awaits a change was answered
-  std::uint64_t last_ticket_ = 0;
   /// A creation whose memory is being prepared.
   struct Uncleared {
     PeerId id = 0;

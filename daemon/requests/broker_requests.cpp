@@ -199,7 +199,7 @@ struct Broker::Before {
 bool Broker::look_before(Peer& peer, const wire::Hello& hello) {
   if (connections_.detached_count() == 0 || peer.revoked_trace) return false;
   const auto before = std::make_shared<Before>();
-  const std::uint64_t ticket = ++last_ticket_;
+  const std::uint64_t ticket = scheduler_.next_ticket();
   for (const auto& [id, other] : connections_.all()) {
     // Of the places that a process leaves behind again and again, each is found by its own look.
     if (!other->detached || (before->open >= unused_count_max && !other->revoked) ||
@@ -222,7 +222,7 @@ bool Broker::look_before(Peer& peer, const wire::Hello& hello) {
     peer.revoked_trace = before->revoked;
     return false;
   }
-  park(peer, ticket);
+  scheduler_.park(peer, ticket);
   return true;
 }
 
@@ -233,7 +233,7 @@ void Broker::welcome_after(PeerId id, std::uint64_t ticket, const wire::Hello& h
     if (found != nullptr && found->detached && !found->revoked)
       termination_.reap(*found, DeathReason::let_go, "process says hello again");
   }
-  Peer* const peer = unpark(id, ticket);
+  Peer* const peer = scheduler_.unpark(id, ticket);
   if (peer == nullptr) return;
   peer->revoked_trace = before.revoked;
   serve_packet(*peer, std::as_bytes(std::span(&hello, 1)), {}, {});
@@ -402,8 +402,8 @@ void Broker::receive_window(Peer& peer) {
     termination_.disconnect(peer, "no descriptor is left to receive a window with");
     return;
   }
-  const std::uint64_t ticket = ++last_ticket_;
-  park(peer, ticket);
+  const std::uint64_t ticket = scheduler_.next_ticket();
+  scheduler_.park(peer, ticket);
   disposal_.receive(uid, std::move(socket), wire::packet_bytes_max,
                     [this, id = peer.id, ticket, uid, here = std::weak_ptr(here_)](
                         Disposal::Received& received) {
@@ -413,7 +413,7 @@ void Broker::receive_window(Peer& peer) {
 }
 
 void Broker::serve_window(PeerId id, std::uint64_t ticket, Disposal::Received& received) {
-  Peer* const peer = unpark(id, ticket);
+  Peer* const peer = scheduler_.unpark(id, ticket);
   if (peer == nullptr) return;
   const Result<Packet>& packet = received.memory.packet;
   if (!packet) {

@@ -155,14 +155,14 @@ Result<void> Broker::watch(ClientIndex client, Pidfd process) {
   const PeerId id = connections_.next_id();
   auto peer = std::make_unique<Peer>(Peer{id, Session(PacketSocket(), std::move(identity))});
   const auto token = dispatcher_.add(peer->session.identity().process.fd(), EPOLLIN,
-                                     [this, id](std::uint32_t) { wait_for_turn(id, true); });
+                                     scheduler_.event_handler(id, true));
   if (!token) return tl::unexpected(token.error());
   peer->process = *token;
   peer->session.greet(client);
   peer->detached = true;
   peer->revoked = registry_.is_revoked(client);
   if (!peer->revoked) connections_.set_client(client, peer.get());
-  find_user_namespace(connections_.add(std::move(peer)));
+  namespaces_.find(connections_.add(std::move(peer)));
   return {};
 }
 
