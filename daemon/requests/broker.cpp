@@ -84,6 +84,11 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
                    region_look_, log),
       scheduler_(connections_, dispatcher, termination_),
       namespaces_(connections_, errands, scheduler_),
+      collector_({options_.config, options_.arena, plan_, registry_, regions_, doorbells_, obstacles_,
+                  admission_, refusals_, store, connections_, log}),
+      answers_(options_.config.quota, registry_, collector_, connections_, output_, termination_),
+      observer_requests_(options_.config.access, registry_, regions_, admission_, connections_,
+                         output_, termination_, answers_, log),
       hold_watch_(registry_, regions_),
       let_go_watch_(registry_, regions_, membership_, output_),
       spare_(::open("/dev/null", O_RDONLY | O_CLOEXEC)) {
@@ -395,8 +400,8 @@ void Broker::tick() {
   reaping_.go_on();
   const std::uint64_t now = monotonic_ms();
   if (now - looked_ms_ >= short_interval_ms) look_around(now);  // however many events there are
-  answer_who_awaits_change();                                   // of the events, and of the look
-  answer_whose_turn_it_is();
+  answers_.answer_who_awaits_change();                          // of the events, and of the look
+  answers_.go_on();
 }
 
 void Broker::look_around(std::uint64_t now) {
@@ -424,12 +429,10 @@ void Broker::look_around(std::uint64_t now) {
   membership_.go_on_telling();
   membership_.announce_renewed();
   announce_what_waits();
-  drop_slow_observers(now);
+  answers_.drop_slow(now);
   output_.end_old(now);
   connections_.give_memory_back();
-  std::erase_if(answers_, [&](const auto& one) {
-    return one.second.waiting.empty() && one.second.allowance.is_whole(now);
-  });
+  answers_.forget_idle_users(now);
   if (now - watched_ms_ >= watch_interval_ms) {
     watched_ms_ = now;
     watch_holds();
@@ -450,7 +453,7 @@ void Broker::announce_what_waits() {
 int Broker::due_ms() const noexcept {
   if (!scheduler_.nobody_waits() || !reaping_.is_empty()) return 0;
   if (!listens_) return short_interval_ms;
-  if (const int due = answers_due_ms(); due >= 0) return std::min(due, short_interval_ms);
+  if (const int due = answers_.due_ms(); due >= 0) return std::min(due, short_interval_ms);
   if (connections_.detached_count() > 0 || output_.flushes_later() || membership_.has_waiting() || membership_.tells() ||
       membership_.has_renewed() || !uncleared_.empty())
     return short_interval_ms;

@@ -30,7 +30,9 @@
 #include <daemon/requests/access_control.hpp>
 #include <daemon/requests/address_conflicts.hpp>
 #include <daemon/requests/admission.hpp>
-#include <daemon/requests/dump.hpp>
+#include <daemon/requests/dump_collector.hpp>
+#include <daemon/requests/observer_answers.hpp>
+#include <daemon/requests/observer_requests.hpp>
 #include <daemon/requests/request_scheduler.hpp>
 #include <daemon/requests/user_namespaces.hpp>
 #include <daemon/state/address_plan.hpp>
@@ -94,12 +96,6 @@ class Broker final {
   const Arena& arena() const noexcept { return options_.arena; }
 
  private:
-  /// Answers at length of one user; outlives its connections.
-  struct Answers {
-    Allowance allowance;
-    std::deque<PeerId> waiting;
-  };
-
   void accept_some();
   /// Nobody is accepted until the next look around: there is no descriptor.
   void pause_listening();
@@ -132,7 +128,6 @@ class Broker final {
   void serve(Peer& peer, const Request& request, std::span<UniqueFd> fds);
   template <class Serve>
   void serve_or_refuse(Peer& peer, std::uint64_t id, Serve serve_it);
-  [[nodiscard]] Result<void> check_caller(const Peer& peer, std::uint64_t fingerprint);
   [[nodiscard]] Result<void> hello(Peer& peer, const wire::Hello& hello);
   [[nodiscard]] Result<void> rejoin(Peer& peer, const wire::Rejoin& request);
   [[nodiscard]] Result<Peer*> lost_peer(const Peer& peer, const wire::Rejoin& request);
@@ -152,23 +147,7 @@ class Broker final {
   [[nodiscard]] Result<bool> clear_before(Peer& peer, const CreateRequest& request);
   /// Refuses creations whose memory was not prepared in time.
   void refuse_uncleared(std::uint64_t now);
-  [[nodiscard]] Result<void> observe(Peer& peer, const wire::Observe& request);
-  [[nodiscard]] Result<void> dump(Peer& peer, const wire::Dump& request);
-  [[nodiscard]] Result<void> revoke(Peer& peer, const wire::Revoke& request);
-  [[nodiscard]] Result<void> read_journal(Peer& peer, const wire::ReadJournal& request);
-  [[nodiscard]] Result<void> set_log_level(Peer& peer, const wire::SetLogLevel& request);
-  [[nodiscard]] Result<void> ask_access(Peer& peer, const wire::AskAccess& request);
-  void answer_in_turn(Peer& peer, const LongRequest& request);
-  void answer(Peer& peer, const LongRequest& request);
-  void answer_whose_turn_it_is();
-  /// -1: nobody waits.
-  int answers_due_ms() const noexcept;
-  void answer_at_length(Peer& peer, std::vector<Outgoing> packets);
-
-  DumpFacts facts() const;
-  void drop_slow_observers(std::uint64_t now);
   void look_around(std::uint64_t now);
-  void answer_who_awaits_change();
   void watch_holds();
   void watch_letting_go();
   void refuse(Peer& peer, const Request& request, std::uint64_t id, Errc code, int os_errno,
@@ -184,6 +163,7 @@ class Broker final {
   DescriptorStore& store_;
   Errands& errands_;
   Disposal& disposal_;
+  Refusals refusals_;
   ConnectionTable connections_;
   PeerOutput output_;
   std::shared_ptr<char> here_ = std::make_shared<char>();  // what answers of errands look for
@@ -201,11 +181,11 @@ class Broker final {
   ClientTermination termination_;
   RequestScheduler scheduler_;
   UserNamespaces namespaces_;
+  DumpCollector collector_;
+  ObserverAnswers answers_;
+  ObserverRequests observer_requests_;
   HoldWatch hold_watch_;
   LetGoWatch let_go_watch_;
-  Refusals refusals_;
-  std::unordered_map<std::uint32_t, Answers> answers_;             // by uid
-  std::uint64_t answered_lsn_ = 0;  // up to here who awaits a change was answered
   /// A creation whose memory is being prepared.
   struct Uncleared {
     PeerId id = 0;

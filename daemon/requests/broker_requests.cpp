@@ -12,6 +12,7 @@
 #include <base/clock.hpp>
 #include <base/names.hpp>
 #include <base/step.hpp>
+#include <daemon/requests/check_caller.hpp>
 #include <daemon/state/memory_reserve.hpp>
 #include <journal/cases.hpp>
 
@@ -135,22 +136,22 @@ void Broker::serve(Peer& peer, const Request& request, std::span<UniqueFd> fds) 
       conflicts_.log_withdrawn(peer.session.identity(), *peer.session.client(), body);
     } else if constexpr (std::is_same_v<Body, wire::Observe>) {
       id = body.header.request;
-      served = observe(peer, body);
+      served = observer_requests_.observe(peer, body);
     } else if constexpr (std::is_same_v<Body, wire::Dump>) {
       id = body.header.request;
-      served = dump(peer, body);
+      served = observer_requests_.dump(peer, body);
     } else if constexpr (std::is_same_v<Body, wire::Revoke>) {
       id = body.header.request;
-      served = revoke(peer, body);
+      served = observer_requests_.revoke(peer, body);
     } else if constexpr (std::is_same_v<Body, wire::ReadJournal>) {
       id = body.header.request;
-      served = read_journal(peer, body);
+      served = observer_requests_.read_journal(peer, body);
     } else if constexpr (std::is_same_v<Body, wire::SetLogLevel>) {
       id = body.header.request;
-      served = set_log_level(peer, body);
+      served = observer_requests_.set_log_level(peer, body);
     } else if constexpr (std::is_same_v<Body, wire::AskAccess>) {
       id = body.header.request;
-      served = ask_access(peer, body);
+      served = observer_requests_.ask_access(peer, body);
     } else {
       id = body.request;
       served = fail_with(body.code, body.text);
@@ -167,17 +168,6 @@ void Broker::serve(Peer& peer, const Request& request, std::span<UniqueFd> fds) 
   const auto* const rejected = std::get_if<Rejected>(&request);
   if (rejected != nullptr && rejected->ends_connection)
     termination_.disconnect(peer, "a packet could not be parsed");
-}
-
-Result<void> Broker::check_caller(const Peer& peer, std::uint64_t fingerprint) {
-  if (fingerprint != abi::fingerprint())
-    return fail_with(Errc::layout_mismatch, "the library has layout " + hexadecimal(fingerprint) +
-                                              ", the daemon has layout " +
-                                              hexadecimal(abi::fingerprint()));
-  if (!peer.session.identity().confirmed)
-    return fail_with(Errc::permission_denied,
-                   "the process that connected is not the one that says hello");
-  return {};
 }
 
 /// What is found out of a process that has been here before.
@@ -241,7 +231,7 @@ void Broker::welcome_after(PeerId id, std::uint64_t ticket, const wire::Hello& h
 
 Result<void> Broker::hello(Peer& peer, const wire::Hello& hello) {
   Session& session = peer.session;
-  if (auto known = check_caller(peer, hello.fingerprint); !known) return known;
+  if (auto known = check_caller(peer.session.identity(), hello.fingerprint); !known) return known;
   if (look_before(peer, hello)) return {};
   if (auto admitted = admission_.admit_client(session.identity().uid, peer.counts_as_observer);
       !admitted)
@@ -327,7 +317,7 @@ Result<Peer*> Broker::lost_peer(const Peer& peer, const wire::Rejoin& request) {
 }
 
 Result<void> Broker::rejoin(Peer& peer, const wire::Rejoin& request) {
-  if (auto known = check_caller(peer, request.fingerprint); !known) return known;
+  if (auto known = check_caller(peer.session.identity(), request.fingerprint); !known) return known;
   const auto before = lost_peer(peer, request);
   if (!before) return tl::unexpected(before.error());
   const ClientIndex client{static_cast<std::uint32_t>(request.client)};
@@ -606,25 +596,6 @@ Result<void> Broker::create(Peer& peer, const CreateRequest& request) {
                 {"uid", record.uid}});
   }
   return created;
-}
-
-Result<void> Broker::revoke(Peer& peer, const wire::Revoke& request) {
-  const ClientIndex client{static_cast<std::uint32_t>(request.client)};
-  if (number(client) >= registry_.client_high() || !registry_.is_alive(client) ||
-      registry_.client(client).generation != request.generation)
-    return fail_with(Errc::endpoint_gone, "there is no such process, or it is no member any more");
-  const PeerIdentity& who = peer.session.identity();
-  const ClientRecord& record = registry_.client(client);
-  if (who.uid != 0 && who.uid != ::geteuid() && who.uid != record.uid)
-    return fail_with(Errc::permission_denied, "user " + std::to_string(who.uid) +
-                                                " may not revoke a process of user " +
-                                                std::to_string(record.uid));
-  Peer* const revoked = connections_.of_client(client);
-  AGNOCAST_CHECK(revoked != nullptr);
-  termination_.revoke(*revoked,
-         "revoked by user " + std::to_string(who.uid) + " (pid " + std::to_string(who.pid) + ")");
-  output_.reply(peer, packet_of(make_body<wire::Done>(wire::Opcode::done, request.header.request)));
-  return {};
 }
 
 }  // namespace agnocast::daemon
