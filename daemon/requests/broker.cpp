@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Broker: connections, and the lives behind them. Requests are in broker_requests.cpp, observers in
-// broker_observers.cpp, a former life in broker_resume.cpp.
+// Broker: connections, and the lives behind them. Requests are in broker_requests.cpp.
 
 #include <daemon/requests/broker.hpp>
 
@@ -108,6 +107,16 @@ Result<void> Broker::found(std::uint64_t incarnation) {
 }
 
 Broker::~Broker() { dispatcher_.remove(listening_); }
+
+Result<void> Broker::resume() {
+  if (auto opened = registry_.open(); !opened) return opened;
+  const TableHeader& header = registry_.header();
+  options_.arena = {header.arena_base, header.arena_bytes, header.window_bytes};
+  plan_ = AddressPlan(options_.arena, options_.former_count);
+  return Recovery({options_.arena, plan_, registry_, regions_, doorbells_, membership_, store_,
+                   dispatcher_, connections_, scheduler_, namespaces_, termination_, log_})
+      .run();
+}
 
 Result<void> Broker::start() {
   const auto token =

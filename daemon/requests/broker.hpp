@@ -8,7 +8,7 @@
 //   rejoin                the new connection takes the place of the one that the process lost
 //   pidfd readable        its turn comes: what it said last, then reap
 //   observer says revoke  reap although it lives; it is told, and its pidfd stays watched
-//   started again         broker_resume.cpp
+//   started again         Recovery
 //
 // Turns are the users': who has a thousand connections is served as much as who has one.
 //
@@ -33,6 +33,7 @@
 #include <daemon/requests/dump_collector.hpp>
 #include <daemon/requests/observer_answers.hpp>
 #include <daemon/requests/observer_requests.hpp>
+#include <daemon/requests/recovery.hpp>
 #include <daemon/requests/request_scheduler.hpp>
 #include <daemon/requests/user_namespaces.hpp>
 #include <daemon/state/address_plan.hpp>
@@ -82,7 +83,7 @@ class Broker final {
 
   /// A new life, in memory that is all zero. Errors: as DescriptorStore::put.
   [[nodiscard]] Result<void> found(std::uint64_t incarnation);
-  /// Goes on with a former life: see broker_resume.cpp. Errors: layout_mismatch, store_damaged,
+  /// Goes on with a former life, see Recovery. Errors: layout_mismatch, store_damaged,
   /// os_failure.
   [[nodiscard]] Result<void> resume();
   /// Begins to serve. Errors: os_failure.
@@ -115,13 +116,6 @@ class Broker final {
   struct Before;
   void welcome_after(PeerId id, std::uint64_t ticket, const wire::Hello& hello,
                      const Before& before);
-  // --- resume
-  [[nodiscard]] Result<journal::FoundDecision> adopt_client(ClientIndex client,
-                                                            std::uint64_t& lost);
-  void back_endpoints(ClientIndex client);
-  [[nodiscard]] Result<void> watch(ClientIndex client, Pidfd process);
-  std::uint64_t reap_while_away(const std::vector<ClientIndex>& ended);
-
   /// `fds`: what came with the packet. Without memory it is refused.
   void serve_packet(Peer& peer, std::span<const std::byte> bytes, const Envelope& envelope,
                     std::span<UniqueFd> fds);
