@@ -90,12 +90,46 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
                          output_, termination_, answers_, log),
       hold_watch_(registry_, regions_),
       let_go_watch_(registry_, regions_, membership_, output_),
+      refusal_report_(registry_, admission_, refusals_, output_, log),
+      server_(admission_, conflicts_, refusal_report_, termination_),
+      hello_requests_({options_.arena, registry_, regions_, store, admission_, connections_, output_,
+                       scheduler_, region_look_, termination_, server_, log}),
+      rejoin_requests_({registry_, doorbells_, membership_, access_, conflicts_, let_go_watch_,
+                        connections_, output_, termination_, log}),
+      window_requests_(options_.arena, registry_, regions_, plan_, membership_, conflicts_,
+                       admission_, output_, log),
+      executor_requests_(registry_, doorbells_, admission_, output_),
+      endpoint_requests_(options_.config.access, registry_, regions_, membership_, admission_,
+                         scheduler_, server_, refusal_report_, log),
+      acknowledgement_requests_(membership_, conflicts_),
       spare_(::open("/dev/null", O_RDONLY | O_CLOEXEC)) {
   regions_.use(errands);
+  fill_request_table();
   membership_.on_ended = [this](ClientIndex client) { on_ended(client); };
   membership_.on_matched = [this](const EndpointRef& publisher, const EndpointRef& subscription) {
     conflicts_.look_at(publisher, subscription);
   };
+}
+
+void Broker::fill_request_table() {
+  RequestTable& table = server_.handlers();
+  table.add(hello_requests_, &HelloRequests::hello);
+  table.add(rejoin_requests_, &RejoinRequests::rejoin);
+  table.add(window_requests_, &WindowRequests::open_window);
+  table.add(window_requests_, &WindowRequests::bring_window);
+  table.add(executor_requests_, &ExecutorRequests::open_executor);
+  table.add(endpoint_requests_, &EndpointRequests::create);
+  table.add(endpoint_requests_, &EndpointRequests::leave);
+  table.add(acknowledgement_requests_, &AcknowledgementRequests::drained);
+  table.add(acknowledgement_requests_, &AcknowledgementRequests::unlinked);
+  table.add(acknowledgement_requests_, &AcknowledgementRequests::blocked);
+  table.add(acknowledgement_requests_, &AcknowledgementRequests::withdrawn);
+  table.add(observer_requests_, &ObserverRequests::observe);
+  table.add(observer_requests_, &ObserverRequests::dump);
+  table.add(observer_requests_, &ObserverRequests::read_journal);
+  table.add(observer_requests_, &ObserverRequests::revoke);
+  table.add(observer_requests_, &ObserverRequests::set_log_level);
+  table.add(observer_requests_, &ObserverRequests::ask_access);
 }
 
 Result<void> Broker::found(std::uint64_t incarnation) {
@@ -304,73 +338,9 @@ unsigned Broker::read_packets(PeerId id, const TimeSlice& slice) {
     }
     AGNOCAST_CRASH_POINT(B_request);
     const Envelope envelope{packet->descriptor_count, packet->truncated, packet->descriptors_lost};
-    serve_packet(peer, {buffer.data(), packet->bytes}, envelope, packet->fds());
+    server_.serve_packet(peer, {buffer.data(), packet->bytes}, envelope, packet->fds());
   }
   return slice.packets_left;
-}
-
-// The one place where a request may fail for want of memory. Until something is changed it is as if it
-// had never come; from then on there is the reserve.
-template <class Serve>
-void Broker::serve_or_refuse(Peer& peer, std::uint64_t id, Serve serve_it) {
-  try {
-    if (!MemoryReserve::refill()) throw std::bad_alloc();
-    const MemoryReserve::MayFail may_fail;
-    serve_it();
-    return;
-  } catch (const std::bad_alloc&) {
-  }
-  // Nothing that ends a connection may fail, so the peer is still there.
-  const Request request = Rejected{id, Errc::limit_reached, std::string(no_memory_text), false};
-  remember(peer, request, Errc::limit_reached, no_memory_text);
-  refuse(peer, request, id, Errc::limit_reached, ENOMEM, no_memory_text);
-}
-
-void Broker::serve_packet(Peer& peer, std::span<const std::byte> bytes, const Envelope& envelope,
-                          std::span<UniqueFd> fds) {
-  wire::Header header{};
-  if (bytes.size() >= sizeof header) std::memcpy(&header, bytes.data(), sizeof header);
-  serve_or_refuse(peer, header.request,
-                  [&] { serve(peer, decode(bytes, envelope, peer.session.role()), fds); });
-}
-
-// The file of a region is one that its process may write to, and so keep locked: what waits for that is an
-// errand of its user, and the request with it.
-Result<bool> Broker::clear_before(Peer& peer, const CreateRequest& request) {
-  const ClientIndex client = *peer.session.client();
-  const std::uint64_t bytes = request.kind == Kind::publisher ? abi::publisher_extent_bytes
-                                                              : abi::subscription_extent_bytes;
-  const auto offset = registry_.lowest_extent(client, bytes);
-  if (!offset || regions_.is_clear(client, {*offset, bytes})) return false;
-  const std::uint64_t ticket = scheduler_.next_ticket();
-  const auto cleared = regions_.clear(
-      client, registry_.client(client).uid, {*offset, bytes},
-      [this, id = peer.id, ticket, request, here = std::weak_ptr(here_)] {
-        if (here.expired()) return;
-        std::erase_if(uncleared_, [&](const Uncleared& one) { return one.ticket == ticket; });
-        Peer* const back = scheduler_.unpark(id, ticket);
-        if (back == nullptr) return;
-        serve_or_refuse(*back, request.request, [&] { serve(*back, request, {}); });
-      });
-  if (!cleared) return tl::unexpected(cleared.error());
-  uncleared_.push_back({peer.id, ticket, request.request, monotonic_ms() + clearing_ms});
-  scheduler_.park(peer, ticket);
-  return true;
-}
-
-void Broker::refuse_uncleared(std::uint64_t now) {
-  while (!uncleared_.empty() && uncleared_.front().until_ms <= now) {
-    const Uncleared waits = uncleared_.front();
-    uncleared_.pop_front();
-    Peer* const peer = scheduler_.unpark(waits.id, waits.ticket);
-    if (peer == nullptr) continue;  // it has gone, or come back on another connection
-    constexpr std::string_view why =
-        "memory of this process could not be prepared in time: something of it, or of its user, keeps "
-        "agnocastd waiting";
-    const Request request = Rejected{waits.request, Errc::limit_reached, std::string(why), false};
-    remember(*peer, request, Errc::limit_reached, why);
-    refuse(*peer, request, waits.request, Errc::limit_reached, 0, why);
-  }
 }
 
 // A descriptor that is received is one to close, and the kernel may close some on the way. So a packet that
@@ -399,10 +369,45 @@ bool Broker::may_receive(Peer& peer, std::span<std::byte> buffer) {
     return false;
   }
   const PeerId id = peer.id;
-  serve_packet(peer, buffer.first(next->bytes), {1, next->truncated, true}, {});
+  server_.serve_packet(peer, buffer.first(next->bytes), {1, next->truncated, true}, {});
   if (Peer* const found = connections_.find(id); found != nullptr && !found->session.closed())
     termination_.disconnect(*found, "descriptors came with a packet");
   return false;
+}
+
+// All of it happens elsewhere: for want of a number the kernel closes what comes, and whatever is not a
+// window is closed there, too.
+void Broker::receive_window(Peer& peer) {
+  const std::uint32_t uid = peer.session.identity().uid;
+  // Another number of the connection: the loop may close its own meanwhile.
+  PacketSocket socket(UniqueFd(::fcntl(peer.session.socket().fd(), F_DUPFD_CLOEXEC, 0)));
+  if (!socket) {
+    termination_.disconnect(peer, "no descriptor is left to receive a window with");
+    return;
+  }
+  const std::uint64_t ticket = scheduler_.next_ticket();
+  scheduler_.park(peer, ticket);
+  disposal_.receive(uid, std::move(socket), wire::packet_bytes_max,
+                    [this, id = peer.id, ticket, uid, here = std::weak_ptr(here_)](
+                        Disposal::Received& received) {
+                      if (!here.expired()) serve_window(id, ticket, received);
+                      disposal_.close_memory(uid, std::move(received.memory.memory));
+                    });
+}
+
+void Broker::serve_window(PeerId id, std::uint64_t ticket, Disposal::Received& received) {
+  Peer* const peer = scheduler_.unpark(id, ticket);
+  if (peer == nullptr) return;
+  const Result<Packet>& packet = received.memory.packet;
+  if (!packet) {
+    termination_.disconnect(*peer, packet.error().what);
+  } else if (packet->kind == Packet::Kind::data) {
+    AGNOCAST_CRASH_POINT(B_request);
+    server_.serve_packet(
+        *peer, {received.bytes.data(), packet->bytes},
+        {received.memory.descriptor_count, packet->truncated, packet->descriptors_lost},
+        std::span(&received.memory.memory, 1));
+  }
 }
 
 void Broker::tick() {
@@ -415,7 +420,7 @@ void Broker::tick() {
 
 void Broker::look_around(std::uint64_t now) {
   looked_ms_ = now;
-  refuse_uncleared(now);
+  endpoint_requests_.refuse_uncleared(now);
   if (!std::exchange(listens_, true)) {
     if (!spare_) spare_.reset(::open("/dev/null", O_RDONLY | O_CLOEXEC));
     dispatcher_.change(listening_, EPOLLIN);
@@ -464,7 +469,7 @@ int Broker::due_ms() const noexcept {
   if (!listens_) return short_interval_ms;
   if (const int due = answers_.due_ms(); due >= 0) return std::min(due, short_interval_ms);
   if (connections_.detached_count() > 0 || output_.flushes_later() || membership_.has_waiting() || membership_.tells() ||
-      membership_.has_renewed() || !uncleared_.empty())
+      membership_.has_renewed() || endpoint_requests_.has_uncleared())
     return short_interval_ms;
   return connections_.all().empty() ? 10'000 : watch_interval_ms;
 }

@@ -28,14 +28,22 @@
 #include <daemon/lifecycle/membership.hpp>
 #include <daemon/lifecycle/regions.hpp>
 #include <daemon/requests/access_control.hpp>
+#include <daemon/requests/acknowledgement_requests.hpp>
 #include <daemon/requests/address_conflicts.hpp>
 #include <daemon/requests/admission.hpp>
 #include <daemon/requests/dump_collector.hpp>
+#include <daemon/requests/endpoint_requests.hpp>
+#include <daemon/requests/executor_requests.hpp>
+#include <daemon/requests/hello_requests.hpp>
 #include <daemon/requests/observer_answers.hpp>
 #include <daemon/requests/observer_requests.hpp>
 #include <daemon/requests/recovery.hpp>
+#include <daemon/requests/refusal_report.hpp>
+#include <daemon/requests/rejoin_requests.hpp>
 #include <daemon/requests/request_scheduler.hpp>
+#include <daemon/requests/request_server.hpp>
 #include <daemon/requests/user_namespaces.hpp>
+#include <daemon/requests/window_requests.hpp>
 #include <daemon/state/address_plan.hpp>
 #include <daemon/state/obstacles.hpp>
 #include <daemon/state/refusals.hpp>
@@ -103,6 +111,7 @@ class Broker final {
   void accept(PacketSocket socket);
   /// Takes one waiting connection although no descriptor is left, and says why it is refused.
   void turn_away();
+  void fill_request_table();
   /// Serves one connection in its user's time slice. Returns how many packets there were; nothing: it is gone.
   std::optional<unsigned> take_turn(PeerId id, const TimeSlice& slice);
   /// Returns how many packets there were.
@@ -111,43 +120,12 @@ class Broker final {
   /// received here, and has been dealt with.
   bool may_receive(Peer& peer, std::span<std::byte> buffer);
   void close_connection(PacketSocket socket, std::uint32_t uid);
-  /// True: the process has been here before, and is looked at first; its hello waits for that.
-  bool look_before(Peer& peer, const wire::Hello& hello);
-  struct Before;
-  void welcome_after(PeerId id, std::uint64_t ticket, const wire::Hello& hello,
-                     const Before& before);
-  /// `fds`: what came with the packet. Without memory it is refused.
-  void serve_packet(Peer& peer, std::span<const std::byte> bytes, const Envelope& envelope,
-                    std::span<UniqueFd> fds);
-  void serve(Peer& peer, const Request& request, std::span<UniqueFd> fds);
-  template <class Serve>
-  void serve_or_refuse(Peer& peer, std::uint64_t id, Serve serve_it);
-  [[nodiscard]] Result<void> hello(Peer& peer, const wire::Hello& hello);
-  [[nodiscard]] Result<void> rejoin(Peer& peer, const wire::Rejoin& request);
-  [[nodiscard]] Result<Peer*> lost_peer(const Peer& peer, const wire::Rejoin& request);
-  [[nodiscard]] Result<void> open_window(Peer& peer, const wire::WindowRequest& request);
-  [[nodiscard]] Result<void> bring_window(Peer& peer, const wire::BringWindow& request,
-                                          const UniqueFd& window);
   /// A window comes with a descriptor, which is received elsewhere.
   void receive_window(Peer& peer);
   void serve_window(PeerId id, std::uint64_t ticket, Disposal::Received& received);
-  void expect_windows(Peer& peer);
-  void expect_no_windows(Peer& peer);
-  [[nodiscard]] Result<void> open_executor(Peer& peer, const ExecutorRequest& request);
-  void renew_bells(Peer& peer);
-  [[nodiscard]] Result<void> admit_executor(ClientIndex client, const ExecutorRequest& request);
-  [[nodiscard]] Result<void> create(Peer& peer, const CreateRequest& request);
-  /// True: memory for the endpoint is prepared first; the request waits for that.
-  [[nodiscard]] Result<bool> clear_before(Peer& peer, const CreateRequest& request);
-  /// Refuses creations whose memory was not prepared in time.
-  void refuse_uncleared(std::uint64_t now);
   void look_around(std::uint64_t now);
   void watch_holds();
   void watch_letting_go();
-  void refuse(Peer& peer, const Request& request, std::uint64_t id, Errc code, int os_errno,
-              std::string_view text);
-  /// For people who ask later.
-  void remember(const Peer& peer, const Request& request, Errc code, std::string_view why);
   void announce_what_waits();
   void on_ended(ClientIndex client);
   BrokerOptions options_;
@@ -180,14 +158,14 @@ class Broker final {
   ObserverRequests observer_requests_;
   HoldWatch hold_watch_;
   LetGoWatch let_go_watch_;
-  /// A creation whose memory is being prepared.
-  struct Uncleared {
-    PeerId id = 0;
-    std::uint64_t ticket = 0, request = 0, until_ms = 0;
-  };
-  // Microseconds, unless its process keeps the file, or others every thread that could do it.
-  static constexpr std::uint64_t clearing_ms = 10'000;
-  std::deque<Uncleared> uncleared_;
+  RefusalReport refusal_report_;
+  RequestServer server_;
+  HelloRequests hello_requests_;
+  RejoinRequests rejoin_requests_;
+  WindowRequests window_requests_;
+  ExecutorRequests executor_requests_;
+  EndpointRequests endpoint_requests_;
+  AcknowledgementRequests acknowledgement_requests_;
   std::uint64_t looked_ms_ = 0;    // when tick() last had a look
   std::uint64_t watched_ms_ = 0;   // the same, at what is held and what is let go of
   UniqueFd spare_;                 // given up for a moment when no descriptor is left
