@@ -4,6 +4,7 @@
 
 #include <daemon/death/client_termination.hpp>
 
+#include <base/clock.hpp>
 #include <base/step.hpp>
 #include <daemon/state/memory_reserve.hpp>
 #include <daemon/state/user_log.hpp>
@@ -12,7 +13,9 @@
 #include <sys/epoll.h>
 #include <sys/socket.h>
 
+#include <algorithm>
 #include <utility>
+#include <vector>
 
 namespace agnocast::daemon {
 
@@ -161,6 +164,22 @@ void ClientTermination::look_whether_gone(Peer& peer) {
     if (journal::decide_end(whose(*found), false, trace == RegionTrace::none) != EndDecision::wait)
       reap(*found, DeathReason::let_go, "process let go of its region");
   });
+}
+
+void ClientTermination::look_at_detached() {
+  if (connections_.detached_count() == 0) return;
+  std::vector<Peer*> lost;
+  for (const auto& [id, peer] : connections_.all()) {
+    if (peer->detached) lost.push_back(peer.get());
+  }
+  // Those first that have waited longest: there may be no time for all.
+  std::sort(lost.begin(), lost.end(),
+            [](const Peer* a, const Peer* b) { return a->looked_ns < b->looked_ns; });
+  for (Peer* const peer : lost) {
+    if (peer->looking || peer->ended) continue;
+    peer->looked_ns = monotonic_ns();
+    look_whether_gone(*peer);
+  }
 }
 
 }  // namespace agnocast::daemon

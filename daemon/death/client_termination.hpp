@@ -54,6 +54,8 @@ class ClientTermination {
   void say_farewell(Peer& peer);
   /// Of a process without a connection: it is reaped if it has let go.
   void look_whether_gone(Peer& peer);
+  /// The same of every process without a connection.
+  void look_at_detached();
 
  private:
   void free_revoked(ClientIndex client, journal::DeathReason reason, std::string_view how);

@@ -1,21 +1,22 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Broker: builds and owns everything below, and turns events into operations.
+// Broker: the composition root of agnocastd. It builds and owns everything below, and says in which order it has
+// its turn. What happens when, and where:
 //
-//   listener readable     accept, identify, watch connection and process
-//   connection readable   its turn comes: decode, check rights and quotas, membership
-//   connection ended      keep (the process lives), or reap (it has no trace of its region)
-//   rejoin                the new connection takes the place of the one that the process lost
-//   pidfd readable        its turn comes: what it said last, then reap
-//   observer says revoke  reap although it lives; it is told, and its pidfd stays watched
-//   started again         Recovery
+//   somebody wants to connect   Acceptor: accepts, identifies, watches connection and process
+//   connection readable         RequestScheduler, when its user has a time slice → PacketReader → RequestServer
+//                               → the handler that RequestTable names: *_requests.hpp
+//   connection or process ended ClientTermination: keeps the client (the process lives), or reaps it
+//   an errand has ended         the request that was parked for it goes on (RequestScheduler)
+//   time passes                 tick(): ReapingQueue, ObserverAnswers, and look_around() for what is due
+//   started again               Recovery
 //
-// Turns are the users': who has a thousand connections is served as much as who has one.
+// What handlers share: Admission (quotas), AccessControl (rules), AddressConflicts (heaps that collide),
+// PeerOutput (what is sent), ConnectionTable (who is there). None of them knows Broker.
 //
-// One thread; what may take as long as a client likes is done in others (errands.hpp, disposal.hpp), and so is
-// the freeing of memory (closer.hpp). A connection that waits for an errand is parked: nothing is read from it
-// until then. The order of things inside one event is the
-// protocol's; between events everything is consistent, so the daemon may be killed at any time.
+// One thread. Calls that may take as long as a client likes are made in others (errands.hpp, disposal.hpp), and so
+// is the freeing of memory (closer.hpp). The order of things inside one event is the protocol's; between
+// events everything is consistent, so the daemon may be killed at any time.
 #pragma once
 
 #include <base/log.hpp>
@@ -27,6 +28,7 @@
 #include <daemon/death/region_look.hpp>
 #include <daemon/lifecycle/membership.hpp>
 #include <daemon/lifecycle/regions.hpp>
+#include <daemon/requests/acceptor.hpp>
 #include <daemon/requests/access_control.hpp>
 #include <daemon/requests/acknowledgement_requests.hpp>
 #include <daemon/requests/address_conflicts.hpp>
@@ -37,7 +39,7 @@
 #include <daemon/requests/hello_requests.hpp>
 #include <daemon/requests/observer_answers.hpp>
 #include <daemon/requests/observer_requests.hpp>
-#include <daemon/requests/recovery.hpp>
+#include <daemon/requests/packet_reader.hpp>
 #include <daemon/requests/refusal_report.hpp>
 #include <daemon/requests/rejoin_requests.hpp>
 #include <daemon/requests/request_scheduler.hpp>
@@ -48,7 +50,6 @@
 #include <daemon/state/obstacles.hpp>
 #include <daemon/state/refusals.hpp>
 #include <daemon/state/registry.hpp>
-#include <daemon/transport/allowance.hpp>
 #include <daemon/transport/connection_table.hpp>
 #include <daemon/transport/descriptor_store.hpp>
 #include <daemon/transport/dispatcher.hpp>
@@ -57,21 +58,8 @@
 #include <daemon/transport/errands.hpp>
 #include <daemon/transport/listener.hpp>
 #include <daemon/transport/peer_output.hpp>
-#include <daemon/transport/requests.hpp>
-#include <daemon/transport/session.hpp>
-#include <journal/cases.hpp>
 
 #include <cstdint>
-#include <deque>
-#include <functional>
-#include <list>
-#include <memory>
-#include <optional>
-#include <span>
-#include <string>
-#include <unordered_map>
-#include <variant>
-#include <vector>
 
 namespace agnocast::daemon {
 
@@ -85,7 +73,6 @@ class Broker final {
  public:
   Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, Listener& listener,
          Regions regions, DescriptorStore& store, Errands& errands, Disposal& disposal);
-  ~Broker();
   Broker(const Broker&) = delete;
   Broker& operator=(const Broker&) = delete;
 
@@ -105,40 +92,24 @@ class Broker final {
   const Arena& arena() const noexcept { return options_.arena; }
 
  private:
-  void accept_some();
-  /// Nobody is accepted until the next look around: there is no descriptor.
-  void pause_listening();
-  void accept(PacketSocket socket);
-  /// Takes one waiting connection although no descriptor is left, and says why it is refused.
-  void turn_away();
   void fill_request_table();
-  /// Serves one connection in its user's time slice. Returns how many packets there were; nothing: it is gone.
-  std::optional<unsigned> take_turn(PeerId id, const TimeSlice& slice);
-  /// Returns how many packets there were.
-  unsigned read_packets(PeerId id, const TimeSlice& slice);
-  /// Looks at the next packet of a connection that descriptors may have come into. False: it is not to be
-  /// received here, and has been dealt with.
-  bool may_receive(Peer& peer, std::span<std::byte> buffer);
-  void close_connection(PacketSocket socket, std::uint32_t uid);
-  /// A window comes with a descriptor, which is received elsewhere.
-  void receive_window(Peer& peer);
-  void serve_window(PeerId id, std::uint64_t ticket, Disposal::Received& received);
+  /// What is to be done a few times a second, however many events there are.
   void look_around(std::uint64_t now);
+  /// Revoke processes that hold more than they may, and that do not let go.
   void watch_holds();
   void watch_letting_go();
   void announce_what_waits();
+  /// The place of a process is free, and so are its addresses.
   void on_ended(ClientIndex client);
+
   BrokerOptions options_;
   Log& log_;
   Dispatcher& dispatcher_;
   Listener& listener_;
   DescriptorStore& store_;
-  Errands& errands_;
-  Disposal& disposal_;
   Refusals refusals_;
   ConnectionTable connections_;
   PeerOutput output_;
-  std::shared_ptr<char> here_ = std::make_shared<char>();  // what answers of errands look for
   Regions regions_;
   Registry registry_;
   AccessControl access_;
@@ -166,12 +137,10 @@ class Broker final {
   ExecutorRequests executor_requests_;
   EndpointRequests endpoint_requests_;
   AcknowledgementRequests acknowledgement_requests_;
-  std::uint64_t looked_ms_ = 0;    // when tick() last had a look
-  std::uint64_t watched_ms_ = 0;   // the same, at what is held and what is let go of
-  UniqueFd spare_;                 // given up for a moment when no descriptor is left
-  Dispatcher::Token listening_ = 0;
-  bool listens_ = true;
-  bool knocks_ = false;  // somebody wants to connect
+  PacketReader reader_;
+  Acceptor acceptor_;
+  std::uint64_t looked_ms_ = 0;   // when tick() last had a look
+  std::uint64_t watched_ms_ = 0;  // the same, at what is held and what is let go of
 };
 
 }  // namespace agnocast::daemon
