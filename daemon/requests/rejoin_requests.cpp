@@ -4,10 +4,10 @@
 
 #include <daemon/requests/rejoin_requests.hpp>
 
-#include <agnocast/abi/fingerprint.hpp>
 #include <base/clock.hpp>
 #include <base/step.hpp>
 #include <daemon/requests/check_caller.hpp>
+#include <daemon/requests/rejoin_facts.hpp>
 #include <daemon/state/memory_reserve.hpp>
 #include <daemon/transport/brought_windows.hpp>
 #include <journal/cases.hpp>
@@ -22,20 +22,12 @@ namespace agnocast::daemon {
 Result<Peer*> RejoinRequests::lost_peer(const Peer& peer, const wire::Rejoin& request) {
   using journal::RejoinDecision;
   const ClientIndex client{static_cast<std::uint32_t>(request.client)};
-  const bool is_place = number(client) < of_.registry.client_high();
-  Peer* const before = is_place ? of_.connections.of_client(client) : nullptr;
-  journal::RejoinFacts facts;
-  facts.same_layout = request.fingerprint == abi::fingerprint();
-  facts.confirmed = peer.session.identity().confirmed;
-  facts.same_incarnation = request.incarnation == of_.registry.incarnation();
-  facts.same_generation =
-      is_place && of_.registry.client(client).generation == request.client_generation;
-  if (is_place && of_.registry.client(client).state != ClientState::free)
-    facts.state = of_.registry.is_alive(client) && before != nullptr ? journal::rejoin::alive
-                                                                     : journal::rejoin::dead;
-  facts.same_process = before != nullptr && same_process(before->session.identity().process,
+  Peer* const before =
+      names_place(request, of_.registry) ? of_.connections.of_client(client) : nullptr;
+  const bool is_same = before != nullptr && same_process(before->session.identity().process,
                                                          peer.session.identity().process);
-  switch (journal::decide_rejoin(facts)) {
+  const Rejoiner who{peer.session.identity().confirmed, before != nullptr, is_same};
+  switch (journal::decide_rejoin(rejoin_facts(request, of_.registry, who))) {
     case RejoinDecision::take_back:
       return before;
     case RejoinDecision::started_anew:
