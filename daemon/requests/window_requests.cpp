@@ -116,6 +116,13 @@ Result<void> WindowRequests::bring_window(Peer& peer, const wire::BringWindow& r
                        "the window at " + hexadecimal(request.base) +
                            " is another process's, or outside [heap] arena_base and arena_bytes");
   }
+  if (auto taken = take_brought(peer, request, window); !taken) return taken;
+  return done();
+}
+
+Result<void> WindowRequests::take_brought(const Peer& peer, const wire::BringWindow& request,
+                                          const UniqueFd& window) {
+  const ClientIndex client = *peer.session.client();
   AGNOCAST_CRASH_POINT(B_window_base);
   if (auto kept = regions_.bring_window(client, window); !kept) {
     plan_.give_back(request.base);
@@ -130,7 +137,7 @@ Result<void> WindowRequests::bring_window(Peer& peer, const wire::BringWindow& r
               {"window", request.window},
               {"base", hexadecimal(request.base)}});
   conflicts_.look_at_publishers_of(client);
-  return done();
+  return {};
 }
 
 }  // namespace agnocast::daemon

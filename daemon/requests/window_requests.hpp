@@ -39,6 +39,10 @@ class WindowRequests {
                                           std::span<UniqueFd> fds);
 
  private:
+  /// Carries out what bring_window() has decided, but for the answer. Errors: os_failure.
+  [[nodiscard]] Result<void> take_brought(const Peer& peer, const wire::BringWindow& request,
+                                          const UniqueFd& window);
+
   const Arena& arena_;
   Registry& registry_;
   Regions& regions_;
