@@ -16,6 +16,7 @@
 #include <daemon/lifecycle/regions.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/doorbells.hpp>
+#include <daemon/transport/post.hpp>
 #include <daemon/transport/requests.hpp>
 #include <daemon/transport/session.hpp>
 
@@ -31,32 +32,6 @@
 #include <vector>
 
 namespace agnocast::daemon {
-
-/// How the daemon speaks to processes. What is for a process without a connection is dropped.
-class Post {
- public:
-  virtual ~Post() = default;
-  virtual Session* session_of(ClientIndex client) = 0;
-  /// 0 when unknown. Needs no connection.
-  virtual std::uint64_t user_namespace_of(ClientIndex client) = 0;
-  virtual void send(ClientIndex client, Outgoing packet) = 0;
-  void send(ClientIndex client, std::span<const std::byte> packet, std::vector<SharedFd> fds) {
-    send(client, Outgoing{{packet.begin(), packet.end()}, std::move(fds), {}});
-  }
-  /// Ends the connection of a process. It comes back, and is told everything once more.
-  virtual void begin_anew(ClientIndex client, std::string_view why) = 0;
-};
-
-template <class Body>
-std::span<const std::byte> packet_of(const Body& body) noexcept {
-  return std::as_bytes(std::span(&body, 1));
-}
-template <class Body>
-Body make_body(wire::Opcode opcode, std::uint64_t request = 0) noexcept {
-  Body body{};
-  body.header = {opcode, sizeof(Body), request};
-  return body;
-}
 
 class Membership {
  public:

@@ -4,7 +4,7 @@
 
 #include <base/clock.hpp>
 #include <base/peer_identity.hpp>
-#include <daemon/lifecycle/membership.hpp>
+#include <daemon/transport/post.hpp>
 
 #include <sys/epoll.h>
 

@@ -7,6 +7,7 @@
 #include <daemon/process/watchdog.hpp>
 #include <daemon/requests/broker.hpp>
 #include <daemon/state/memory_reserve.hpp>
+#include <journal/cases.hpp>
 
 #include <fcntl.h>
 #include <grp.h>

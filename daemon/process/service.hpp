@@ -3,7 +3,7 @@
 // Service: one life of the daemon, from what it finds to its end.
 //
 //   nothing is kept                a new life: a fresh board, a new incarnation
-//   a former life is kept          it goes on (broker_resume.cpp)
+//   a former life is kept          it goes on (requests/recovery.hpp)
 //   that life is of another        nothing of it is touched, everybody is refused (refuser.hpp)
 //   build, or damaged
 //

@@ -1,61 +1,29 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Broker: connections, and the lives behind them. Requests are in broker_requests.cpp, observers in
-// broker_observers.cpp, a former life in broker_resume.cpp.
+// Broker: see the header.
 
 #include <daemon/requests/broker.hpp>
 
 #include <base/check.hpp>
 #include <base/clock.hpp>
-#include <base/names.hpp>
-#include <daemon/state/memory_reserve.hpp>
+#include <daemon/requests/recovery.hpp>
 #include <daemon/state/steps.hpp>
 
 #include <fcntl.h>
-#include <malloc.h>
-#include <sys/epoll.h>
-#include <sys/socket.h>
-#include <unistd.h>
 
 #include <algorithm>
-#include <array>
-#include <cerrno>
-#include <cstring>
-#include <iterator>
-#include <new>
+#include <optional>
+#include <string>
 #include <utility>
 
 namespace agnocast::daemon {
 
-using journal::DeathReason;
-using journal::EndDecision;
-
 namespace {
 
-// Packets of one user handled in a row, however many connections they come from, and how long that may
-// take (one packet is always handled); the others must not wait for a flood, nor for what is much work.
-constexpr unsigned packets_per_turn = 32;
-constexpr std::uint64_t turn_budget_ns = 2'000'000;
-// Likewise connections: whoever connects again and again, refused or not, is never done.
-constexpr unsigned connections_per_turn = 8;
 // How often a process without a connection is looked at.
 constexpr int short_interval_ms = 250;
-// How many times as long as a look has taken that took longer than this no process of that user is looked at
-// again; and how many of its processes wait for a look.
-constexpr std::uint64_t look_budget_ns = 20'000'000, look_rest = 20;
-constexpr std::size_t looks_waiting_max = 256;
 // How often holds are looked at, what is let go of, and observers.
 constexpr int watch_interval_ms = 1'000;
-
-constexpr std::string_view no_memory_text = "agnocastd has no memory left";
-
-// To a connection that is not taken: it is closed afterwards, but not without a word.
-void send_refused(const PacketSocket& socket, Errc code, std::string_view text) noexcept {
-  auto packet = make_body<wire::Refused>(wire::Opcode::refused);
-  packet.code = static_cast<std::uint32_t>(code);
-  packet.text = name_of(text);
-  static_cast<void>(socket.send(packet_of(packet)));
-}
 
 }  // namespace
 
@@ -66,28 +34,84 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
       dispatcher_(dispatcher),
       listener_(listener),
       store_(store),
-      errands_(errands),
-      disposal_(disposal),
+      connections_(dispatcher, disposal),
+      output_({options.config.quota.queued_bytes,
+               options.config.quota.queued_seconds == unlimited
+                   ? std::nullopt
+                   : std::optional(options.config.quota.queued_seconds)},
+              connections_, dispatcher, log),
       regions_(std::move(regions)),
-      registry_(regions_.memory(), {options.config.limits.clients, options.config.limits.topics,
-                                    options.config.limits.publishers_per_topic,
-                                    options.config.limits.subscriptions_per_topic,
-                                    options.config.limits.slots_per_publisher,
-                                    options.config.limits.depth_max}),
+      registry_(regions_.memory(),
+                {options.config.limits.clients, options.config.limits.topics,
+                 options.config.limits.publishers_per_topic,
+                 options.config.limits.subscriptions_per_topic,
+                 options.config.limits.slots_per_publisher, options.config.limits.depth_max}),
+      access_(options_.config.access, registry_, log),
       plan_(options.arena, options.former_count),
       obstacles_(options.arena),
-      doorbells_(listener.bells_directory(), store,
-                 [&disposal](std::uint32_t uid, UniqueFd fd) { disposal.close(uid, std::move(fd)); }),
-      membership_(registry_, regions_, doorbells_, *this),
+      doorbells_(
+          listener.bells_directory(), store,
+          [&disposal](std::uint32_t uid, UniqueFd fd) { disposal.close(uid, std::move(fd)); }),
+      membership_(registry_, regions_, doorbells_, output_),
+      admission_(options_.config, options_.arena, plan_, registry_, membership_, store, access_),
+      conflicts_(options_.config.heap, options_.arena, registry_, admission_, plan_, obstacles_,
+                 membership_, output_, log),
+      reaping_(registry_, regions_, doorbells_, membership_),
+      region_look_(connections_, errands, regions_),
+      termination_(connections_, dispatcher, registry_, store, obstacles_, membership_, reaping_,
+                   region_look_, log),
+      scheduler_(connections_, dispatcher, termination_),
+      namespaces_(connections_, errands, scheduler_),
+      collector_({options_.config, options_.arena, plan_, registry_, regions_, doorbells_,
+                  obstacles_, admission_, refusals_, store, connections_, log}),
+      answers_(options_.config.quota, registry_, collector_, connections_, output_, termination_),
+      observer_requests_(options_.config.access, registry_, regions_, admission_, connections_,
+                         output_, termination_, answers_, log),
       hold_watch_(registry_, regions_),
-      let_go_watch_(registry_, regions_, membership_, *this),
-      by_client_(abi::client_count_max, nullptr),
-      spare_(::open("/dev/null", O_RDONLY | O_CLOEXEC)) {
+      let_go_watch_(registry_, regions_, membership_, output_),
+      readers_(registry_, doorbells_, log),
+      refusal_report_(registry_, admission_, refusals_, output_, log),
+      server_(admission_, conflicts_, refusal_report_, termination_),
+      hello_requests_({options_.arena, registry_, regions_, store, admission_, connections_,
+                       output_, scheduler_, region_look_, termination_, server_, log}),
+      rejoin_requests_({registry_, doorbells_, membership_, access_, conflicts_, let_go_watch_,
+                        connections_, output_, termination_, log}),
+      window_requests_(options_.arena, registry_, regions_, plan_, membership_, conflicts_,
+                       admission_, output_, log),
+      executor_requests_(registry_, doorbells_, admission_, output_),
+      endpoint_requests_(options_.config, registry_, regions_, membership_, admission_, scheduler_,
+                         server_, refusal_report_, readers_, log),
+      acknowledgement_requests_(membership_, conflicts_, readers_),
+      reader_(connections_, output_, disposal, scheduler_, termination_, server_),
+      acceptor_({options_.config.quota, listener, dispatcher, disposal, registry_, admission_,
+                 connections_, scheduler_, namespaces_, log}) {
   regions_.use(errands);
+  fill_request_table();
   membership_.on_ended = [this](ClientIndex client) { on_ended(client); };
   membership_.on_matched = [this](const EndpointRef& publisher, const EndpointRef& subscription) {
-    look_for_collision(publisher, subscription);
+    conflicts_.look_at(publisher, subscription);
   };
+}
+
+void Broker::fill_request_table() {
+  RequestTable& table = server_.handlers();
+  table.add(hello_requests_, &HelloRequests::hello);
+  table.add(rejoin_requests_, &RejoinRequests::rejoin);
+  table.add(window_requests_, &WindowRequests::open_window);
+  table.add(window_requests_, &WindowRequests::bring_window);
+  table.add(executor_requests_, &ExecutorRequests::open_executor);
+  table.add(endpoint_requests_, &EndpointRequests::create);
+  table.add(endpoint_requests_, &EndpointRequests::leave);
+  table.add(acknowledgement_requests_, &AcknowledgementRequests::drained);
+  table.add(acknowledgement_requests_, &AcknowledgementRequests::unlinked);
+  table.add(acknowledgement_requests_, &AcknowledgementRequests::blocked);
+  table.add(acknowledgement_requests_, &AcknowledgementRequests::withdrawn);
+  table.add(observer_requests_, &ObserverRequests::observe);
+  table.add(observer_requests_, &ObserverRequests::dump);
+  table.add(observer_requests_, &ObserverRequests::read_journal);
+  table.add(observer_requests_, &ObserverRequests::revoke);
+  table.add(observer_requests_, &ObserverRequests::set_log_level);
+  table.add(observer_requests_, &ObserverRequests::ask_access);
 }
 
 Result<void> Broker::found(std::uint64_t incarnation) {
@@ -98,731 +122,51 @@ Result<void> Broker::found(std::uint64_t incarnation) {
   return listener_.keep(store_);
 }
 
-Broker::~Broker() {
-  dispatcher_.remove(listening_);
-  for (auto& [id, peer] : peers_) {
-    dispatcher_.remove(peer->connection);
-    dispatcher_.remove(peer->process);
-    // The end of the process closes it, and does not linger. Its other end hears of it now.
-    UniqueFd socket = peer->session.close();
-    ::shutdown(socket.get(), SHUT_RDWR);
-    static_cast<void>(socket.release());
-  }
+Result<void> Broker::resume() {
+  if (auto opened = registry_.open(); !opened) return opened;
+  const TableHeader& header = registry_.header();
+  options_.arena = {header.arena_base, header.arena_bytes, header.window_bytes};
+  plan_ = AddressPlan(options_.arena, options_.former_count);
+  return Recovery({options_.arena, plan_, registry_, regions_, doorbells_, membership_, store_,
+                   dispatcher_, connections_, scheduler_, namespaces_, termination_, log_})
+      .run();
 }
 
-Result<void> Broker::start() {
-  const auto token =
-      dispatcher_.add(listener_.socket().fd(), EPOLLIN, [this](std::uint32_t) { knocks_ = true; });
-  if (!token) return tl::unexpected(token.error());
-  listening_ = *token;
-  return {};
-}
-
-// --- connections
-
-void Broker::accept_some() {
-  for (unsigned turn = 0; turn < connections_per_turn; ++turn) {
-    auto socket = listener_.socket().accept();
-    if (!socket) {
-      if (socket.error().os_errno == EMFILE || socket.error().os_errno == ENFILE) {
-        turn_away();
-      } else {
-        log_.write_limited("accept", LogLevel::warning, "connection not accepted",
-                           {{"errno", socket.error().os_errno}});
-      }
-      return;  // level-triggered: what waits is told again
-    }
-    if (!*socket) return;
-    accept(std::move(**socket));
-  }
-}
-
-void Broker::pause_listening() {
-  dispatcher_.change(listening_, 0);
-  listens_ = false;
-}
-
-void Broker::close_connection(Peer& peer) {
-  const MemoryReserve::MustNotFail must_not_fail;
-  const bool may_carry = peer.session.may_carry();
-  UniqueFd socket = peer.session.close();
-  if (may_carry) disposal_.close_connection(peer.session.identity().uid, std::move(socket));
-}
-
-void Broker::close_connection(PacketSocket socket, std::uint32_t uid) {
-  if (refuses_descriptors(socket.fd())) return;
-  disposal_.close_connection(uid, socket.release());
-}
-
-void Broker::turn_away() {
-  ++registry_.counters().connections_refused;
-  spare_.reset();
-  {
-    auto socket = listener_.socket().accept();
-    // The last one it had is still being closed. Whoever waits is told again and again.
-    if (!socket) pause_listening();
-    if (socket && *socket) {
-      send_refused(**socket, Errc::limit_reached, "the daemon has no descriptor left");
-      const std::uint32_t uid = uid_of((*socket)->fd());
-      close_connection(std::move(**socket), uid);
-    }
-  }
-  spare_.reset(::open("/dev/null", O_RDONLY | O_CLOEXEC));
-  log_.write_limited(
-      "descriptors", LogLevel::error, "connection refused",
-      {{"code", word_of(Errc::limit_reached)}, {"why", "no descriptor left; raise LimitNOFILE"}});
-}
-
-void Broker::accept(PacketSocket socket) {
-  if (!MemoryReserve::refill()) {
-    ++registry_.counters().connections_refused;
-    send_refused(socket, Errc::limit_reached, no_memory_text);
-    const std::uint32_t uid = uid_of(socket.fd());
-    close_connection(std::move(socket), uid);
-    return;
-  }
-  auto identity = identify_peer(socket.fd());
-  if (!identity) {
-    log_.write_limited("identify", LogLevel::warning, "connection refused",
-                       {{"code", word_of(identity.error().code)},
-                        {"errno", identity.error().os_errno},
-                        {"why", identity.error().what}});
-    send_refused(socket, identity.error().code, identity.error().what);
-    const std::uint32_t uid = uid_of(socket.fd());
-    close_connection(std::move(socket), uid);
-    return;
-  }
-  AGNOCAST_CRASH_POINT(B_accepted);
-  const std::uint32_t uid = identity->uid;
-  if (const std::size_t stuck = disposal_.stuck(uid); stuck > 1)
-    log_.write_limited("disposal uid=" + std::to_string(uid), LogLevel::error,
-                       "connections cannot be closed",
-                       {{"pid", identity->pid},
-                        {"uid", uid},
-                        {"threads", stuck},
-                        {"why", "what this user has sent does not come to its end"}});
-  Connections& used = connections_[uid];
-  // Who has all the clients he may have can still look at them: such a connection can only observe.
-  // Processes that have lost their connection may come back.
-  const bool only_observes = used.clients >= options_.config.quota.clients + used.detached;
-  if (only_observes && used.observers >= abi::observer_count_max) {
-    ++registry_.counters().connections_refused;
-    send_refused(socket, Errc::quota_exceeded, clients_text());
-    log_.write_limited("connections uid=" + std::to_string(uid), LogLevel::warning,
-                       "connection refused",
-                       {{"pid", identity->pid},
-                        {"uid", uid},
-                        {"limit", "[quota] clients"},
-                        {"value", options_.config.quota.clients},
-                        {"used", used.clients},
-                        {"asked", 1},
-                        {"code", "quota_exceeded"}});
-    close_connection(std::move(socket), uid);
-    return;
-  }
-  // A former daemon may have listened without.
-  const bool may_carry = !refuses_descriptors(socket.fd());
-  if (may_carry) refuse_descriptors(socket.fd());
-  const PeerId id = ++last_peer_;
-  used.kept->bytes_max = options_.config.quota.queued_bytes;
-  auto peer =
-      std::make_unique<Peer>(Peer{id, Session(std::move(socket), std::move(*identity), used.kept)});
-  peer->session.set_may_carry(may_carry);
-  const auto connection = dispatcher_.add(peer->session.socket().fd(), EPOLLIN,
-                                          [this, id](std::uint32_t) { wait_for_turn(id, false); });
-  const auto process =
-      !connection ? connection
-                  : dispatcher_.add(peer->session.identity().process.fd(), EPOLLIN,
-                                    [this, id](std::uint32_t) { wait_for_turn(id, true); });
-  if (!process) {
-    if (connection) dispatcher_.remove(*connection);
-    send_refused(peer->session.socket(), process.error().code, process.error().what);
-    close_connection(*peer);
-    return;
-  }
-  peer->connection = *connection;
-  peer->process = *process;
-  peer->counts_as_observer = only_observes;
-  ++(only_observes ? used.observers : used.clients);
-  find_user_namespace(*peers_.emplace(id, std::move(peer)).first->second);
-}
-
-// Before Linux 6.11 only /proc says it, and whoever looks there may have to wait: so long nothing is read from the
-// process.
-void Broker::find_user_namespace(Peer& peer) {
-  const PeerIdentity& identity = peer.session.identity();
-  const auto known = identity.process.user_namespace();
-  peer.session.user_namespace = known.value_or(0);
-  if (known || identity.pid <= 0 ||
-      errands_.waiting(Errands::Lane::looking, identity.uid) >= looks_waiting_max)
-    return;
-  const std::uint64_t ticket = ++last_ticket_;
-  park(peer, ticket);
-  const auto found = std::make_shared<std::uint64_t>(0);
-  errands_.run(
-      Errands::Lane::looking, identity.uid,
-      [found, pid = identity.pid] { *found = agnocast::user_namespace_of(pid).value_or(0); },
-      [this, found, id = peer.id, ticket, here = std::weak_ptr(here_)] {
-        if (here.expired()) return;
-        const auto at = peers_.find(id);
-        if (at == peers_.end()) return;
-        at->second->session.user_namespace = *found;
-        unpark(id, ticket);
-      });
-}
-
-void Broker::wait_for_turn(PeerId id, bool ended) {
-  const auto found = peers_.find(id);
-  if (found == peers_.end()) return;
-  Peer& peer = *found->second;
-  peer.ended = peer.ended || ended;
-  if (!std::exchange(peer.waits, true)) waiting_[peer.session.identity().uid].push_back(id);
-}
+Result<void> Broker::start() { return acceptor_.start(); }
 
 void Broker::serve_waiting() {
-  for (auto user = waiting_.begin(); user != waiting_.end();) {
-    std::deque<PeerId>& queue = user->second;
-    Turn turn{packets_per_turn, monotonic_ns() + turn_budget_ns};
-    while (turn.left > 0 && !queue.empty()) {
-      const PeerId id = queue.front();
-      queue.pop_front();
-      take_turn(id, turn);
-    }
-    user = queue.empty() ? waiting_.erase(user) : std::next(user);
-  }
+  scheduler_.serve(
+      [this](PeerId id, const TimeSlice& slice) { return reader_.serve_slice(id, slice); });
   // Whose connection has just ended may take another one.
-  if (std::exchange(knocks_, false)) accept_some();
-}
-
-// Who has more to say is found by the dispatcher again, and waits behind the others of its user.
-void Broker::take_turn(PeerId id, Turn& turn) {
-  const auto found = peers_.find(id);
-  if (found == peers_.end()) return;
-  found->second->waits = false;
-  const bool ended = found->second->ended;
-  // Once a whole turn: another process may hold the connection, and never be done.
-  const unsigned count = read_packets(id, ended ? Turn{packets_per_turn} : turn);
-  if (const auto still = peers_.find(id); ended && still != peers_.end())
-    reap_peer(*still->second, DeathReason::died, "process ended");
-  const bool late = monotonic_ns() >= turn.until_ns;
-  turn.left = late ? 0 : turn.left - std::clamp(count, 1U, turn.left);
-}
-
-unsigned Broker::read_packets(PeerId id, const Turn& share) {
-  std::array<std::byte, wire::packet_bytes_max> buffer;
-  for (unsigned turn = 0; turn < share.left; ++turn) {
-    if (turn > 0 && monotonic_ns() >= share.until_ns) return turn;
-    const auto found = peers_.find(id);
-    if (found == peers_.end() || found->second->session.closed()) return turn;
-    Peer& peer = *found->second;
-    if (peer.revoked) {
-      say_farewell(peer);
-      return turn;
-    }
-    if (peer.parked != 0) return turn;
-    const bool observes = peer.session.role() == Role::observer;
-    if (observes && turn > 0) return turn;  // a dump is work
-    // A blocked writer is woken here as well: the handler does not tell the events apart.
-    if (peer.wants_writable && turn == 0) {
-      flush(peer);
-      if (peers_.find(id) == peers_.end() || peer.session.closed()) return turn;
-    }
-    if (peer.session.may_carry() && !may_receive(peer, buffer)) return turn;
-    auto packet = peer.session.socket().receive(buffer);
-    if (!packet) {
-      disconnect(peer, packet.error().what);
-      return turn;
-    }
-    if (packet->kind == Packet::Kind::nothing) return turn;
-    if (packet->kind == Packet::Kind::end) {
-      disconnect(peer, "closed by the process");
-      return turn;
-    }
-    if (packet->credentials && !peer.session.identity().confirmed)
-      confirm(peer.session.identity(), *packet->credentials);
-    if (observes && (peer.session.has_output() || peer.asked)) {
-      disconnect(peer, "an observer asks before it has read");
-      return turn;
-    }
-    AGNOCAST_CRASH_POINT(B_request);
-    const Envelope envelope{packet->descriptor_count, packet->truncated, packet->descriptors_lost};
-    serve_packet(peer, {buffer.data(), packet->bytes}, envelope, packet->fds());
-  }
-  return share.left;
-}
-
-// The one place where a request may fail for want of memory. Until something is changed it is as if it
-// had never come; from then on there is the reserve.
-template <class Serve>
-void Broker::serve_or_refuse(Peer& peer, std::uint64_t id, Serve serve_it) {
-  try {
-    if (!MemoryReserve::refill()) throw std::bad_alloc();
-    const MemoryReserve::MayFail may_fail;
-    serve_it();
-    return;
-  } catch (const std::bad_alloc&) {
-  }
-  // Nothing that ends a connection may fail, so the peer is still there.
-  const Request request = Rejected{id, Errc::limit_reached, std::string(no_memory_text), false};
-  remember(peer, request, Errc::limit_reached, no_memory_text);
-  refuse(peer, request, id, Errc::limit_reached, ENOMEM, no_memory_text);
-}
-
-void Broker::serve_packet(Peer& peer, std::span<const std::byte> bytes, const Envelope& envelope,
-                          std::span<UniqueFd> fds) {
-  wire::Header header{};
-  if (bytes.size() >= sizeof header) std::memcpy(&header, bytes.data(), sizeof header);
-  serve_or_refuse(peer, header.request,
-                  [&] { serve(peer, decode(bytes, envelope, peer.session.role()), fds); });
-}
-
-// The file of a region is one that its process may write to, and so keep locked: what waits for that is an
-// errand of its user, and the request with it.
-Result<bool> Broker::clear_before(Peer& peer, const CreateRequest& request) {
-  const ClientIndex client = *peer.session.client();
-  const std::uint64_t bytes = request.kind == Kind::publisher ? abi::publisher_extent_bytes
-                                                              : abi::subscription_extent_bytes;
-  const auto offset = registry_.lowest_extent(client, bytes);
-  if (!offset || regions_.is_clear(client, {*offset, bytes})) return false;
-  const std::uint64_t ticket = ++last_ticket_;
-  const auto cleared = regions_.clear(
-      client, {registry_.client(client).uid, options_.config.quota.region_bytes()}, {*offset, bytes},
-      [this, id = peer.id, ticket, request, here = std::weak_ptr(here_)] {
-        if (here.expired()) return;
-        std::erase_if(uncleared_, [&](const Uncleared& one) { return one.ticket == ticket; });
-        Peer* const back = unpark(id, ticket);
-        if (back == nullptr) return;
-        serve_or_refuse(*back, request.request, [&] { serve(*back, request, {}); });
-      });
-  if (!cleared) return tl::unexpected(cleared.error());
-  uncleared_.push_back({peer.id, ticket, request.request, monotonic_ms() + clearing_ms});
-  park(peer, ticket);
-  return true;
-}
-
-void Broker::refuse_uncleared(std::uint64_t now) {
-  while (!uncleared_.empty() && uncleared_.front().until_ms <= now) {
-    const Uncleared waits = uncleared_.front();
-    uncleared_.pop_front();
-    Peer* const peer = unpark(waits.id, waits.ticket);
-    if (peer == nullptr) continue;  // it has gone, or come back on another connection
-    constexpr std::string_view why =
-        "memory of this process could not be prepared in time: something of it, or of its user, keeps "
-        "agnocastd waiting";
-    const Request request = Rejected{waits.request, Errc::limit_reached, std::string(why), false};
-    remember(*peer, request, Errc::limit_reached, why);
-    refuse(*peer, request, waits.request, Errc::limit_reached, 0, why);
-  }
-}
-
-// A descriptor that is received is one to close, and the kernel may close some on the way. So a packet that
-// brings any is left where it is, and goes with its connection. Only a window is wanted.
-bool Broker::may_receive(Peer& peer, std::span<std::byte> buffer) {
-  const auto next = peer.session.socket().peek(buffer);
-  if (!next) {
-    disconnect(peer, next.error().what);
-    return false;
-  }
-  if (next->kind == Packet::Kind::nothing) {
-    // A sender that was let through just before the kernel began to refuse has come to its end by then.
-    constexpr std::uint64_t sending_ms = 1'000;
-    if (!peer.brings_windows && refuses_descriptors(peer.session.socket().fd()) &&
-        monotonic_ms() - peer.refuses_since_ms >= sending_ms)
-      peer.session.set_may_carry(false);
-    return false;
-  }
-  if (!next->has_descriptors) return true;
-  wire::BringWindow window{};
-  if (next->bytes == sizeof window) std::memcpy(static_cast<void*>(&window), buffer.data(), sizeof window);
-  if (window.header.opcode == wire::Opcode::bring_window &&
-      peer.session.role() == Role::client && peer.brings_windows &&
-      disposal_.may_receive(peer.session.identity().uid)) {
-    receive_window(peer);
-    return false;
-  }
-  const PeerId id = peer.id;
-  serve_packet(peer, buffer.first(next->bytes), {1, next->truncated, true}, {});
-  if (const auto found = peers_.find(id); found != peers_.end() && !found->second->session.closed())
-    disconnect(*found->second, "descriptors came with a packet");
-  return false;
-}
-
-void Broker::park(Peer& peer, std::uint64_t ticket) {
-  peer.parked = ticket;
-  dispatcher_.remove(peer.connection);
-  peer.connection = 0;
-}
-
-Broker::Peer* Broker::unpark(PeerId id, std::uint64_t ticket) {
-  const auto found = peers_.find(id);
-  if (found == peers_.end() || found->second->parked != ticket) return nullptr;
-  Peer& peer = *found->second;
-  peer.parked = 0;
-  if (peer.session.closed()) return nullptr;
-  const auto token =
-      dispatcher_.add(peer.session.socket().fd(),
-                      peer.wants_writable || peer.revoked ? EPOLLIN | EPOLLOUT : EPOLLIN,
-                      [this, id](std::uint32_t) { wait_for_turn(id, false); });
-  if (!token) {
-    disconnect(peer, token.error().what);
-    return nullptr;
-  }
-  peer.connection = *token;
-  return peer.revoked ? nullptr : &peer;
-}
-
-void Broker::flush(Peer& peer) {
-  const MemoryReserve::MustNotFail completes;  // what is made for a packet is made once
-  switch (peer.session.flush()) {
-    case Session::Flushed::all:
-      if (peer.wants_writable) dispatcher_.change(peer.connection, EPOLLIN);
-      peer.wants_writable = false;
-      break;
-    case Session::Flushed::blocked:
-      if (!peer.wants_writable) dispatcher_.change(peer.connection, EPOLLIN | EPOLLOUT);
-      peer.wants_writable = true;
-      break;
-    case Session::Flushed::later:
-      flush_later_ = true;
-      break;
-    case Session::Flushed::gone:
-      peer.session.drop_output();
-      break;
-    case Session::Flushed::over:
-      end_output(peer, "the process does not read");
-      break;
-  }
-}
-
-// Not disconnected: the caller may be in the middle of an announcement. The connection is shut, and its
-// end is read like any other.
-void Broker::end_output(Peer& peer, std::string_view why) {
-  const std::uint32_t uid = peer.session.identity().uid;
-  log_.write_limited("output uid=" + std::to_string(uid), LogLevel::warning, "connection ended",
-                     {{"pid", peer.session.identity().pid},
-                      {"uid", uid},
-                      {"queued", peer.session.queued_count()},
-                      {"bytes", peer.session.queued_bytes()},
-                      {"waited_ms", peer.session.waits_ms(monotonic_ms())},
-                      {"why", why}});
-  ::shutdown(peer.session.socket().fd(), SHUT_RDWR);
-  peer.session.drop_output();
-}
-
-// Whoever has most of what waits for this user: it reads least.
-void Broker::end_longest_output(std::uint32_t uid) {
-  Peer* most = nullptr;
-  for (const auto& [id, peer] : peers_) {
-    if (peer->session.identity().uid == uid && !peer->session.closed() &&
-        (most == nullptr || peer->session.queued_bytes() > most->session.queued_bytes()))
-      most = peer.get();
-  }
-  if (most != nullptr)
-    end_output(*most, "the processes of its user do not read, it least: [quota] queued_bytes is " +
-                          std::to_string(options_.config.quota.queued_bytes));
-}
-
-void Broker::end_old_output(std::uint64_t now) {
-  const std::uint64_t seconds = options_.config.quota.queued_seconds;
-  if (seconds == unlimited) return;
-  for (const auto& [id, peer] : peers_) {
-    // Of who was revoked only the word that says so is left, for whenever it reads again.
-    if (!peer->session.closed() && !peer->revoked && peer->session.waits_ms(now) > seconds * 1000)
-      end_output(*peer,
-                 "the process does not read: [quota] queued_seconds is " + std::to_string(seconds));
-  }
-}
-
-// malloc keeps what was freed. Once most of what was queued is not queued any more, its pages go back.
-void Broker::give_memory_back() {
-  constexpr std::uint64_t worth_it = std::uint64_t{8} << 20;
-  for (auto& [uid, used] : connections_) {
-    gives_back_ |= used.kept->peak >= worth_it && used.kept->bytes < used.kept->peak / 4;
-    if (used.kept->bytes < used.kept->peak / 4) used.kept->peak = used.kept->bytes;
-  }
-  if (std::exchange(gives_back_, false)) ::malloc_trim(0);
-}
-
-std::uint8_t Broker::whose(const Peer& peer) noexcept {
-  if (!peer.session.greeted()) return journal::end::stranger;
-  return peer.revoked ? journal::end::revoked : journal::end::member;
-}
-
-void Broker::disconnect(Peer& peer, std::string_view why) {
-  const MemoryReserve::MustNotFail must_not_fail;
-  MemoryReserve::no_return();
-  AGNOCAST_CRASH_POINT(B_ended);
-  dispatcher_.remove(peer.connection);
-  peer.connection = 0;
-  close_connection(peer);
-  const auto decision = journal::decide_end(whose(peer), false, false);
-  if (decision == EndDecision::drop) {
-    if (peer.session.role() == Role::observer)
-      log_.write(LogLevel::debug, "observer gone",
-                 {{"pid", peer.session.identity().pid}, {"why", why}});
-    drop(peer.id);
-    return;
-  }
-  const ClientIndex client = *peer.session.client();
-  log_.write(LogLevel::debug, "connection closed",
-             {{"client", number(client)}, {"pid", peer.session.identity().pid}, {"why", why}});
-  if (!std::exchange(peer.detached, true)) {
-    ++detached_count_;
-    ++connections_[peer.session.identity().uid].detached;
-  }
-  // After exec, or when the library was shut down, nothing of the region is left in the process.
-  if (!peer.ended) look_whether_gone(peer);
-}
-
-void Broker::reap_peer(Peer& peer, DeathReason reason, std::string_view how) {
-  MemoryReserve::no_return();
-  AGNOCAST_CRASH_POINT(B_reap);
-  const PeerId id = peer.id;
-  const auto decision = journal::decide_end(whose(peer), reason == DeathReason::died, true);
-  if (decision == EndDecision::drop) {
-    drop(id);
-    return;
-  }
-  const ClientIndex client = *peer.session.client();
-  by_client_[number(client)] = nullptr;
-  drop(id);
-  if (decision == EndDecision::free_place) {
-    const auto ending =
-        std::find_if(endings_.begin(), endings_.end(),
-                     [&](const Ending& one) { return one.reaping.client() == client; });
-    if (ending == endings_.end()) {
-      free_revoked(client, reason, how);
-    } else {
-      ending->then = [this, client, reason, how = std::string(how), before = ending->then](
-                         const Reaped& reaped) {
-        before(reaped);
-        free_revoked(client, reason, how);
-      };
-    }
-  } else {
-    repair(client, reason, how);
-  }
-  AGNOCAST_CRASH_POINT(B_reaped);
-}
-
-// The rest was done when it was revoked; now its place may be used again.
-void Broker::free_revoked(ClientIndex client, DeathReason reason, std::string_view how) {
-  registry_.client_died(client, reason);
-  store_.remove(DescriptorStore::process(client));
-  const ClientRecord& record = registry_.client(client);
-  note(LogLevel::info, record.uid, "client gone",
-       {{"client", number(client)},
-        {"pid", record.pid},
-        {"uid", record.uid},
-        {"how", how},
-        {"was", "revoked"}});
-  membership_.settle_client(client);
-}
-
-void Broker::reap_in_turns(ClientIndex client, DeathReason reason, AfterReaping then,
-                           std::uint64_t budget_ns) {
-  Reaping reaping(client, reason, registry_, regions_, doorbells_, membership_);
-  const std::uint64_t now = monotonic_ns();
-  const bool done = reaping.go_on(budget_ns > UINT64_MAX - now ? UINT64_MAX : now + budget_ns);
-  if (done) return then(reaping.reaped());
-  endings_.push_back({std::move(reaping), std::move(then)});
-}
-
-void Broker::go_on_reaping() {
-  if (endings_.empty()) return;
-  // Each has its turn: who leaves much behind does not keep others from being told of another end.
-  endings_.splice(endings_.end(), endings_, endings_.begin());
-  const auto ending = std::prev(endings_.end());
-  if (!ending->reaping.go_on(monotonic_ns() + reap_budget_ns)) return;
-  const Ending done = std::move(*ending);
-  endings_.erase(ending);
-  done.then(done.reaping.reaped());
-}
-
-void Broker::repair(ClientIndex client, DeathReason reason, std::string_view how,
-                    std::uint64_t budget_ns) {
-  const std::uint32_t uid = registry_.client(client).uid;
-  const std::uint32_t pid = registry_.client(client).pid;
-  obstacles_.forget(client);
-  const auto after = [this, client, uid, pid, how = std::string(how)](const Reaped& reaped) {
-    if (!registry_.is_revoked(client)) store_.remove(DescriptorStore::process(client));
-    note(reaped.corrupt == 0 ? LogLevel::info : LogLevel::warning, uid, "client gone",
-         {{"client", number(client)},
-          {"pid", pid},
-          {"uid", uid},
-          {"how", how},
-          {"publishers", reaped.publishers},
-          {"subscriptions", reaped.subscriptions},
-          {"rolled_back", reaped.rolled_back},
-          {"rolled_forward", reaped.rolled_forward},
-          {"corrupt_intents", reaped.corrupt}});
-  };
-  reap_in_turns(client, reason, after, budget_ns);
-}
-
-// Until the process ends the peer stays, and with it the connection's place in its user's quota and
-// the pidfd: so long the process has its memory, and may not come back.
-void Broker::revoke(Peer& peer, const std::string& why) {
-  MemoryReserve::no_return();
-  AGNOCAST_CRASH_POINT(B_revoke);
-  const ClientIndex client = *peer.session.client();
-  by_client_[number(client)] = nullptr;
-  peer.revoked = true;
-  if (!std::exchange(peer.detached, true)) {
-    ++detached_count_;
-    ++connections_[peer.session.identity().uid].detached;
-  }
-  obstacles_.forget(client);
-  const auto after = [this, client, pid = peer.session.identity().pid,
-                      uid = peer.session.identity().uid, why](const Reaped& reaped) {
-    log_.write(LogLevel::warning, "client revoked",
-               {{"client", number(client)},
-                {"pid", pid},
-                {"uid", uid},
-                {"why", why},
-                {"publishers", reaped.publishers},
-                {"subscriptions", reaped.subscriptions}});
-  };
-  reap_in_turns(client, DeathReason::revoked, after);
-  if (peer.session.closed()) return;
-  // What waits for it is about a membership that it does not have any more.
-  peer.session.drop_output();
-  auto packet = make_body<wire::Refused>(wire::Opcode::revoked);
-  packet.code = static_cast<std::uint32_t>(Errc::revoked);
-  packet.text = name_of(why);
-  peer.session.push(packet_of(packet), {});
-  say_farewell(peer);
-}
-
-void Broker::say_farewell(Peer& peer) {
-  if (peer.session.flush() == Session::Flushed::blocked) {
-    dispatcher_.change(peer.connection, EPOLLOUT);  // nothing that it says is read any more
-    return;
-  }
-  dispatcher_.remove(peer.connection);
-  peer.connection = 0;
-  // Not closed: what of its requests was never read would cost it the packet that waits for it.
-  ::shutdown(peer.session.socket().fd(), SHUT_RDWR);
-}
-
-// A process may have tens of thousands of mappings, and reading them takes a tenth of a second; one that holds
-// the lock of its memory keeps whoever reads waiting. That is its user's time, and what it took is not to be most
-// of what a processor does: for a while none of its processes is looked at, and the next tick asks again.
-bool Broker::look_at(const Peer& peer, std::function<void(Trace)> then) {
-  const MemoryReserve::MustNotFail must_not_fail;
-  const std::uint32_t uid = peer.session.identity().uid;
-  if (monotonic_ns() < connections_[uid].look_due_ns ||
-      errands_.waiting(Errands::Lane::looking, uid) >= looks_waiting_max)
-    return false;
-  struct Look {
-    std::optional<bool> maps;
-    std::uint64_t took_ns = 0;
-  };
-  const auto look = std::make_shared<Look>();
-  errands_.run(
-      Errands::Lane::looking, uid,
-      [look, pid = peer.session.identity().pid,
-       file = regions_.region_file(*peer.session.client())] {
-        const std::uint64_t begin = monotonic_ns();
-        look->maps = maps_file(pid, file);
-        look->took_ns = monotonic_ns() - begin;
-      },
-      [this, look, uid, then = std::move(then), here = std::weak_ptr(here_)] {
-        if (here.expired()) return;
-        if (const auto user = connections_.find(uid); user != connections_.end())
-          user->second.look_due_ns =
-              look->took_ns > look_budget_ns ? monotonic_ns() + look->took_ns * look_rest : 0;
-        then(!look->maps ? Trace::unknown : *look->maps ? Trace::some : Trace::none);
-      });
-  return true;
-}
-
-void Broker::look_whether_gone(Peer& peer) {
-  if (peer.looking) return;
-  peer.looking = look_at(peer, [this, id = peer.id](Trace trace) {
-    const auto found = peers_.find(id);
-    if (found == peers_.end()) return;
-    found->second->looking = false;
-    if (journal::decide_end(whose(*found->second), false, trace == Trace::none) !=
-        EndDecision::wait)
-      reap_peer(*found->second, DeathReason::let_go, "process let go of its region");
-  });
-}
-
-void Broker::drop(PeerId id) {
-  const auto found = peers_.find(id);
-  AGNOCAST_CHECK(found != peers_.end());
-  Peer& peer = *found->second;
-  dispatcher_.remove(peer.connection);
-  dispatcher_.remove(peer.process);
-  const auto user = connections_.find(peer.session.identity().uid);
-  AGNOCAST_CHECK(user != connections_.end());
-  std::uint64_t& count = peer.counts_as_observer ? user->second.observers : user->second.clients;
-  AGNOCAST_CHECK(count > 0);
-  --count;
-  if (peer.detached) {
-    --detached_count_;
-    --user->second.detached;
-  }
-  if (user->second.clients + user->second.observers == 0) {
-    gives_back_ |= user->second.kept->peak >= std::uint64_t{8} << 20;
-    connections_.erase(user);
-  }
-  if (peer.session.role() == Role::observer) --observer_count_;
-  close_connection(peer);
-  peers_.erase(found);
+  acceptor_.accept_some();
 }
 
 void Broker::tick() {
-  go_on_reaping();
+  reaping_.go_on();
   const std::uint64_t now = monotonic_ms();
   if (now - looked_ms_ >= short_interval_ms) look_around(now);  // however many events there are
-  answer_who_awaits_change();                                   // of the events, and of the look
-  answer_whose_turn_it_is();
+  answers_.answer_who_awaits_change();                          // of the events, and of the look
+  answers_.go_on();
 }
 
 void Broker::look_around(std::uint64_t now) {
   looked_ms_ = now;
-  refuse_uncleared(now);
-  if (!std::exchange(listens_, true)) {
-    if (!spare_) spare_.reset(::open("/dev/null", O_RDONLY | O_CLOEXEC));
-    dispatcher_.change(listening_, EPOLLIN);
-  }
-  if (flush_later_) {
-    flush_later_ = false;
-    for (auto& [id, peer] : peers_) {
-      if (!peer->session.closed() && !peer->revoked && peer->session.has_output()) flush(*peer);
-    }
-  }
-  if (detached_count_ > 0) {
-    std::vector<Peer*> lost;
-    for (const auto& [id, peer] : peers_) {
-      if (peer->detached) lost.push_back(peer.get());
-    }
-    // Those first that have waited longest: there may be no time for all.
-    std::sort(lost.begin(), lost.end(),
-              [](const Peer* a, const Peer* b) { return a->looked_ns < b->looked_ns; });
-    for (Peer* const peer : lost) {
-      if (peer->looking || peer->ended) continue;
-      peer->looked_ns = monotonic_ns();
-      look_whether_gone(*peer);
-    }
-  }
+  endpoint_requests_.refuse_uncleared(now);
+  acceptor_.listen_again();
+  output_.go_on_flushing();
+  termination_.look_at_detached();
   membership_.go_on_telling();
   membership_.announce_renewed();
   announce_what_waits();
-  drop_slow_observers(now);
-  end_old_output(now);
-  give_memory_back();
-  std::erase_if(answers_, [&](const auto& one) {
-    return one.second.waiting.empty() && one.second.allowance.is_whole(now);
-  });
-  reader_notes_.forget_unused(now);
+  answers_.drop_slow(now);
+  output_.end_old(now);
+  connections_.give_memory_back();
+  answers_.forget_idle_users(now);
   if (now - watched_ms_ >= watch_interval_ms) {
     watched_ms_ = now;
     watch_holds();
     watch_letting_go();
-    look_for_silent_bells();
+    readers_.look_for_silent_bells(now);
   }
   log_.flush();
 }
@@ -836,94 +180,40 @@ void Broker::announce_what_waits() {
 }
 
 int Broker::due_ms() const noexcept {
-  if (!waiting_.empty() || !endings_.empty()) return 0;
-  if (!listens_) return short_interval_ms;
-  if (const int due = answers_due_ms(); due >= 0) return std::min(due, short_interval_ms);
-  if (detached_count_ > 0 || flush_later_ || membership_.has_waiting() || membership_.tells() ||
-      membership_.has_renewed() || !uncleared_.empty())
+  if (!scheduler_.nobody_waits() || !reaping_.is_empty()) return 0;
+  if (acceptor_.pauses()) return short_interval_ms;
+  if (const int due = answers_.due_ms(); due >= 0) return std::min(due, short_interval_ms);
+  if (connections_.detached_count() > 0 || output_.flushes_later() || membership_.has_waiting() ||
+      membership_.tells() || membership_.has_renewed() || endpoint_requests_.has_uncleared())
     return short_interval_ms;
-  return peers_.empty() ? 10'000 : watch_interval_ms;
+  return connections_.all().empty() ? 10'000 : watch_interval_ms;
 }
 
 void Broker::watch_holds() {
   for (const HoldWatch::Finding& liar : hold_watch_.look()) {
     // The end of another one may have been the end of this place.
     if (!registry_.is_used(liar.subscription)) continue;
-    Peer* const peer = by_client_[number(registry_.owner_of(liar.subscription))];
+    Peer* const peer = connections_.of_client(registry_.owner_of(liar.subscription));
     if (peer == nullptr) continue;
-    revoke(*peer, "its subscription to " +
-                      std::string(registry_.topic(liar.subscription.topic).name) + " holds " +
-                      std::to_string(liar.held) + " messages of one publisher, its quota is " +
-                      std::to_string(liar.quota));
+    termination_.revoke(
+        *peer, "its subscription to " + std::string(registry_.topic(liar.subscription.topic).name) +
+                   " holds " + std::to_string(liar.held) +
+                   " messages of one publisher, its quota is " + std::to_string(liar.quota));
   }
 }
 
 void Broker::watch_letting_go() {
   for (const LetGoWatch::Finding& found : let_go_watch_.look()) {
-    if (by_client_[number(found.client)] == nullptr) continue;
+    if (connections_.of_client(found.client) == nullptr) continue;
     // It may have said so, and wait for its turn.
-    read_packets(by_client_[number(found.client)]->id, Turn{packets_per_turn});
-    Peer* const peer = by_client_[number(found.client)];
+    reader_.read(connections_.of_client(found.client)->id, TimeSlice());
+    Peer* const peer = connections_.of_client(found.client);
     if (peer == nullptr || !let_go_watch_.is_true(found)) continue;
     const EndpointRef& oldest = found.oldest;
-    revoke(*peer, "it does not let go of " + std::to_string(found.count) +
-                      " endpoints that are gone, the oldest a " +
-                      (oldest.kind == Kind::publisher ? "publisher" : "subscription") + " of " +
-                      printable(registry_.topic(oldest.topic).name));
-  }
-}
-
-// --- Post
-
-Session* Broker::session_of(ClientIndex client) {
-  Peer* const peer = by_client_[number(client)];
-  return peer == nullptr || peer->session.closed() ? nullptr : &peer->session;
-}
-
-std::uint64_t Broker::user_namespace_of(ClientIndex client) {
-  const Peer* const peer = by_client_[number(client)];
-  return peer == nullptr ? 0 : peer->session.user_namespace;
-}
-
-void Broker::send(ClientIndex client, Outgoing packet) {
-  Peer* const peer = by_client_[number(client)];
-  if (peer == nullptr || peer->session.closed()) return;
-  reply(*peer, std::move(packet));
-}
-
-void Broker::reply(Peer& peer, std::span<const std::byte> packet, std::vector<SharedFd> fds) {
-  reply(peer, Outgoing{{packet.begin(), packet.end()}, std::move(fds), {}});
-}
-
-void Broker::begin_anew(ClientIndex client, std::string_view why) {
-  Peer* const peer = by_client_[number(client)];
-  if (peer != nullptr && !peer->session.closed()) end_output(*peer, why);
-}
-
-void Broker::reply(Peer& peer, Outgoing packet) {
-  AGNOCAST_CRASH_POINT(B_send);
-  const bool waiting = peer.session.has_output();
-  packet.since_ms = monotonic_ms();
-  try {
-    const MemoryReserve::MayFail may_fail;
-    peer.session.push(std::move(packet));
-  } catch (const std::bad_alloc&) {
-    // It comes back and is told everything again.
-    const MemoryReserve::MustNotFail ends;
-    end_output(peer, no_memory_text);
-    return;
-  }
-  // While something waits for the socket there is nothing to gain from another try.
-  if (!waiting || peer.session.queued_count() > Session::queue_count_max) flush(peer);
-  if (peer.session.is_over()) end_longest_output(peer.session.identity().uid);
-  AGNOCAST_CRASH_POINT(B_sent);
-}
-
-void Broker::note(LogLevel level, std::uint32_t uid, std::string_view event, Log::Fields fields) {
-  if (log_.is_written(LogLevel::debug)) {
-    log_.write(level, event, fields);
-  } else {
-    log_.write_limited(std::string(event) + " uid=" + std::to_string(uid), level, event, fields);
+    termination_.revoke(*peer, "it does not let go of " + std::to_string(found.count) +
+                                   " endpoints that are gone, the oldest a " +
+                                   (oldest.kind == Kind::publisher ? "publisher" : "subscription") +
+                                   " of " + printable(registry_.topic(oldest.topic).name));
   }
 }
 

@@ -1,59 +1,66 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Broker: builds and owns everything below, and turns events into operations.
+// Broker: the composition root of agnocastd. It builds and owns everything below, and says in which order it has
+// its turn. What happens when, and where:
 //
-//   listener readable     accept, identify, watch connection and process
-//   connection readable   its turn comes: decode, check rights and quotas, membership
-//   connection ended      keep (the process lives), or reap (it has no trace of its region)
-//   rejoin                the new connection takes the place of the one that the process lost
-//   pidfd readable        its turn comes: what it said last, then reap
-//   observer says revoke  reap although it lives; it is told, and its pidfd stays watched
-//   started again         broker_resume.cpp
+//   somebody wants to connect   Acceptor: accepts, identifies, watches connection and process
+//   connection readable         RequestScheduler, when its user has a time slice → PacketReader → RequestServer
+//                               → the handler that RequestTable names: *_requests.hpp
+//   connection or process ended ClientTermination: keeps the client (the process lives), or reaps it
+//   an errand has ended         the request that was parked for it goes on (RequestScheduler)
+//   time passes                 tick(): ReapingQueue, ObserverAnswers, and look_around() for what is due
+//   started again               Recovery
 //
-// Turns are the users': who has a thousand connections is served as much as who has one.
+// What handlers share: Admission (quotas), AccessControl (rules), AddressConflicts (heaps that collide),
+// PeerOutput (what is sent), ConnectionTable (who is there). None of them knows Broker.
 //
-// One thread; what may take as long as a client likes is done in others (errands.hpp, disposal.hpp), and so is
-// the freeing of memory (closer.hpp). A connection that waits for an errand is parked: nothing is read from it
-// until then. The order of things inside one event is the
-// protocol's; between events everything is consistent, so the daemon may be killed at any time.
+// One thread. Calls that may take as long as a client likes are made in others (errands.hpp, disposal.hpp), and so
+// is the freeing of memory (closer.hpp). The order of things inside one event is the protocol's; between
+// events everything is consistent, so the daemon may be killed at any time.
 #pragma once
 
 #include <base/log.hpp>
-#include <daemon/config/access.hpp>
 #include <daemon/config/config.hpp>
+#include <daemon/death/client_termination.hpp>
 #include <daemon/death/hold_watch.hpp>
 #include <daemon/death/let_go_watch.hpp>
-#include <daemon/death/reaper.hpp>
+#include <daemon/death/reaping_queue.hpp>
+#include <daemon/death/region_look.hpp>
 #include <daemon/lifecycle/membership.hpp>
-#include <daemon/requests/reader_notes.hpp>
 #include <daemon/lifecycle/regions.hpp>
-#include <daemon/requests/dump.hpp>
+#include <daemon/requests/acceptor.hpp>
+#include <daemon/requests/access_control.hpp>
+#include <daemon/requests/acknowledgement_requests.hpp>
+#include <daemon/requests/address_conflicts.hpp>
+#include <daemon/requests/admission.hpp>
+#include <daemon/requests/dump_collector.hpp>
+#include <daemon/requests/endpoint_requests.hpp>
+#include <daemon/requests/executor_requests.hpp>
+#include <daemon/requests/hello_requests.hpp>
+#include <daemon/requests/observer_answers.hpp>
+#include <daemon/requests/observer_requests.hpp>
+#include <daemon/requests/packet_reader.hpp>
+#include <daemon/requests/reader_reports.hpp>
+#include <daemon/requests/refusal_report.hpp>
+#include <daemon/requests/rejoin_requests.hpp>
+#include <daemon/requests/request_scheduler.hpp>
+#include <daemon/requests/request_server.hpp>
+#include <daemon/requests/user_namespaces.hpp>
+#include <daemon/requests/window_requests.hpp>
 #include <daemon/state/address_plan.hpp>
 #include <daemon/state/obstacles.hpp>
 #include <daemon/state/refusals.hpp>
 #include <daemon/state/registry.hpp>
-#include <daemon/transport/allowance.hpp>
+#include <daemon/transport/connection_table.hpp>
 #include <daemon/transport/descriptor_store.hpp>
 #include <daemon/transport/dispatcher.hpp>
 #include <daemon/transport/disposal.hpp>
 #include <daemon/transport/doorbells.hpp>
 #include <daemon/transport/errands.hpp>
 #include <daemon/transport/listener.hpp>
-#include <daemon/transport/requests.hpp>
-#include <daemon/transport/session.hpp>
-#include <journal/cases.hpp>
+#include <daemon/transport/peer_output.hpp>
 
 #include <cstdint>
-#include <deque>
-#include <functional>
-#include <list>
-#include <memory>
-#include <optional>
-#include <span>
-#include <string>
-#include <unordered_map>
-#include <variant>
-#include <vector>
 
 namespace agnocast::daemon {
 
@@ -63,17 +70,16 @@ struct BrokerOptions {
   std::uint64_t former_count = 0;  // daemons that began here before
 };
 
-class Broker final : private Post {
+class Broker final {
  public:
   Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, Listener& listener,
          Regions regions, DescriptorStore& store, Errands& errands, Disposal& disposal);
-  ~Broker() override;
   Broker(const Broker&) = delete;
   Broker& operator=(const Broker&) = delete;
 
   /// A new life, in memory that is all zero. Errors: as DescriptorStore::put.
   [[nodiscard]] Result<void> found(std::uint64_t incarnation);
-  /// Goes on with a former life: see broker_resume.cpp. Errors: layout_mismatch, store_damaged,
+  /// Goes on with a former life, see Recovery. Errors: layout_mismatch, store_damaged,
   /// os_failure.
   [[nodiscard]] Result<void> resume();
   /// Begins to serve. Errors: os_failure.
@@ -87,290 +93,56 @@ class Broker final : private Post {
   const Arena& arena() const noexcept { return options_.arena; }
 
  private:
-  using PeerId = std::uint64_t;
-  /// What a process has of its region. Unknown: there is no time to look now, or no descriptor.
-  enum class Trace : std::uint8_t { none, some, unknown };
-  /// What an observer has asked for and is answered at length.
-  using LongRequest = std::variant<wire::Dump, wire::ReadJournal>;
-  struct Peer {
-    PeerId id;
-    Session session;
-    Dispatcher::Token connection = 0;
-    Dispatcher::Token process = 0;
-    bool wants_writable = false;
-    bool waits = false;     // for its turn
-    bool ended = false;     // the process; its turn is the last
-    bool detached = false;  // without a connection, or revoked, but alive and mapping its region
-    bool revoked = false;   // its client is dead in the tables; nothing it says counts
-    bool counts_as_observer = false;
-    std::uint64_t parked = 0;    // it waits for the errand with this ticket
-    bool brings_windows = false;  // it may, until it asks for something new
-    std::uint64_t refuses_since_ms = 0;  // since when the kernel refuses descriptors again
-    std::uint64_t asked_ms = 0;   // of an observer: when its last answer was made
-    std::optional<abi::wire::Dump> awaits_change = {};  // of an observer: to be answered then
-    std::optional<LongRequest> asked = {};              // of an observer: when its user's turn comes
-    std::uint64_t looked_ns = 0;  // when tick() last asked whether it has let go
-    bool looking = false;         // somebody looks right now
-    // Of a hello: whether the process was looked at, and what it has of a region that was revoked.
-    std::optional<Trace> revoked_trace = {};
-    // Of its process: to be told everything again is work. An honest one tries four times a second at
-    // last (client/session/reconnection.hpp), a few times more often at first.
-    Allowance returns{20, 250};
-  };
-  /// Connections of one user.
-  struct Connections {
-    std::uint64_t clients = 0;
-    std::uint64_t observers = 0;
-    std::uint64_t detached = 0;  // of the clients: processes without a connection
-    std::uint64_t look_due_ns = 0;  // before that no process of this user is looked at
-    std::shared_ptr<KeptForUser> kept = std::make_shared<KeptForUser>();
-  };
-  /// Answers at length of one user; outlives its connections.
-  struct Answers {
-    Allowance allowance;
-    std::deque<PeerId> waiting;
-  };
-
-  // Post
-  Session* session_of(ClientIndex client) override;
-  std::uint64_t user_namespace_of(ClientIndex client) override;
-  using Post::send;
-  void send(ClientIndex client, Outgoing packet) override;
-  void begin_anew(ClientIndex client, std::string_view why) override;
-
-  void accept_some();
-  /// Nobody is accepted until the next look around: there is no descriptor.
-  void pause_listening();
-  void accept(PacketSocket socket);
-  void find_user_namespace(Peer& peer);
-  /// Takes one waiting connection although no descriptor is left, and says why it is refused.
-  void turn_away();
-  void wait_for_turn(PeerId id, bool ended);
-  /// What one user may still be served before the next one is.
-  struct Turn {
-    unsigned left = 0;  // packets
-    std::uint64_t until_ns = UINT64_MAX;
-  };
-  void take_turn(PeerId id, Turn& turn);
-  /// Says how many packets there were.
-  unsigned read_packets(PeerId id, const Turn& share);
-  /// Looks at the next packet of a connection that descriptors may have come into. False: it is not to be
-  /// received here, and has been dealt with.
-  bool may_receive(Peer& peer, std::span<std::byte> buffer);
-  /// What is read from it waits until unpark(); nothing when it is gone by then.
-  void park(Peer& peer, std::uint64_t ticket);
-  Peer* unpark(PeerId id, std::uint64_t ticket);
-  void close_connection(Peer& peer);
-  void close_connection(PacketSocket socket, std::uint32_t uid);
-  void flush(Peer& peer);
-  /// Nothing more is sent to it; its end is read like any other.
-  void end_output(Peer& peer, std::string_view why);
-  void end_longest_output(std::uint32_t uid);
-  void end_old_output(std::uint64_t now);
-  void give_memory_back();
-  /// The connection is over; the process may live.
-  void disconnect(Peer& peer, std::string_view why);
-  void drop(PeerId id);
-  void reap_peer(Peer& peer, journal::DeathReason reason, std::string_view how);
-  void repair(ClientIndex client, journal::DeathReason reason, std::string_view how,
-              std::uint64_t budget_ns = reap_budget_ns);
-  /// One of them after the other, for a while.
-  void go_on_reaping();
-  // Of the ends of processes, in one turn of the loop. One with thousands of endpoints takes many turns.
-  static constexpr std::uint64_t reap_budget_ns = 2'000'000;
-  using AfterReaping = std::function<void(const Reaped&)>;
-  void reap_in_turns(ClientIndex client, journal::DeathReason reason, AfterReaping then,
-                     std::uint64_t budget_ns = reap_budget_ns);
-  void free_revoked(ClientIndex client, journal::DeathReason reason, std::string_view how);
-  /// Ends the membership of a process that lives. `why` is for it and for the log.
-  void revoke(Peer& peer, const std::string& why);
-  /// Sends what a revoked process is to hear last, then shuts its connection.
-  void say_farewell(Peer& peer);
-  /// Has somebody look elsewhere what the process has of its region; `then` hears of it later. False: not now.
-  bool look_at(const Peer& peer, std::function<void(Trace)> then);
-  /// Of a process without a connection: it is reaped if it has let go.
-  void look_whether_gone(Peer& peer);
-  /// True: the process has been here before, and is looked at first; its hello waits for that.
-  bool look_before(Peer& peer, const wire::Hello& hello);
-  struct Before;
-  void welcome_after(PeerId id, std::uint64_t ticket, const wire::Hello& hello,
-                     const Before& before);
-  // --- resume
-  [[nodiscard]] Result<journal::FoundDecision> adopt_client(ClientIndex client,
-                                                            std::uint64_t& lost);
-  void back_endpoints(ClientIndex client);
-  [[nodiscard]] Result<void> watch(ClientIndex client, Pidfd process);
-  static std::uint8_t whose(const Peer& peer) noexcept;  // of journal::end
-  std::uint64_t reap_while_away(const std::vector<ClientIndex>& ended);
-
-  /// `fds`: what came with the packet. Without memory it is refused.
-  void serve_packet(Peer& peer, std::span<const std::byte> bytes, const Envelope& envelope,
-                    std::span<UniqueFd> fds);
-  void serve(Peer& peer, const Request& request, std::span<UniqueFd> fds);
-  template <class Serve>
-  void serve_or_refuse(Peer& peer, std::uint64_t id, Serve serve_it);
-  [[nodiscard]] Result<void> check_caller(const Peer& peer, std::uint64_t fingerprint);
-  [[nodiscard]] Result<void> hello(Peer& peer, const wire::Hello& hello);
-  [[nodiscard]] Result<void> rejoin(Peer& peer, const wire::Rejoin& request);
-  [[nodiscard]] Result<Peer*> lost_peer(const Peer& peer, const wire::Rejoin& request);
-  [[nodiscard]] Result<void> open_window(Peer& peer, const wire::WindowRequest& request);
-  [[nodiscard]] Result<void> room_for_brought(const ClientRecord& record, std::uint64_t bytes);
-  [[nodiscard]] Result<void> check_window(std::uint32_t uid, std::uint64_t bytes);
-  [[nodiscard]] Result<void> bring_window(Peer& peer, const wire::BringWindow& request,
-                                          const UniqueFd& window);
-  /// A window comes with a descriptor, which is received elsewhere.
-  void receive_window(Peer& peer);
-  void serve_window(PeerId id, std::uint64_t ticket, Disposal::Received& received);
-  void expect_windows(Peer& peer);
-  void expect_no_windows(Peer& peer);
-  [[nodiscard]] Result<WindowRecord> choose_window(ClientIndex client);
-  [[nodiscard]] Result<void> open_executor(Peer& peer, const ExecutorRequest& request);
-  void renew_bells(Peer& peer);
-  [[nodiscard]] Result<void> admit_executor(ClientIndex client, const ExecutorRequest& request);
-  [[nodiscard]] Result<void> check_topics(const ClientRecord& record, std::string_view topic);
-  [[nodiscard]] Result<void> check_places(const ClientRecord& record, const CreateRequest& request);
-  [[nodiscard]] Result<void> check_hold_quota(const ClientRecord& record,
-                                              const CreateRequest& request);
-  [[nodiscard]] Result<void> create(Peer& peer, const CreateRequest& request);
-  /// True: memory for the endpoint is prepared first; the request waits for that.
-  [[nodiscard]] Result<bool> clear_before(Peer& peer, const CreateRequest& request);
-  /// Refuses creations whose memory was not prepared in time.
-  void refuse_uncleared(std::uint64_t now);
-  // broker_access.cpp: the rules, and what they mean for the memory behind the topics
-  static Subject subject_of(const Peer& peer);
-  [[nodiscard]] Result<void> check_access(const Peer& peer, const CreateRequest& request);
-  [[nodiscard]] Result<void> check_readers(ClientIndex client, std::string_view topic);
-  [[nodiscard]] Result<void> check_publishers(const Subject& who, std::uint64_t domain,
-                                              std::string_view topic);
-  /// Says in the log whose memory others have been given than may subscribe now.
-  void warn_of_other_readers(ClientIndex client);
-  /// What a process has and, by the rules in force, may not have; empty: nothing.
-  std::string forbidden_endpoint(ClientIndex client, const Subject& who) const;
-  [[nodiscard]] Result<void> observe(Peer& peer, const wire::Observe& request);
-  [[nodiscard]] Result<void> dump(Peer& peer, const wire::Dump& request);
-  [[nodiscard]] Result<void> revoke(Peer& peer, const wire::Revoke& request);
-  [[nodiscard]] Result<void> read_journal(Peer& peer, const wire::ReadJournal& request);
-  [[nodiscard]] Result<void> set_log_level(Peer& peer, const wire::SetLogLevel& request);
-  [[nodiscard]] Result<void> ask_access(Peer& peer, const wire::AskAccess& request);
-  void answer_in_turn(Peer& peer, const LongRequest& request);
-  void answer(Peer& peer, const LongRequest& request);
-  void answer_whose_turn_it_is();
-  /// -1: nobody waits.
-  int answers_due_ms() const noexcept;
-  void answer_at_length(Peer& peer, std::vector<Outgoing> packets);
-
-  // reader_notes.cpp: readers that get less than others
-  void note_withdrawn(Peer& peer, const wire::Withdrawn& said);
-  void note_mute(const EndpointRef& subscription);
-  /// It may be one of an executor that is known to be silent.
-  void note_new_reader(ClientIndex client, const CreateRequest& request);
-  void look_for_silent_bells();
-
-  // collisions.cpp: heaps where somebody else has something else
-  [[nodiscard]] Result<void> blocked(Peer& peer, const wire::Blocked& range);
-  /// A window of the group that `owner` allocates from and `reader` cannot map.
-  struct Collision {
-    std::uint64_t window = 0;
-    const Obstacles::Claim* claim = nullptr;
-  };
-  std::optional<Collision> collision(ClientIndex owner, ClientIndex reader) const;
-  void look_for_collision(const EndpointRef& publisher, const EndpointRef& subscription);
-  void look_for_collisions_of_publishers(ClientIndex owner);
-  void look_for_collisions_of_subscriptions(ClientIndex reader);
-  /// Why its heap does not move for this reader; empty: it does.
-  const std::string& why_not_moved(ClientIndex owner, ClientIndex reader);
-  std::string find_why_not_moved(ClientIndex owner, ClientIndex reader) const;
-  // By owner and reader; of the request that is being served.
-  std::map<std::pair<std::uint32_t, std::uint32_t>, std::string> why_not_moved_;
-  bool should_move(ClientIndex owner) const;
-  template <class Function>
-  void for_each_match(ClientIndex client, Kind kind, Function function) const;
-
-  DumpFacts facts() const;
-  void drop_slow_observers(std::uint64_t now);
+  void fill_request_table();
+  /// What is to be done a few times a second, however many events there are.
   void look_around(std::uint64_t now);
-  void answer_who_awaits_change();
+  /// Revoke processes that hold more than they may, and that do not let go.
   void watch_holds();
   void watch_letting_go();
-  void refuse(Peer& peer, const Request& request, std::uint64_t id, Errc code, int os_errno,
-              std::string_view text);
-  /// For people who ask later.
-  void remember(const Peer& peer, const Request& request, Errc code, std::string_view why);
-  void reply(Peer& peer, Outgoing packet);
-  void reply(Peer& peer, std::span<const std::byte> packet, std::vector<SharedFd> fds = {});
   void announce_what_waits();
+  /// The place of a process is free, and so are its addresses.
   void on_ended(ClientIndex client);
-  /// A line that any client can cause: limited per user, unless somebody looks at everything.
-  void note(LogLevel level, std::uint32_t uid, std::string_view event, Log::Fields fields);
-
-  /// Why the last request was refused, when there is more to say than a static text.
-  [[nodiscard]] tl::unexpected<Failure> refusal(Errc code, const std::string& text);
-  /// The same of a bound of this user, which the log names by itself.
-  struct Exceeded {
-    std::string_view limit;  // static text
-    std::uint64_t value = 0, used = 0, asked = 0;
-  };
-  [[nodiscard]] tl::unexpected<Failure> over_quota(const Exceeded& exceeded,
-                                                   const std::string& text);
-  std::string clients_text() const;
-  /// [quota] heap_bytes as it is in force.
-  std::uint64_t heap_quota() const noexcept;
-  std::uint64_t places_quota(Kind kind) const noexcept;
-  /// Has this user's share of what is kept over the daemon's death room for so many descriptors more?
-  [[nodiscard]] Result<void> check_kept(std::uint32_t uid, std::uint64_t more);
-  [[nodiscard]] Result<void> check_limit(std::uint64_t used, std::uint64_t more,
-                                         std::uint64_t limit, std::string_view name);
 
   BrokerOptions options_;
   Log& log_;
   Dispatcher& dispatcher_;
   Listener& listener_;
   DescriptorStore& store_;
-  Errands& errands_;
-  Disposal& disposal_;
-  std::shared_ptr<char> here_ = std::make_shared<char>();  // what answers of errands look for
+  Refusals refusals_;
+  ConnectionTable connections_;
+  PeerOutput output_;
   Regions regions_;
   Registry registry_;
+  AccessControl access_;
   AddressPlan plan_;
   Obstacles obstacles_;
   Doorbells doorbells_;
   Membership membership_;
+  Admission admission_;
+  AddressConflicts conflicts_;
+  ReapingQueue reaping_;
+  RegionLook region_look_;
+  ClientTermination termination_;
+  RequestScheduler scheduler_;
+  UserNamespaces namespaces_;
+  DumpCollector collector_;
+  ObserverAnswers answers_;
+  ObserverRequests observer_requests_;
   HoldWatch hold_watch_;
   LetGoWatch let_go_watch_;
-  Refusals refusals_;
-  ReaderNotes reader_notes_;
-  Exceeded exceeded_;  // by the last request that was refused with quota_exceeded
-  std::unordered_map<PeerId, std::unique_ptr<Peer>> peers_;
-  std::vector<Peer*> by_client_;
-  std::unordered_map<std::uint32_t, std::deque<PeerId>> waiting_;  // for their turn, by uid
-  std::unordered_map<std::uint32_t, Connections> connections_;     // by uid
-  std::unordered_map<std::uint32_t, Answers> answers_;             // by uid
-  bool gives_back_ = false;  // much that was queued is not queued any more
-  std::uint64_t observer_count_ = 0;
-  struct Ending {
-    Reaping reaping;
-    AfterReaping then;
-  };
-  std::list<Ending> endings_;  // that have begun
-  std::uint64_t answered_lsn_ = 0;  // up to here who awaits a change was answered
-  PeerId last_peer_ = 0;
-  std::uint64_t last_ticket_ = 0;
-  /// A creation whose memory is being prepared.
-  struct Uncleared {
-    PeerId id = 0;
-    std::uint64_t ticket = 0, request = 0, until_ms = 0;
-  };
-  // Microseconds, unless its process keeps the file, or others every thread that could do it.
-  static constexpr std::uint64_t clearing_ms = 10'000;
-  std::deque<Uncleared> uncleared_;
-  std::uint64_t detached_count_ = 0;  // processes without a connection
-  bool flush_later_ = false;
-  std::uint64_t looked_ms_ = 0;    // when tick() last had a look
-  std::uint64_t watched_ms_ = 0;   // the same, at what is held and what is let go of
-  UniqueFd spare_;                 // given up for a moment when no descriptor is left
-  Dispatcher::Token listening_ = 0;
-  bool listens_ = true;
-  bool knocks_ = false;  // somebody wants to connect
+  ReaderReports readers_;
+  RefusalReport refusal_report_;
+  RequestServer server_;
+  HelloRequests hello_requests_;
+  RejoinRequests rejoin_requests_;
+  WindowRequests window_requests_;
+  ExecutorRequests executor_requests_;
+  EndpointRequests endpoint_requests_;
+  AcknowledgementRequests acknowledgement_requests_;
+  PacketReader reader_;
+  Acceptor acceptor_;
+  std::uint64_t looked_ms_ = 0;   // when tick() last had a look
+  std::uint64_t watched_ms_ = 0;  // the same, at what is held and what is let go of
 };
 
 }  // namespace agnocast::daemon

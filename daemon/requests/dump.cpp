@@ -2,7 +2,7 @@
 
 #include <daemon/requests/dump.hpp>
 
-#include <daemon/lifecycle/membership.hpp>
+#include <daemon/transport/post.hpp>
 
 #include <algorithm>
 #include <cstring>

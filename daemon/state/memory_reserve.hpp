@@ -20,9 +20,12 @@
 #pragma once
 
 #include <cstddef>
+#include <string_view>
 #include <utility>
 
 namespace agnocast::daemon {
+
+inline constexpr std::string_view no_memory_text = "agnocastd has no memory left";
 
 class MemoryReserve {
  public:

@@ -329,4 +329,17 @@ std::string hexadecimal(std::uint64_t value) {
   return text;
 }
 
+std::uint64_t request_id_of(const Request& request) noexcept {
+  return std::visit(
+      [](const auto& body) -> std::uint64_t {
+        if constexpr (requires { body.header; })
+          return body.header.request;
+        else if constexpr (requires { body.reference; })
+          return body.reference.header.request;
+        else
+          return body.request;
+      },
+      request);
+}
+
 }  // namespace agnocast::daemon

@@ -82,6 +82,9 @@ struct Envelope {
 /// Never reads beyond `packet`. Request ids come out without wire::asked_again.
 Request decode(std::span<const std::byte> packet, const Envelope& envelope, Role role);
 
+/// The id by which a request is answered; 0 when there is none.
+std::uint64_t request_id_of(const Request& request) noexcept;
+
 /// The text of a name, or nothing when no NUL ends it.
 bool text_of(const wire::Name& name, std::string_view& text) noexcept;
 /// A text for a packet: cut where it must be, always ended.

@@ -9,6 +9,7 @@
 #include <daemon/death/reaper.hpp>
 #include <daemon/requests/dump.hpp>
 #include <daemon/requests/flight_recorder.hpp>
+#include <daemon/requests/rejoin_facts.hpp>
 
 #include <tests/support/temporary_directory.hpp>
 
@@ -121,21 +122,10 @@ void FakeBroker::greet(Process& from, const wire::Hello& hello) {
 }
 
 journal::RejoinDecision FakeBroker::decide(const Process& from, const wire::Rejoin& request) {
-  const ClientIndex client{static_cast<std::uint32_t>(request.client)};
-  const bool is_place = number(client) < registry_.client_high();
-  const Process* const before = process_of(client);
+  const Process* const before = process_of(ClientIndex{static_cast<std::uint32_t>(request.client)});
   const bool has_owner = before != nullptr && !before->revoked;
-  journal::RejoinFacts facts;
-  facts.same_layout = request.fingerprint == abi::fingerprint();
-  facts.confirmed = true;
-  facts.same_incarnation = request.incarnation == registry_.incarnation();
-  facts.same_generation =
-      is_place && registry_.client(client).generation == request.client_generation;
-  if (is_place && registry_.client(client).state != ClientState::free)
-    facts.state =
-        registry_.is_alive(client) && has_owner ? journal::rejoin::alive : journal::rejoin::dead;
-  facts.same_process = has_owner && before == &from;
-  return journal::decide_rejoin(facts);
+  return journal::decide_rejoin(
+      rejoin_facts(request, registry_, {true, has_owner, before == &from}));
 }
 
 // docs/control-plane.md, coming back.

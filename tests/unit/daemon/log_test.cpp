@@ -354,7 +354,8 @@ TEST(LogEvents, HaveANumberOfTheirOwnAndAPageInTheCatalogue) {
 // The sources say level and words next to one another, or the words behind a choice of levels.
 TEST(LogEvents, AreThoseOfTheSourcesAndOfTheDocument) {
   std::string sources = text_of(AGNOCAST_SOURCE_DIR "/base/log.cpp");
-  for (const auto& entry : std::filesystem::directory_iterator(AGNOCAST_SOURCE_DIR "/daemon")) {
+  for (const auto& entry :
+       std::filesystem::recursive_directory_iterator(AGNOCAST_SOURCE_DIR "/daemon")) {
     if (entry.path().extension() == ".cpp") sources += text_of(entry.path());
   }
   const std::set<std::string> written = found_in(

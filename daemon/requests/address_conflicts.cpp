@@ -1,20 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Collisions: a heap lies where a process that reads from it has something else (obstacles.hpp).
-//
-//   publisher's process:  | window 0 | window 1 |         window 0 is given up, it goes on in window 1
-//   subscriber's process: |     a JIT |         |         gets what is published from then on
-//
-// Nothing that exists is moved. Both endpoints get a notice, and the owner of the heap is asked to open a
-// window that all its readers can map and to allocate from that one alone: the new window begins a group. What lies in
-// the group before is lost to that subscription; the others read it as ever. A process is asked
-// heap_move_max times at most, and only if there is such a window: then its heap stays where it is.
-// What another user claims never takes the last of anything: a move, a window and its bytes in the quota
-// remain for the owner's own user, whose claims are not lies about strangers.
+// AddressConflicts: see the header.
+
+#include <daemon/requests/address_conflicts.hpp>
 
 #include <base/check.hpp>
-#include <daemon/requests/broker.hpp>
 #include <daemon/state/memory_reserve.hpp>
+#include <daemon/state/user_log.hpp>
 
 #include <algorithm>
 
@@ -48,7 +40,7 @@ bool may_move(const ClientRecord& owner, std::uint64_t reserve) noexcept {
 /// Visits the publishers or subscriptions of a process that are active, each with those that match:
 /// function(publisher, subscription).
 template <class Function>
-void Broker::for_each_match(ClientIndex client, Kind kind, Function function) const {
+void AddressConflicts::for_each_match(ClientIndex client, Kind kind, Function function) const {
   const auto visit = [&](TopicIndex topic, std::uint32_t p, std::uint32_t s) {
     const PublisherRecord& publisher = registry_.publisher(topic, p);
     const SubscriptionRecord& subscription = registry_.subscription(topic, s);
@@ -70,9 +62,8 @@ void Broker::for_each_match(ClientIndex client, Kind kind, Function function) co
   }
 }
 
-Result<void> Broker::blocked(Peer& peer, const wire::Blocked& range) {
-  const ClientIndex client = *peer.session.client();
-  const PeerIdentity& identity = peer.session.identity();
+Result<void> AddressConflicts::add_obstacle(const PeerIdentity& identity, ClientIndex client,
+                                            const wire::Blocked& range) {
   std::string_view text;
   AGNOCAST_CHECK(text_of(range.what, text));
   const std::string what = printable(text);
@@ -82,39 +73,40 @@ Result<void> Broker::blocked(Peer& peer, const wire::Blocked& range) {
     return added;
   // Said again, which has told its publishers nothing new: every notice here is one to somebody else.
   if (obstacles_.of(client).size() == before) return {};
-  note(LogLevel::info, identity.uid, "addresses blocked",
-       {{"pid", identity.pid},
-        {"uid", identity.uid},
-        {"base", hexadecimal(range.base)},
-        {"bytes", range.bytes},
-        {"what", what}});
-  look_for_collisions_of_subscriptions(client);  // one that comes back to a new daemon has some
+  log_for_user(log_, LogLevel::info, identity.uid, "addresses blocked",
+               {{"pid", identity.pid},
+                {"uid", identity.uid},
+                {"base", hexadecimal(range.base)},
+                {"bytes", range.bytes},
+                {"what", what}});
+  look_at_subscriptions_of(client);  // one that comes back to a new daemon has some
   return {};
 }
 
 /// The next window of a process: where it can have it itself, and as few others as possible cannot map
 /// it.
-Result<WindowRecord> Broker::choose_window(ClientIndex client) {
+Result<WindowRecord> AddressConflicts::choose_window(ClientIndex client) {
   const ClientRecord& record = registry_.client(client);
-  const std::uint64_t bytes = options_.arena.window_bytes;
+  const std::uint64_t bytes = arena_.window_bytes;
   const auto choice = plan_.take(obstacles_.against(client));
   if (!choice && plan_.best())
-    return refusal(Errc::arena_occupied, "no window is left that this process can map; it has " +
-                                             obstacles_.of(client).front().what);
+    return fail_with(Errc::arena_occupied, "no window is left that this process can map; it has " +
+                                               obstacles_.of(client).front().what);
   if (!choice)
-    return refusal(Errc::limit_reached, "[heap] arena_bytes has room for " +
-                                            std::to_string(plan_.window_count()) + " windows of " +
-                                            std::to_string(bytes) + " bytes, all are given out");
+    return fail_with(Errc::limit_reached,
+                     "[heap] arena_bytes has room for " + std::to_string(plan_.window_count()) +
+                         " windows of " + std::to_string(bytes) + " bytes, all are given out");
   if (choice->weight != 0)
-    note(
-        LogLevel::warning, record.uid, "no window is free in all processes",
+    log_for_user(
+        log_, LogLevel::warning, record.uid, "no window is free in all processes",
         {{"pid", record.pid}, {"base", hexadecimal(choice->base)}, {"blocked_in", choice->weight}});
   const std::uint64_t window = record.window_count;
   const bool begins = window == 0 || should_move(client);
   return WindowRecord{choice->base, bytes, begins ? window : record.window[window - 1].first};
 }
 
-std::optional<Broker::Collision> Broker::collision(ClientIndex owner, ClientIndex reader) const {
+std::optional<AddressConflicts::Collision> AddressConflicts::collision(ClientIndex owner,
+                                                                       ClientIndex reader) const {
   const ClientRecord& record = registry_.client(owner);
   if (owner == reader || record.window_count == 0) return std::nullopt;
   for (std::uint64_t w = record.window[record.window_count - 1].first; w < record.window_count;
@@ -126,7 +118,7 @@ std::optional<Broker::Collision> Broker::collision(ClientIndex owner, ClientInde
 }
 
 /// Does somebody who reads from this process have something in the windows that it allocates from?
-bool Broker::should_move(ClientIndex owner) const {
+bool AddressConflicts::should_move(ClientIndex owner) const {
   const ClientRecord& record = registry_.client(owner);
   if (!may_move(record, 0)) return false;
   bool should = false;
@@ -140,25 +132,25 @@ bool Broker::should_move(ClientIndex owner) const {
 }
 
 /// Looked for once in a request: it walks all matches of the owner, and there may be as many to tell of.
-const std::string& Broker::why_not_moved(ClientIndex owner, ClientIndex reader) {
+const std::string& AddressConflicts::why_not_moved(ClientIndex owner, ClientIndex reader) {
   const auto [known, is_new] =
       why_not_moved_.try_emplace({number(owner), number(reader)}, std::string());
   if (is_new) known->second = find_why_not_moved(owner, reader);
   return known->second;
 }
 
-std::string Broker::find_why_not_moved(ClientIndex owner, ClientIndex reader) const {
+std::string AddressConflicts::find_why_not_moved(ClientIndex owner, ClientIndex reader) const {
   const ClientRecord& record = registry_.client(owner);
-  const std::uint64_t bytes = options_.arena.window_bytes;
+  const std::uint64_t bytes = arena_.window_bytes;
   const std::uint64_t reserve = reserve_for(record, registry_.client(reader).uid);
   const std::string what_remains = reserve != 0 ? "; the last is its own user's" : "";
   if (!may_move(record, reserve))
     return "it has moved " + std::to_string(group_count(record) - 1) + " times" + what_remains;
-  if (record.window_count + reserve >= options_.config.heap.windows_per_process)
-    return "[heap] windows_per_process is " +
-           std::to_string(options_.config.heap.windows_per_process) + what_remains;
+  if (record.window_count + reserve >= heap_.windows_per_process)
+    return "[heap] windows_per_process is " + std::to_string(heap_.windows_per_process) +
+           what_remains;
   const std::uint64_t used = registry_.usage_of(record.uid).heap_bytes;
-  const std::uint64_t quota = heap_quota();
+  const std::uint64_t quota = admission_.heap_quota();
   if (used > quota || bytes * (1 + reserve) > quota - used)
     return "[quota] heap_bytes is used up" + what_remains;
   const auto choice = plan_.best(obstacles_.against(owner));
@@ -170,7 +162,7 @@ std::string Broker::find_why_not_moved(ClientIndex owner, ClientIndex reader) co
   return helps ? "" : "no free window is one that all its readers can map";
 }
 
-void Broker::look_for_collision(const EndpointRef& publisher, const EndpointRef& subscription) {
+void AddressConflicts::look_at(const EndpointRef& publisher, const EndpointRef& subscription) {
   const ClientIndex owner = registry_.owner_of(publisher);
   const ClientIndex reader = registry_.owner_of(subscription);
   const auto found = collision(owner, reader);
@@ -179,7 +171,7 @@ void Broker::look_for_collision(const EndpointRef& publisher, const EndpointRef&
   const std::string why_not = !found->claim->counts ? "too much is blocked by the reader's user"
                                                     : why_not_moved(owner, reader);
   const auto is_news = [&](const EndpointRef& own, const EndpointRef& its) {
-    Session* const session = session_of(registry_.owner_of(own));
+    Session* const session = post_.session_of(registry_.owner_of(own));
     return session != nullptr &&
            session->collisions().tell({own.kind, number(own.topic), own.index},
                                       {its.kind, number(its.topic), its.index},
@@ -203,33 +195,33 @@ void Broker::look_for_collision(const EndpointRef& publisher, const EndpointRef&
   if (tells_publisher)
     membership_.notice(publisher, Errc::arena_occupied, same_user ? whole : text);
   if (tells_subscription) membership_.notice(subscription, Errc::arena_occupied, whole);
-  note(LogLevel::warning, other.uid, "heap collides",
-       {{"topic", registry_.topic(publisher.topic).name},
-        {"publisher_pid", record.pid},
-        {"subscriber_pid", other.pid},
-        {"window", found->window},
-        {"base", hexadecimal(record.window[found->window].base)},
-        {"outcome", outcome},
-        {"what", found->claim->what}});
+  log_for_user(log_, LogLevel::warning, other.uid, "heap collides",
+               {{"topic", registry_.topic(publisher.topic).name},
+                {"publisher_pid", record.pid},
+                {"subscriber_pid", other.pid},
+                {"window", found->window},
+                {"base", hexadecimal(record.window[found->window].base)},
+                {"outcome", outcome},
+                {"what", found->claim->what}});
   if (!why_not.empty() || !tells_publisher) return;
   auto packet = make_body<wire::MoveHeap>(wire::Opcode::move_heap);
   packet.window = record.window_count;
-  send(owner, packet_of(packet), {});
+  post_.send(owner, packet_of(packet), {});
 }
 
-void Broker::look_for_collisions_of_publishers(ClientIndex owner) {
+void AddressConflicts::look_at_publishers_of(ClientIndex owner) {
   why_not_moved_.clear();
   for_each_match(owner, Kind::publisher,
                  [&](const EndpointRef& publisher, const EndpointRef& subscription) {
-                   look_for_collision(publisher, subscription);
+                   look_at(publisher, subscription);
                  });
 }
 
-void Broker::look_for_collisions_of_subscriptions(ClientIndex reader) {
+void AddressConflicts::look_at_subscriptions_of(ClientIndex reader) {
   why_not_moved_.clear();
   for_each_match(reader, Kind::subscription,
                  [&](const EndpointRef& publisher, const EndpointRef& subscription) {
-                   look_for_collision(publisher, subscription);
+                   look_at(publisher, subscription);
                  });
 }
 

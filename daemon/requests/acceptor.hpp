@@ -1,0 +1,73 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Acceptor: takes connections, or refuses them with a word.
+//
+// A refused connection is answered before it is closed. When no descriptor is left, a spare one is given up for a
+// moment so that there is something to answer with; then nobody is accepted until the next look around.
+#pragma once
+
+#include <base/log.hpp>
+#include <base/packet_socket.hpp>
+#include <base/peer_identity.hpp>
+#include <base/unique_fd.hpp>
+#include <daemon/config/config.hpp>
+#include <daemon/requests/admission.hpp>
+#include <daemon/requests/request_scheduler.hpp>
+#include <daemon/requests/user_namespaces.hpp>
+#include <daemon/state/registry.hpp>
+#include <daemon/transport/connection_table.hpp>
+#include <daemon/transport/dispatcher.hpp>
+#include <daemon/transport/disposal.hpp>
+#include <daemon/transport/listener.hpp>
+
+#include <cstdint>
+
+namespace agnocast::daemon {
+
+/// The parts of the daemon that Acceptor needs.
+struct AcceptorParts {
+  const Config::Quota& quota;
+  const Listener& listener;
+  Dispatcher& dispatcher;
+  Disposal& disposal;
+  Registry& registry;
+  const Admission& admission;
+  ConnectionTable& connections;
+  RequestScheduler& scheduler;
+  UserNamespaces& namespaces;
+  Log& log;
+};
+
+class Acceptor {
+ public:
+  explicit Acceptor(const AcceptorParts& parts);
+  ~Acceptor();
+  Acceptor(const Acceptor&) = delete;
+  Acceptor& operator=(const Acceptor&) = delete;
+
+  /// Begins to listen. Errors: os_failure.
+  [[nodiscard]] Result<void> start();
+  /// Accepts some of those who want to connect, if the dispatcher has found any.
+  void accept_some();
+  /// Whether it does not listen, for want of a descriptor.
+  bool pauses() const noexcept { return !listens_; }
+  void listen_again();
+
+ private:
+  void pause_listening();
+  void accept(PacketSocket socket);
+  void refuse_over_quota(PacketSocket socket, const PeerIdentity& identity);
+  /// Watches the connection and its process from now on. `only_observes`: it is no place for a client.
+  void attach(PacketSocket socket, PeerIdentity identity, bool only_observes);
+  /// Takes one waiting connection although no descriptor is left, and says why it is refused.
+  void turn_away();
+  void close(PacketSocket socket, std::uint32_t uid);
+
+  AcceptorParts of_;
+  UniqueFd spare_;  // given up for a moment when no descriptor is left
+  Dispatcher::Token listening_ = 0;
+  bool listens_ = true;
+  bool knocks_ = false;  // somebody wants to connect
+};
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,31 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// AcknowledgementRequests: what a process says of things that the daemon has told it of: it has read a publisher
+// to its end, let go of something, cannot map a window, or gave up a reader.
+#pragma once
+
+#include <daemon/lifecycle/membership.hpp>
+#include <daemon/requests/address_conflicts.hpp>
+#include <daemon/requests/reader_reports.hpp>
+#include <daemon/transport/connection_table.hpp>
+#include <daemon/transport/requests.hpp>
+
+namespace agnocast::daemon {
+
+class AcknowledgementRequests {
+ public:
+  AcknowledgementRequests(Membership& membership, AddressConflicts& conflicts, ReaderReports& readers) noexcept
+      : membership_(membership), conflicts_(conflicts), readers_(readers) {}
+
+  [[nodiscard]] Result<void> drained(Peer& peer, const DrainedRequest& request);
+  [[nodiscard]] Result<void> unlinked(Peer& peer, const wire::Unlinked& statement);
+  [[nodiscard]] Result<void> blocked(Peer& peer, const wire::Blocked& range);
+  [[nodiscard]] Result<void> withdrawn(Peer& peer, const wire::Withdrawn& said);
+
+ private:
+  Membership& membership_;
+  AddressConflicts& conflicts_;
+  ReaderReports& readers_;
+};
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,90 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Admission: what one user may have, and the sentence with which a request for more is refused.
+//
+// Each admit function looks at what the tables say the user has now and changes nothing. The caller
+// carries the request out afterwards, in the same turn of the loop.
+#pragma once
+
+#include <base/peer_identity.hpp>
+#include <daemon/config/config.hpp>
+#include <daemon/lifecycle/membership.hpp>
+#include <daemon/requests/access_control.hpp>
+#include <daemon/state/address_plan.hpp>
+#include <daemon/state/registry.hpp>
+#include <daemon/transport/descriptor_store.hpp>
+#include <daemon/transport/requests.hpp>
+
+#include <cstdint>
+#include <string>
+#include <string_view>
+
+namespace agnocast::daemon {
+
+class Admission {
+ public:
+  Admission(const Config& config, const Arena& arena, const AddressPlan& plan,
+            const Registry& registry, const Membership& membership, const DescriptorStore& store,
+            const AccessControl& access) noexcept
+      : config_(config),
+        arena_(arena),
+        plan_(plan),
+        registry_(registry),
+        membership_(membership),
+        store_(store),
+        access_(access) {}
+
+  /// Errors: quota_exceeded. `counts_as_observer`: its connection was accepted only to observe.
+  [[nodiscard]] Result<void> admit_client(std::uint32_t uid, bool counts_as_observer);
+  /// `used`: how many observers the user has. Errors: quota_exceeded.
+  [[nodiscard]] Result<void> admit_observer(std::uint64_t used);
+  /// Errors: quota_exceeded.
+  [[nodiscard]] Result<void> admit_executor(std::uint32_t uid);
+  /// Errors: window_exhausted, quota_exceeded.
+  [[nodiscard]] Result<void> admit_window(const ClientRecord& record);
+  [[nodiscard]] Result<void> admit_brought_window(const ClientRecord& record, std::uint64_t bytes);
+  /// Errors: depth_refused, access_denied, readers_differ, quota_exceeded.
+  [[nodiscard]] Result<void> admit_endpoint(const PeerIdentity& who, ClientIndex client,
+                                            const CreateRequest& request);
+
+  /// A quota that a request would exceed. The log names it in fields of its own.
+  struct Exceeded {
+    std::string_view limit;  // static text; empty: none was exceeded
+    std::uint64_t value = 0, used = 0, asked = 0;
+  };
+  /// Forgets what the request before this one exceeded.
+  void begin_request() noexcept { exceeded_ = {}; }
+  /// Returns what the current request exceeded, if its error is quota_exceeded.
+  const Exceeded& exceeded() const noexcept { return exceeded_; }
+
+  /// Returns why a user cannot connect who has all the clients that [quota] clients allows.
+  std::string clients_text() const;
+  /// Returns [quota] heap_bytes as it is in force.
+  std::uint64_t heap_quota() const noexcept;
+  /// Returns how many endpoints of this kind one user may have in one topic.
+  std::uint64_t places_quota(Kind kind) const noexcept;
+
+ private:
+  [[nodiscard]] Result<void> check_window(std::uint32_t uid, std::uint64_t bytes);
+  /// Returns whether this user may store `more` more descriptors across a daemon restart.
+  [[nodiscard]] Result<void> check_kept(std::uint32_t uid, std::uint64_t more);
+  [[nodiscard]] Result<void> check_topics(const ClientRecord& record, std::string_view topic);
+  [[nodiscard]] Result<void> check_places(const ClientRecord& record, const CreateRequest& request);
+  [[nodiscard]] Result<void> check_hold_quota(const ClientRecord& record,
+                                              const CreateRequest& request);
+  [[nodiscard]] Result<void> check_limit(std::uint64_t used, std::uint64_t more,
+                                         std::uint64_t limit, std::string_view name);
+  [[nodiscard]] tl::unexpected<Failure> over_quota(const Exceeded& exceeded,
+                                                   const std::string& text);
+
+  const Config& config_;
+  const Arena& arena_;
+  const AddressPlan& plan_;
+  const Registry& registry_;
+  const Membership& membership_;
+  const DescriptorStore& store_;
+  const AccessControl& access_;
+  Exceeded exceeded_;
+};
+
+}  // namespace agnocast::daemon

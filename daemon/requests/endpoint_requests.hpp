@@ -1,0 +1,74 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// EndpointRequests: publishers and subscriptions are created, and leave.
+#pragma once
+
+#include <base/log.hpp>
+#include <daemon/config/config.hpp>
+#include <daemon/lifecycle/membership.hpp>
+#include <daemon/lifecycle/regions.hpp>
+#include <daemon/requests/admission.hpp>
+#include <daemon/requests/reader_reports.hpp>
+#include <daemon/requests/refusal_report.hpp>
+#include <daemon/requests/request_scheduler.hpp>
+#include <daemon/requests/request_server.hpp>
+#include <daemon/state/registry.hpp>
+#include <daemon/transport/connection_table.hpp>
+#include <daemon/transport/requests.hpp>
+
+#include <cstdint>
+#include <deque>
+#include <memory>
+
+namespace agnocast::daemon {
+
+class EndpointRequests {
+ public:
+  EndpointRequests(const Config& config, Registry& registry, Regions& regions,
+                   Membership& membership, Admission& admission, RequestScheduler& scheduler,
+                   RequestServer& server, RefusalReport& refusals, ReaderReports& readers, Log& log) noexcept
+      : config_(config),
+        registry_(registry),
+        regions_(regions),
+        membership_(membership),
+        admission_(admission),
+        scheduler_(scheduler),
+        server_(server),
+        refusals_(refusals),
+        readers_(readers),
+        log_(log) {}
+
+  [[nodiscard]] Result<void> create(Peer& peer, const CreateRequest& request);
+  [[nodiscard]] Result<void> leave(Peer& peer, const LeaveRequest& request);
+  /// Refuses creations whose memory was not prepared in time.
+  void refuse_uncleared(std::uint64_t now);
+  /// Whether refuse_uncleared() is to be called now and then.
+  bool has_uncleared() const noexcept { return !uncleared_.empty(); }
+
+ private:
+  /// A creation whose memory is being prepared.
+  struct Uncleared {
+    PeerId id = 0;
+    std::uint64_t ticket = 0, request = 0, until_ms = 0;
+  };
+  // Microseconds, unless its process keeps the file, or others every thread that could do it.
+  static constexpr std::uint64_t clearing_ms = 10'000;
+
+  /// True: memory for the endpoint is prepared first; the request waits for that.
+  [[nodiscard]] Result<bool> clear_before(Peer& peer, const CreateRequest& request);
+
+  const Config& config_;
+  Registry& registry_;
+  Regions& regions_;
+  Membership& membership_;
+  Admission& admission_;
+  RequestScheduler& scheduler_;
+  RequestServer& server_;
+  RefusalReport& refusals_;
+  ReaderReports& readers_;
+  Log& log_;
+  std::shared_ptr<char> here_ = std::make_shared<char>();  // for errands that end later
+  std::deque<Uncleared> uncleared_;
+};
+
+}  // namespace agnocast::daemon

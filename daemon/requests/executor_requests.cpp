@@ -1,0 +1,50 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// ExecutorRequests: see the header.
+
+#include <daemon/requests/executor_requests.hpp>
+
+#include <daemon/state/memory_reserve.hpp>
+#include <daemon/state/steps.hpp>
+#include <journal/cases.hpp>
+
+#include <algorithm>
+#include <cstdint>
+#include <utility>
+
+namespace agnocast::daemon {
+
+Result<void> ExecutorRequests::admit_executor(ClientIndex client, const ExecutorRequest& request) {
+  namespace found = journal::request;
+  const auto& endpoints = registry_.endpoints_of(client);
+  const bool in_use = std::any_of(endpoints.begin(), endpoints.end(), [&](const EndpointRef& ref) {
+    return ref.kind == Kind::subscription &&
+           registry_.subscription(ref.topic, ref.index).executor == request.executor;
+  });
+  const bool is_open = doorbells_.is_open(client, request.executor);
+  if (journal::decide_request(found::open_executor, request.again,
+                              !is_open ? found::not_done
+                              : in_use ? found::used
+                                       : found::done) != journal::RequestDecision::carry_out)
+    return fail_with(Errc::protocol_violation, "the executor is open");
+  if (!is_open) {
+    return admission_.admit_executor(registry_.client(client).uid);
+  }
+  ++registry_.counters().requests_answered_again;  // the bells were lost with the answer
+  return {};
+}
+
+Result<void> ExecutorRequests::open_executor(Peer& peer, const ExecutorRequest& request) {
+  const ClientIndex client = *peer.session.client();
+  if (auto admitted = admit_executor(client, request); !admitted) return admitted;
+  MemoryReserve::no_return();
+  auto bells = doorbells_.open(client, request.executor, registry_.client(client).uid);
+  if (!bells) return tl::unexpected(bells.error());
+  AGNOCAST_CRASH_POINT(B_bell_bound);
+  registry_.open_executor(client, static_cast<std::uint32_t>(request.executor));
+  const auto packet = make_body<wire::Done>(wire::Opcode::executor_opened, request.request);
+  output_.reply(peer, packet_of(packet), std::move(*bells));
+  return {};
+}
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,71 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// ObserverAnswers: answers at length to observers: dumps, the journal, and dumps that wait for a change.
+//
+// A small request asks for much work, so each user has an allowance of answers; a request beyond it waits, and
+// is answered with what is true then. An answer is made at once and read at the observer's pace, within its
+// patience.
+#pragma once
+
+#include <daemon/config/config.hpp>
+#include <daemon/death/client_termination.hpp>
+#include <daemon/requests/dump.hpp>
+#include <daemon/requests/dump_collector.hpp>
+#include <daemon/state/registry.hpp>
+#include <daemon/transport/allowance.hpp>
+#include <daemon/transport/connection_table.hpp>
+#include <daemon/transport/peer_output.hpp>
+
+#include <cstdint>
+#include <deque>
+#include <unordered_map>
+#include <vector>
+
+namespace agnocast::daemon {
+
+class ObserverAnswers {
+ public:
+  ObserverAnswers(const Config::Quota& quota, const Registry& registry,
+                  const DumpCollector& collector, ConnectionTable& connections, PeerOutput& output,
+                  ClientTermination& termination) noexcept
+      : quota_(quota),
+        registry_(registry),
+        collector_(collector),
+        connections_(connections),
+        output_(output),
+        termination_(termination) {}
+
+  /// Queues a request; go_on() answers it.
+  void ask(Peer& peer, const LongRequest& request);
+  /// The same, once something has changed that the observer has not seen.
+  void await_change(Peer& peer, const wire::Dump& request);
+  /// Queues the requests of observers that await a change, if there was one.
+  void answer_who_awaits_change();
+  /// Answers everybody whose user has an allowance left.
+  void go_on();
+  /// Returns when go_on() is to be called; -1: nobody waits.
+  int due_ms() const noexcept;
+  void drop_slow(std::uint64_t now);
+  void forget_idle_users(std::uint64_t now);
+
+ private:
+  /// Of one user; outlives its connections.
+  struct Answers {
+    Allowance allowance;
+    std::deque<PeerId> waiting;
+  };
+  void answer(Peer& peer, const LongRequest& request);
+  void send(Peer& peer, std::vector<Outgoing> packets);
+  DumpFacts facts() const;
+
+  const Config::Quota& quota_;
+  const Registry& registry_;
+  const DumpCollector& collector_;
+  ConnectionTable& connections_;
+  PeerOutput& output_;
+  ClientTermination& termination_;
+  std::unordered_map<std::uint32_t, Answers> answers_;  // by uid
+  std::uint64_t answered_lsn_ = 0;  // up to here observers that await a change were answered
+};
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,144 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// PacketReader: see the header.
+
+#include <daemon/requests/packet_reader.hpp>
+
+#include <agnocast/abi/wire.hpp>
+#include <base/clock.hpp>
+#include <daemon/state/steps.hpp>
+
+#include <fcntl.h>
+
+#include <array>
+#include <cstring>
+#include <utility>
+
+namespace agnocast::daemon {
+
+using journal::DeathReason;
+
+// Who has more to say is found by the dispatcher again, and waits behind the others of its user.
+std::optional<unsigned> PacketReader::serve_slice(PeerId id, const TimeSlice& slice) {
+  Peer* const found = connections_.find(id);
+  if (found == nullptr) return std::nullopt;
+  found->waits = false;
+  const bool ended = found->ended;
+  // Once a whole slice: another process may hold the connection, and never be done.
+  const unsigned count = read(id, ended ? TimeSlice() : slice);
+  if (Peer* const still = connections_.find(id); ended && still != nullptr)
+    termination_.reap(*still, DeathReason::died, "process ended");
+  return count;
+}
+
+unsigned PacketReader::read(PeerId id, const TimeSlice& slice) {
+  std::array<std::byte, wire::packet_bytes_max> buffer;
+  for (unsigned turn = 0; turn < slice.packets_left; ++turn) {
+    if (turn > 0 && monotonic_ns() >= slice.until_ns) return turn;
+    Peer* const found = connections_.find(id);
+    if (found == nullptr || found->session.closed()) return turn;
+    Peer& peer = *found;
+    if (peer.revoked) {
+      termination_.say_farewell(peer);
+      return turn;
+    }
+    if (peer.parked != 0) return turn;
+    const bool observes = peer.session.role() == Role::observer;
+    if (observes && turn > 0) return turn;  // a dump is work
+    // A blocked writer is woken here as well: the handler does not tell the events apart.
+    if (peer.wants_writable && turn == 0) {
+      output_.flush(peer);
+      if (connections_.find(id) == nullptr || peer.session.closed()) return turn;
+    }
+    if (peer.session.may_carry() && !may_receive(peer, buffer)) return turn;
+    auto packet = peer.session.socket().receive(buffer);
+    if (!packet) {
+      termination_.disconnect(peer, packet.error().what);
+      return turn;
+    }
+    if (packet->kind == Packet::Kind::nothing) return turn;
+    if (packet->kind == Packet::Kind::end) {
+      termination_.disconnect(peer, "closed by the process");
+      return turn;
+    }
+    if (packet->credentials && !peer.session.identity().confirmed)
+      confirm(peer.session.identity(), *packet->credentials);
+    if (observes && (peer.session.has_output() || peer.asked)) {
+      termination_.disconnect(peer, "an observer asks before it has read");
+      return turn;
+    }
+    AGNOCAST_CRASH_POINT(B_request);
+    const Envelope envelope{packet->descriptor_count, packet->truncated, packet->descriptors_lost};
+    server_.serve_packet(peer, {buffer.data(), packet->bytes}, envelope, packet->fds());
+  }
+  return slice.packets_left;
+}
+
+// A descriptor that is received is one to close, and the kernel may close some on the way. So a packet that
+// brings any is left where it is, and goes with its connection. Only a window is wanted.
+bool PacketReader::may_receive(Peer& peer, std::span<std::byte> buffer) {
+  const auto next = peer.session.socket().peek(buffer);
+  if (!next) {
+    termination_.disconnect(peer, next.error().what);
+    return false;
+  }
+  if (next->kind == Packet::Kind::nothing) {
+    // A sender that was let through just before the kernel began to refuse has come to its end by then.
+    constexpr std::uint64_t sending_ms = 1'000;
+    if (!peer.brings_windows && refuses_descriptors(peer.session.socket().fd()) &&
+        monotonic_ms() - peer.refuses_since_ms >= sending_ms)
+      peer.session.set_may_carry(false);
+    return false;
+  }
+  if (!next->has_descriptors) return true;
+  wire::BringWindow window{};
+  if (next->bytes == sizeof window)
+    std::memcpy(static_cast<void*>(&window), buffer.data(), sizeof window);
+  if (window.header.opcode == wire::Opcode::bring_window && peer.session.role() == Role::client &&
+      peer.brings_windows && disposal_.may_receive(peer.session.identity().uid)) {
+    receive_window(peer);
+    return false;
+  }
+  const PeerId id = peer.id;
+  server_.serve_packet(peer, buffer.first(next->bytes), {1, next->truncated, true}, {});
+  if (Peer* const found = connections_.find(id); found != nullptr && !found->session.closed())
+    termination_.disconnect(*found, "descriptors came with a packet");
+  return false;
+}
+
+// All of it happens elsewhere: for want of a number the kernel closes what comes, and whatever is not a
+// window is closed there, too.
+void PacketReader::receive_window(Peer& peer) {
+  const std::uint32_t uid = peer.session.identity().uid;
+  // Another number of the connection: the loop may close its own meanwhile.
+  PacketSocket socket(UniqueFd(::fcntl(peer.session.socket().fd(), F_DUPFD_CLOEXEC, 0)));
+  if (!socket) {
+    termination_.disconnect(peer, "no descriptor is left to receive a window with");
+    return;
+  }
+  const std::uint64_t ticket = scheduler_.next_ticket();
+  scheduler_.park(peer, ticket);
+  disposal_.receive(uid, std::move(socket), wire::packet_bytes_max,
+                    [this, &disposal = disposal_, id = peer.id, ticket, uid,
+                     here = std::weak_ptr(here_)](Disposal::Received& received) {
+                      if (!here.expired()) serve_window(id, ticket, received);
+                      disposal.close_memory(uid, std::move(received.memory.memory));
+                    });
+}
+
+void PacketReader::serve_window(PeerId id, std::uint64_t ticket, Disposal::Received& received) {
+  Peer* const peer = scheduler_.unpark(id, ticket);
+  if (peer == nullptr) return;
+  const Result<Packet>& packet = received.memory.packet;
+  if (!packet) {
+    termination_.disconnect(*peer, packet.error().what);
+  } else if (packet->kind == Packet::Kind::data) {
+    AGNOCAST_CRASH_POINT(B_request);
+    server_.serve_packet(
+        *peer, {received.bytes.data(), packet->bytes},
+        {received.memory.descriptor_count, packet->truncated, packet->descriptors_lost},
+        std::span(&received.memory.memory, 1));
+  }
+}
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,40 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// ReaderReports: what is said of readers that get less than others: those that a publisher serves no more, which the
+// publisher's process says, and those that nobody can ring, which the daemon finds. Each change is a record of the
+// redo log and a line of the log, for people who ask later; nothing follows from it.
+#pragma once
+
+#include <base/log.hpp>
+#include <base/peer_identity.hpp>
+#include <daemon/requests/reader_notes.hpp>
+#include <daemon/state/registry.hpp>
+#include <daemon/transport/doorbells.hpp>
+#include <daemon/transport/requests.hpp>
+
+#include <cstdint>
+
+namespace agnocast::daemon {
+
+class ReaderReports {
+ public:
+  ReaderReports(Registry& registry, Doorbells& doorbells, Log& log) noexcept
+      : registry_(registry), doorbells_(doorbells), log_(log) {}
+
+  /// A client says it of a publisher of its own.
+  void withdrawn(const PeerIdentity& identity, ClientIndex client, const wire::Withdrawn& said);
+  /// A subscription was created: can anybody ring its executor?
+  void created(ClientIndex client, const CreateRequest& request);
+  /// Tries some of the doorbells, see Doorbells::look().
+  void look_for_silent_bells(std::uint64_t now_ms);
+
+ private:
+  void mute(const EndpointRef& subscription);
+
+  Registry& registry_;
+  Doorbells& doorbells_;
+  Log& log_;
+  ReaderNotes notes_;
+};
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,70 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Recovery: going on with a former life. docs/control-plane.md, "Restart".
+//
+// Tables, board, memory, bells and the identity of every process are what they were; connections are
+// not. So everybody who lives is a process without a connection until it says rejoin, and whatever
+// was journaled but not done, sent or rung is done again:
+//
+//     redo the change under way → the board says what the tables say → memory, bells and pidfds back
+//     → what belongs to no living record is removed → deaths that happened meanwhile, reaps that did
+//     not come to their end → what follows from the last records → every epoch moves, every bell rings
+//
+// Each step may be repeated: a daemon that dies in here is started again and begins here.
+#pragma once
+
+#include <base/log.hpp>
+#include <base/pidfd.hpp>
+#include <daemon/death/client_termination.hpp>
+#include <daemon/lifecycle/membership.hpp>
+#include <daemon/lifecycle/regions.hpp>
+#include <daemon/requests/request_scheduler.hpp>
+#include <daemon/requests/user_namespaces.hpp>
+#include <daemon/state/address_plan.hpp>
+#include <daemon/state/registry.hpp>
+#include <daemon/transport/connection_table.hpp>
+#include <daemon/transport/descriptor_store.hpp>
+#include <daemon/transport/dispatcher.hpp>
+#include <daemon/transport/doorbells.hpp>
+#include <journal/cases.hpp>
+
+#include <cstdint>
+#include <vector>
+
+namespace agnocast::daemon {
+
+/// The parts of the daemon that go on with a former life.
+struct RecoveredParts {
+  const Arena& arena;
+  AddressPlan& plan;
+  Registry& registry;
+  Regions& regions;
+  Doorbells& doorbells;
+  Membership& membership;
+  DescriptorStore& store;
+  Dispatcher& dispatcher;
+  ConnectionTable& connections;
+  RequestScheduler& scheduler;
+  UserNamespaces& namespaces;
+  ClientTermination& termination;
+  Log& log;
+};
+
+class Recovery {
+ public:
+  explicit Recovery(const RecoveredParts& parts) noexcept : of_(parts) {}
+
+  /// Call once, after the registry was opened and before anybody is served. Errors: store_damaged, os_failure.
+  [[nodiscard]] Result<void> run();
+
+ private:
+  [[nodiscard]] Result<journal::FoundDecision> adopt_client(ClientIndex client,
+                                                            std::uint64_t& lost);
+  void back_endpoints(ClientIndex client);
+  [[nodiscard]] Result<void> watch(ClientIndex client, Pidfd process);
+  std::uint64_t reap_while_away(const std::vector<ClientIndex>& ended);
+
+  RecoveredParts of_;
+};
+
+}  // namespace agnocast::daemon

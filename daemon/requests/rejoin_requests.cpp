@@ -1,0 +1,97 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// RejoinRequests: see the header.
+
+#include <daemon/requests/rejoin_requests.hpp>
+
+#include <base/clock.hpp>
+#include <daemon/requests/check_caller.hpp>
+#include <daemon/requests/rejoin_facts.hpp>
+#include <daemon/state/memory_reserve.hpp>
+#include <daemon/transport/brought_windows.hpp>
+#include <daemon/state/steps.hpp>
+#include <journal/cases.hpp>
+
+#include <cstdint>
+#include <string>
+#include <utility>
+
+namespace agnocast::daemon {
+
+// The connection that the process had before.
+Result<Peer*> RejoinRequests::lost_peer(const Peer& peer, const wire::Rejoin& request) {
+  using journal::RejoinDecision;
+  const ClientIndex client{static_cast<std::uint32_t>(request.client)};
+  Peer* const before =
+      names_place(request, of_.registry) ? of_.connections.of_client(client) : nullptr;
+  const bool is_same = before != nullptr && same_process(before->session.identity().process,
+                                                         peer.session.identity().process);
+  const Rejoiner who{peer.session.identity().confirmed, before != nullptr, is_same};
+  switch (journal::decide_rejoin(rejoin_facts(request, of_.registry, who))) {
+    case RejoinDecision::take_back:
+      return before;
+    case RejoinDecision::started_anew:
+      return fail_with(Errc::started_anew, "the daemon does not know this process");
+    case RejoinDecision::revoked:
+      return fail_with(Errc::revoked, "the membership of this process is over");
+    case RejoinDecision::layout_mismatch:
+    case RejoinDecision::permission_denied:
+      break;
+  }
+  // check_caller() has said the other reasons for these two.
+  return fail_with(Errc::permission_denied, "that is the place of another process");
+}
+
+Result<void> RejoinRequests::rejoin(Peer& peer, const wire::Rejoin& request) {
+  if (auto known = check_caller(peer.session.identity(), request.fingerprint); !known) return known;
+  const auto before = lost_peer(peer, request);
+  if (!before) return tl::unexpected(before.error());
+  const ClientIndex client{static_cast<std::uint32_t>(request.client)};
+  peer.returns = (*before)->returns;
+  if (!peer.returns.take(monotonic_ms()))
+    return fail_with(Errc::limit_reached, "this process comes back too often; later it may");
+  // The rules may be others than those by which it was let in.
+  if (const std::string why = of_.access.forbidden_endpoint(client, peer.session.identity());
+      !why.empty()) {
+    of_.termination.revoke(**before, why);
+    return fail_with(Errc::revoked, why);
+  }
+  of_.access.warn_of_other_readers(client);
+  MemoryReserve::no_return();
+  // It may have been taken for one more because the daemon had not seen yet that the old one had ended.
+  of_.connections.count_as_client(peer);
+  peer.session.greet(client);
+  of_.connections.set_client(client, &peer);
+  of_.connections.remove((*before)->id);
+  if (of_.registry.endpoints_of(client).empty() && of_.registry.client(client).executors == 0)
+    expect_windows(peer);
+  of_.registry.note_rejoined(client);
+  auto packet = make_body<wire::Rejoined>(wire::Opcode::rejoined, request.header.request);
+  packet.incarnation = of_.registry.incarnation();
+  of_.output.reply(peer, packet_of(packet));
+  of_.let_go_watch.told_again(client);
+  renew_bells(peer);
+  of_.membership.welcome_back(client);
+  of_.conflicts.look_at_publishers_of(client);  // it may have been asked to move in vain
+  of_.log.write(LogLevel::debug, "client is back",
+                {{"client", number(client)}, {"pid", peer.session.identity().pid}});
+  return {};
+}
+
+// Its sleepers would be deaf to publishers of other users for as long as it lives.
+void RejoinRequests::renew_bells(Peer& peer) {
+  const ClientIndex client = *peer.session.client();
+  const std::uint64_t executors = of_.registry.client(client).executors;
+  for (std::uint64_t executor = 0; executor < abi::executor_count_max; ++executor) {
+    if ((executors >> executor & 1) == 0) continue;
+    auto bells = of_.doorbells.renew(client, executor, of_.registry.client(client).uid);
+    if (!bells || bells->empty()) continue;
+    AGNOCAST_CRASH_POINT(B_bell_bound);
+    auto packet = make_body<wire::BellsRenewed>(wire::Opcode::bells_renewed);
+    packet.executor = executor;
+    of_.output.reply(peer, packet_of(packet), std::move(*bells));
+    of_.membership.renewed(client, executor);
+  }
+}
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,48 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// RejoinRequests: a process that has lost its connection takes its place again.
+#pragma once
+
+#include <base/log.hpp>
+#include <daemon/death/client_termination.hpp>
+#include <daemon/death/let_go_watch.hpp>
+#include <daemon/lifecycle/membership.hpp>
+#include <daemon/requests/access_control.hpp>
+#include <daemon/requests/address_conflicts.hpp>
+#include <daemon/state/registry.hpp>
+#include <daemon/transport/connection_table.hpp>
+#include <daemon/transport/doorbells.hpp>
+#include <daemon/transport/peer_output.hpp>
+#include <daemon/transport/requests.hpp>
+
+namespace agnocast::daemon {
+
+/// The parts of the daemon that RejoinRequests needs.
+struct RejoinParts {
+  Registry& registry;
+  Doorbells& doorbells;
+  Membership& membership;
+  AccessControl& access;
+  AddressConflicts& conflicts;
+  LetGoWatch& let_go_watch;
+  ConnectionTable& connections;
+  PeerOutput& output;
+  ClientTermination& termination;
+  Log& log;
+};
+
+class RejoinRequests {
+ public:
+  explicit RejoinRequests(const RejoinParts& parts) noexcept : of_(parts) {}
+
+  [[nodiscard]] Result<void> rejoin(Peer& peer, const wire::Rejoin& request);
+
+ private:
+  [[nodiscard]] Result<Peer*> lost_peer(const Peer& peer, const wire::Rejoin& request);
+  /// Makes the bells that were lost anew.
+  void renew_bells(Peer& peer);
+
+  RejoinParts of_;
+};
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// RequestServer: from a packet to an answer. Decodes it, has its handler serve it, and reports its refusal.
+//
+// A request is a parsed packet: bounded, but true only as far as its handler checks it against quotas, access
+// rules and the tables. What it changes is journaled before it is answered. docs/control-plane.md.
+#pragma once
+
+#include <daemon/death/client_termination.hpp>
+#include <daemon/requests/address_conflicts.hpp>
+#include <daemon/requests/admission.hpp>
+#include <daemon/requests/refusal_report.hpp>
+#include <daemon/requests/request_table.hpp>
+#include <daemon/transport/connection_table.hpp>
+#include <daemon/transport/requests.hpp>
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+
+namespace agnocast::daemon {
+
+class RequestServer {
+ public:
+  RequestServer(Admission& admission, AddressConflicts& conflicts, RefusalReport& refusals,
+                ClientTermination& termination);
+
+  /// To be filled before anything is served.
+  RequestTable& handlers() noexcept { return handlers_; }
+  /// `fds`: what came with the packet. Without memory it is refused.
+  void serve_packet(Peer& peer, std::span<const std::byte> bytes, const Envelope& envelope,
+                    std::span<UniqueFd> fds);
+  /// Serves a request that was parked.
+  void serve_again(Peer& peer, const Request& request);
+
+ private:
+  template <class Serve>
+  void serve_or_refuse(Peer& peer, std::uint64_t id, Serve serve_it);
+  void serve(Peer& peer, const Request& request, std::span<UniqueFd> fds);
+  [[nodiscard]] Result<void> reject(Peer& peer, const Rejected& rejected);
+
+  Admission& admission_;
+  AddressConflicts& conflicts_;
+  RefusalReport& refusals_;
+  ClientTermination& termination_;
+  RequestTable handlers_;
+};
+
+}  // namespace agnocast::daemon

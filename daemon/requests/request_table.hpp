@@ -1,0 +1,63 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// RequestTable: which function of which class serves a request, by its kind.
+//
+// The opcodes of the wire and the kinds of Request are one to one but for those that ask again. A request
+// without an entry is a mistake of whoever filled the table.
+#pragma once
+
+#include <base/check.hpp>
+#include <base/unique_fd.hpp>
+#include <daemon/transport/connection_table.hpp>
+#include <daemon/transport/requests.hpp>
+
+#include <array>
+#include <cstddef>
+#include <functional>
+#include <span>
+#include <type_traits>
+#include <variant>
+
+namespace agnocast::daemon {
+
+class RequestTable {
+ public:
+  /// `fds`: what came with the packet; decode() has counted them.
+  using Descriptors = std::span<UniqueFd>;
+
+  /// The handler stays the caller's, and lives as long as the table.
+  template <class Handler, class Body>
+  void add(Handler& handler, Result<void> (Handler::*function)(Peer&, const Body&)) {
+    entries_[index_of<Body>()] = [&handler, function](Peer& peer, const Request& request,
+                                                      Descriptors) {
+      return (handler.*function)(peer, std::get<Body>(request));
+    };
+  }
+  template <class Handler, class Body>
+  void add(Handler& handler, Result<void> (Handler::*function)(Peer&, const Body&, Descriptors)) {
+    entries_[index_of<Body>()] = [&handler, function](Peer& peer, const Request& request,
+                                                      Descriptors fds) {
+      return (handler.*function)(peer, std::get<Body>(request), fds);
+    };
+  }
+  [[nodiscard]] Result<void> serve(Peer& peer, const Request& request, Descriptors fds) const {
+    const Entry& entry = entries_[request.index()];
+    AGNOCAST_CHECK(entry);
+    return entry(peer, request, fds);
+  }
+
+ private:
+  using Entry = std::function<Result<void>(Peer&, const Request&, Descriptors)>;
+
+  template <class Body, std::size_t index = 0>
+  static constexpr std::size_t index_of() noexcept {
+    if constexpr (std::is_same_v<Body, std::variant_alternative_t<index, Request>>)
+      return index;
+    else
+      return index_of<Body, index + 1>();
+  }
+
+  std::array<Entry, std::variant_size_v<Request>> entries_;
+};
+
+}  // namespace agnocast::daemon

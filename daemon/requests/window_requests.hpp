@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// WindowRequests: heap windows: one that a process asks for, and one that it brings from a former incarnation.
+#pragma once
+
+#include <base/log.hpp>
+#include <base/unique_fd.hpp>
+#include <daemon/lifecycle/membership.hpp>
+#include <daemon/lifecycle/regions.hpp>
+#include <daemon/requests/address_conflicts.hpp>
+#include <daemon/requests/admission.hpp>
+#include <daemon/state/address_plan.hpp>
+#include <daemon/state/registry.hpp>
+#include <daemon/transport/connection_table.hpp>
+#include <daemon/transport/peer_output.hpp>
+#include <daemon/transport/requests.hpp>
+
+#include <span>
+
+namespace agnocast::daemon {
+
+class WindowRequests {
+ public:
+  WindowRequests(const Arena& arena, Registry& registry, Regions& regions, AddressPlan& plan,
+                 Membership& membership, AddressConflicts& conflicts, Admission& admission,
+                 PeerOutput& output, Log& log) noexcept
+      : arena_(arena),
+        registry_(registry),
+        regions_(regions),
+        plan_(plan),
+        membership_(membership),
+        conflicts_(conflicts),
+        admission_(admission),
+        output_(output),
+        log_(log) {}
+
+  [[nodiscard]] Result<void> open_window(Peer& peer, const wire::WindowRequest& request);
+  [[nodiscard]] Result<void> bring_window(Peer& peer, const wire::BringWindow& request,
+                                          std::span<UniqueFd> fds);
+
+ private:
+  /// Carries out what bring_window() has decided, but for the answer. Errors: os_failure.
+  [[nodiscard]] Result<void> take_brought(const Peer& peer, const wire::BringWindow& request,
+                                          const UniqueFd& window);
+
+  const Arena& arena_;
+  Registry& registry_;
+  Regions& regions_;
+  AddressPlan& plan_;
+  Membership& membership_;
+  AddressConflicts& conflicts_;
+  Admission& admission_;
+  PeerOutput& output_;
+  Log& log_;
+};
+
+}  // namespace agnocast::daemon

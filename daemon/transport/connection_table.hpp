@@ -1,0 +1,121 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// ConnectionTable: every connection and the process at its other end, found by number and by client; and
+// how many of them each user has.
+//
+//   accepted ──▶ attached ──connection lost──▶ detached ──process ended or came back──▶ removed
+//                        ──revoked──────────▶ detached
+//
+// A peer outlives its connection: as long as its process lives and has memory of the daemon's, it keeps its
+// place here. A peer that waits for a connection to be closed does not exist: Disposal closes it elsewhere.
+#pragma once
+
+#include <agnocast/abi/observe.hpp>
+#include <agnocast/abi/wire.hpp>
+#include <daemon/state/tables.hpp>
+#include <daemon/transport/allowance.hpp>
+#include <daemon/transport/dispatcher.hpp>
+#include <daemon/transport/disposal.hpp>
+#include <daemon/transport/session.hpp>
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <unordered_map>
+#include <variant>
+#include <vector>
+
+namespace agnocast::daemon {
+
+/// Numbers of connections are never used twice.
+using PeerId = std::uint64_t;
+/// What a process has of its region. Unknown: there is no time to look now, or no descriptor.
+enum class RegionTrace : std::uint8_t { none, some, unknown };
+/// What an observer has asked for and is answered at length.
+using LongRequest = std::variant<wire::Dump, wire::ReadJournal>;
+struct Peer {
+  PeerId id;
+  Session session;
+  Dispatcher::Token connection = 0;
+  Dispatcher::Token process = 0;
+  bool wants_writable = false;
+  bool waits = false;     // for its turn
+  bool ended = false;     // the process; its turn is the last
+  bool detached = false;  // without a connection, or revoked, but alive and mapping its region
+  bool revoked = false;   // its client is dead in the tables; nothing it says counts
+  bool counts_as_observer = false;
+  std::uint64_t parked = 0;                      // it waits for the errand with this ticket
+  bool brings_windows = false;                   // it may, until it asks for something new
+  std::uint64_t refuses_since_ms = 0;            // since when the kernel refuses descriptors again
+  std::uint64_t asked_ms = 0;                    // of an observer: when its last answer was made
+  std::optional<wire::Dump> awaits_change = {};  // of an observer: to be answered then
+  std::optional<LongRequest> asked = {};         // of an observer: when its user's turn comes
+  std::uint64_t looked_ns = 0;                   // when tick() last asked whether it has let go
+  bool looking = false;                          // somebody looks right now
+  // Of a hello: whether the process was looked at, and what it has of a region that was revoked.
+  std::optional<RegionTrace> revoked_trace = {};
+  // Of its process: to be told everything again is work. An honest one tries four times a second at
+  // last (client/session/reconnection.hpp), a few times more often at first.
+  Allowance returns{20, 250};
+};
+/// Connections of one user.
+struct UserConnections {
+  std::uint64_t clients = 0;
+  std::uint64_t observers = 0;
+  std::uint64_t detached = 0;     // of the clients: processes without a connection
+  std::uint64_t look_due_ns = 0;  // before that no process of this user is looked at
+  std::shared_ptr<KeptForUser> kept = std::make_shared<KeptForUser>();
+};
+
+class ConnectionTable {
+ public:
+  using Peers = std::unordered_map<PeerId, std::unique_ptr<Peer>>;
+  using Users = std::unordered_map<std::uint32_t, UserConnections>;
+
+  ConnectionTable(Dispatcher& dispatcher, Disposal& disposal);
+  /// Shuts every connection; the end of the process closes them.
+  ~ConnectionTable();
+  ConnectionTable(const ConnectionTable&) = delete;
+  ConnectionTable& operator=(const ConnectionTable&) = delete;
+
+  PeerId next_id() noexcept { return ++last_id_; }
+  /// Takes over a peer and counts it for its user.
+  Peer& add(std::unique_ptr<Peer> peer);
+  /// Removes a peer from the table and from the dispatcher, and closes its connection.
+  void remove(PeerId id);
+  /// Closes the connection; the peer stays.
+  void close(Peer& peer);
+  /// Its connection is lost, or its membership is over. Again: nothing happens.
+  void detach(Peer& peer);
+  void become_observer(Peer& peer);
+  void count_as_observer(Peer& peer);
+  void count_as_client(Peer& peer);
+
+  /// Null: it is gone.
+  Peer* find(PeerId id) const;
+  /// Null: nobody is a member in this place.
+  Peer* of_client(ClientIndex client) const noexcept { return by_client_[number(client)]; }
+  void set_client(ClientIndex client, Peer* peer) noexcept { by_client_[number(client)] = peer; }
+  const Peers& all() const noexcept { return peers_; }
+  UserConnections& user(std::uint32_t uid) { return users_[uid]; }
+  Users& users() noexcept { return users_; }
+  const Users& users() const noexcept { return users_; }
+  std::uint64_t detached_count() const noexcept { return detached_count_; }
+  std::uint64_t observer_count() const noexcept { return observer_count_; }
+
+  /// malloc keeps what was freed. Once most of what was queued is not queued any more, its pages go back.
+  void give_memory_back();
+
+ private:
+  Dispatcher& dispatcher_;
+  Disposal& disposal_;
+  Peers peers_;
+  std::vector<Peer*> by_client_;
+  Users users_;  // by uid
+  PeerId last_id_ = 0;
+  std::uint64_t detached_count_ = 0;  // processes without a connection
+  std::uint64_t observer_count_ = 0;
+  bool gives_back_ = false;  // much that was queued is not queued any more
+};
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,65 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// PeerOutput: what the daemon sends to processes, and what happens to a process that does not read it.
+//
+// A packet is sent at once, or waits in the queue of its session. The output of a connection ends when its
+// queue is too long, too old, or the longest one of a user who has too much waiting altogether. Then the
+// connection is shut, not closed: whoever called may be in the middle of an announcement, and the end of the
+// connection is read later like any other.
+#pragma once
+
+#include <base/log.hpp>
+#include <daemon/transport/connection_table.hpp>
+#include <daemon/transport/dispatcher.hpp>
+#include <daemon/transport/post.hpp>
+
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <string_view>
+#include <vector>
+
+namespace agnocast::daemon {
+
+/// [quota] queued_bytes and queued_seconds.
+struct OutputLimits {
+  std::uint64_t bytes_of_user = 0;
+  std::optional<std::uint64_t> seconds;
+};
+
+class PeerOutput final : public Post {
+ public:
+  PeerOutput(const OutputLimits& limits, ConnectionTable& connections, Dispatcher& dispatcher,
+             Log& log) noexcept
+      : limits_(limits), connections_(connections), dispatcher_(dispatcher), log_(log) {}
+
+  void reply(Peer& peer, Outgoing packet);
+  void reply(Peer& peer, std::span<const std::byte> packet, std::vector<SharedFd> fds = {});
+  /// Sends what the socket takes.
+  void flush(Peer& peer);
+  /// Whether go_on_flushing() is to be called soon: too many descriptors were under way.
+  bool flushes_later() const noexcept { return flush_later_; }
+  void go_on_flushing();
+  /// Nothing more is sent to it; its end is read like any other.
+  void end(Peer& peer, std::string_view why);
+  /// Ends the output of the connection that has most waiting for this user: it reads least.
+  void end_longest(std::uint32_t uid);
+  /// Ends the output of every connection that has not read for longer than the limit.
+  void end_old(std::uint64_t now);
+
+  // Post
+  Session* session_of(ClientIndex client) override;
+  std::uint64_t user_namespace_of(ClientIndex client) override;
+  using Post::send;
+  void send(ClientIndex client, Outgoing packet) override;
+  void begin_anew(ClientIndex client, std::string_view why) override;
+
+ private:
+  OutputLimits limits_;
+  ConnectionTable& connections_;
+  Dispatcher& dispatcher_;
+  Log& log_;
+  bool flush_later_ = false;
+};
+
+}  // namespace agnocast::daemon
