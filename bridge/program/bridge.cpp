@@ -22,8 +22,6 @@ using std::chrono::milliseconds;
 constexpr auto no_end = std::chrono::hours(24 * 365);
 // Between two looks for a daemon that is not there.
 constexpr milliseconds daemon_interval(1'000);
-// How long a type that was not found is not looked for again.
-constexpr std::chrono::seconds missing_for(10);
 // What is taken of one reader before others have their turn; of one that is left, all that it may have, but for one that
 // keeps all and gets more meanwhile.
 constexpr std::size_t takes_max = 64, former_takes_max = 10'000;
@@ -37,14 +35,6 @@ constexpr std::size_t lanes_max = 4;
 // On it each bridge has its marker.
 constexpr const char* marker_topic = "/_agnocast_bridge";
 constexpr const char* marker_task = "endpoint by which other bridges see this one";
-
-QoS qos_of(const QosClass& qos_class, std::size_t depth, bool keep_all) {
-  QoS qos(depth);
-  if (keep_all) qos.keep_all(depth);
-  if (!qos_class.reliable) qos.best_effort();
-  if (qos_class.transient_local) qos.transient_local();
-  return qos;
-}
 
 }  // namespace
 
@@ -62,16 +52,16 @@ DdsResult<std::unique_ptr<Bridge>> Bridge::create(BridgeOptions options, const L
   if (!graph) return tl::unexpected(graph.error());
   bridge->ros_graph_ = std::move(*graph);
   bridge->services_ = std::make_unique<ServiceRoutes>(
-      *bridge->participant_, *bridge->lanes_.front(), log, bridge->reaper_,
-      [bridge = bridge.get()](const std::string& what, const std::string& why) {
-        bridge->refused(what, why);
-      });
+      *bridge->participant_, *bridge->lanes_.front(), bridge->types_, log, bridge->reaper_,
+      bridge->refusals_);
   return bridge;
 }
 
 Bridge::Bridge(BridgeOptions options, const Log& log)
     : options_(std::move(options)),
       log_(log),
+      types_(options_.type_paths),
+      refusals_(log),
       outlets_(log, reaper_, [this] { participant_->interrupt(); }),
       announced_(reaper_),
       rules_{options_.rules, options_.otherwise, options_.announce} {
@@ -215,12 +205,12 @@ bool Bridge::renew_local() {
 }
 
 std::chrono::nanoseconds Bridge::tidy() {
-  const Outlets::Time now = std::chrono::steady_clock::now();
-  std::optional<Outlets::Time> next;
-  const auto wake_at = [&](Outlets::Time time) { next = next ? std::min(*next, time) : time; };
+  const Time now = std::chrono::steady_clock::now();
+  std::optional<Time> next;
+  const auto wake_at = [&](Time time) { next = next ? std::min(*next, time) : time; };
   if (const auto next_look = services_->send_kept(now)) wake_at(*next_look);
   const bool outlets_linger = outlets_.tidy(now);
-  if (outlets_linger) wake_at(now + Outlets::linger);
+  if (outlets_linger) wake_at(now + linger);
   if (!held_.empty() && next_room_look_ <= now) {
     room_interval_ = room_interval_after(room_interval_, publish_waiting());
     next_room_look_ = now + room_interval_;
@@ -229,7 +219,7 @@ std::chrono::nanoseconds Bridge::tidy() {
   if (settle_at_ && *settle_at_ <= now) {
     settle_at_ = end_sources(now);
     end_taps();
-    if (!settle_at_ && outlets_linger) settle_at_ = now + Outlets::linger;
+    if (!settle_at_ && outlets_linger) settle_at_ = now + linger;
   }
   if (settle_at_) wake_at(*settle_at_);
   if (plan_again_) wake_at(*plan_again_);
@@ -256,7 +246,7 @@ DdsResult<void> Bridge::run() {
     if (ready->discovery || std::find(ready->readers.begin(), ready->readers.end(),
                                       ros_graph_->reader()) != ready->readers.end()) {
       if (const auto others = ros_graph_->update(); !others)
-        refused("ros_discovery_info", others.error().text());
+        refusals_.note("ros_discovery_info", others.error().text());
       if (const std::uint64_t count = ros_graph_->refused();
           count > discovery_info_refused_ && tells_discovery_info_.now()) {
         discovery_info_refused_ = count;
@@ -319,7 +309,7 @@ void Bridge::end_changed(const Plan& plan) {
            ended.insert(key).second;
   });
   // Who reads in its place may get a history that has come.
-  const Outlets::Time end = std::chrono::steady_clock::now() + Outlets::linger;
+  const Time end = std::chrono::steady_clock::now() + linger;
   for (auto& [writer, source] : sources_) {
     if (source.former_inlet && ended.contains(*source.former_inlet)) source.former_inlet.reset();
     if (!ended.contains(source.inlet)) continue;
@@ -421,25 +411,8 @@ BridgeStatus Bridge::look() const {
     now.taps.push_back({key, tap.subscription->get_lost_count()});
   now.services = services_->look();
   now.unbridged = unbridged_;
-  now.failures.assign(refusals_.begin(), refusals_.end());
+  now.failures.assign(refusals_.now().begin(), refusals_.now().end());
   return now;
-}
-
-std::optional<std::string> Bridge::problem_of(const std::string& type) {
-  if (types_.contains(type)) return std::nullopt;
-  const Outlets::Time now = std::chrono::steady_clock::now();
-  const auto missing = missing_types_.find(type);
-  if (missing != missing_types_.end() && missing->second.since + missing_for > now)
-    return missing->second.why;
-  const auto found = try_find_message_type(type, options_.type_paths);
-  const auto cdr = found ? CdrType::of(found->members()) : tl::unexpected<Failure>(found.error());
-  if (!cdr) {
-    missing_types_[type] = {text_of(cdr.error()), now};
-    return text_of(cdr.error());
-  }
-  missing_types_.erase(type);
-  types_[type] = std::make_shared<const BridgedType>(BridgedType{*found, *cdr});
-  return std::nullopt;
 }
 
 // A writer that came and went since the last look may have been matched with an inlet that was there already: it
@@ -462,7 +435,7 @@ void Bridge::look_around() {
     return pace_.put_off(*plan_again_);
   }
   const std::vector<Remote> gone = std::exchange(gone_writers_, {});
-  const Outlets::Time begin = std::chrono::steady_clock::now();
+  const Time begin = std::chrono::steady_clock::now();
   bool is_whole = true;
   if (!gone.empty()) {
     DdsParticipant::Remotes with_gone = participant_->remotes();
@@ -470,7 +443,7 @@ void Bridge::look_around() {
     is_whole = plan_and_apply(with_gone);
   }
   is_whole = is_whole && plan_and_apply(participant_->remotes());
-  const Outlets::Time end = std::chrono::steady_clock::now();
+  const Time end = std::chrono::steady_clock::now();
   if (is_whole) {
     pace_.made(begin, end);
   } else {
@@ -488,17 +461,17 @@ bool Bridge::plan_and_apply(const DdsParticipant::Remotes& remotes) {
   if (role == Role::unknown) {
     if (marker_ == nullptr) plan_again_ = std::chrono::steady_clock::now() + daemon_interval;
     if (no_marker_ && no_marker_->code != Errc::daemon_not_running)
-      refused(marker_task, no_marker_->why);
+      refusals_.note(marker_task, no_marker_->why);
     return false;
   }
   if (role == Role::standby && was_active) stand_by();
-  former_refusals_ = std::exchange(refusals_, {});
-  if (no_marker_) refused(marker_task, no_marker_->why);
+  refusals_.begin_plan();
+  if (no_marker_) refusals_.note(marker_task, no_marker_->why);
   const Situation situation{options_.domain,
                             local_.endpoints,
                             &remotes,
                             rules_.list,
-                            [this](const std::string& type) { return problem_of(type); },
+                            [this](const std::string& type) { return types_.problem_of(type); },
                             rules_.otherwise,
                             [this](const Guid& writer) { return sources_.contains(writer); },
                             rules_.announce};
@@ -508,8 +481,7 @@ bool Bridge::plan_and_apply(const DdsParticipant::Remotes& remotes) {
   end_changed(plan);
   apply_outward(plan);
   apply_inward(plan);
-  (void)gives_up(
-      services_->apply(services, [this](const std::string& type) { return types_.at(type); }));
+  (void)gives_up(services_->apply(services));
   tell_ros(plan);
   unbridged_ = plan.unbridged;
   unbridged_.insert(unbridged_.end(), services.unbridged.begin(), services.unbridged.end());
@@ -574,7 +546,7 @@ void Bridge::apply_outward(const Plan& plan) {
       taps_[key] = {lane, std::move(*made), false};
       ++*emptiest;
     } else {
-      refused("subscription of " + topic.topic, text_of(made.error()));
+      refusals_.note("subscription of " + topic.topic, text_of(made.error()));
       if (gives_up(made.error().code)) break;
     }
   }
@@ -584,7 +556,7 @@ void Bridge::apply_outward(const Plan& plan) {
     DdsResult<std::unique_ptr<DdsWriter>> writer = announced_.take_over(publisher);
     if (*writer == nullptr) writer = create_writer_of(*participant_, outlet);
     if (!writer) {
-      refused("writer of " + topic.topic, writer.error().text());
+      refusals_.note("writer of " + topic.topic, writer.error().text());
       without.insert(publisher);
       continue;
     }
@@ -600,15 +572,13 @@ void Bridge::apply_outward(const Plan& plan) {
     outlet_keys_.insert(publisher);
   }
   outlets_.set_without(std::move(without));
-  announced_.open(plan, *participant_, [this](const std::string& what, const std::string& why) {
-    refused(what, why);
-  });
+  announced_.open(plan, *participant_, refusals_);
   planned_for_ = std::move(present);
 }
 
 // A writer's last messages may come after the word that it is gone, so its source lingers.
 void Bridge::apply_inward(const Plan& plan) {
-  const Outlets::Time end = std::chrono::steady_clock::now() + Outlets::linger;
+  const Time end = std::chrono::steady_clock::now() + linger;
   const auto reader_of = [&](const ClassKey& key) {
     const Inlet& inlet = plan.inlets.at(key);
     return ReaderKey{key, inlet.depth, inlet.keep_all};
@@ -629,13 +599,13 @@ void Bridge::apply_inward(const Plan& plan) {
     // Those that linger have places still.
     std::size_t& count = counts[source.key];
     if (count >= sources_per_topic_max) {
-      refused("new writer of " + source.key.topic, "those that are gone have places still");
+      refusals_.note("new writer of " + source.key.topic, "those that are gone have places still");
       plan_again_ = end;
       continue;
     }
     auto made = make_publisher(source, source.depth);
     if (!made) {
-      refused("publisher of " + source.key.topic, text_of(made.error()));
+      refusals_.note("publisher of " + source.key.topic, text_of(made.error()));
       if (gives_up(made.error().code)) break;
       continue;
     }
@@ -668,7 +638,7 @@ void Bridge::apply_inward(const Plan& plan) {
         dds_qos_of(inlet.requested, inlet.depth, inlet.keep_all),
         decoder_of(types_.at(topic.type), topic.topic));
     if (!reader) {
-      refused("reader of " + topic.topic, reader.error().text());
+      refusals_.note("reader of " + topic.topic, reader.error().text());
       continue;
     }
     const auto made = inlets_.emplace(key, OpenInlet{std::move(*reader), inlet, false}).first;
@@ -680,13 +650,13 @@ void Bridge::apply_inward(const Plan& plan) {
   for (auto& [key, inlet] : inlets_) inlet.is_over = !planned.contains(key);
   for (const Unbridged& each : plan.unbridged) {
     if (each.why == WhyNot::too_many)
-      refused("writers of " + each.topic, "more than the " + std::to_string(sources_per_topic_max) +
+      refusals_.note("writers of " + each.topic, "more than the " + std::to_string(sources_per_topic_max) +
                                               " that a topic has room for");
   }
   settle_at_ = std::chrono::steady_clock::now();
 }
 
-void Bridge::go_over(OpenSource& source, const ReaderKey& inlet, Outlets::Time end) {
+void Bridge::go_over(OpenSource& source, const ReaderKey& inlet, Time end) {
   if (source.has_begun) source.former_inlet = source.inlet;  // else by the one before that
   source.inlet = inlet;
   source.has_begun = source.former_inlet == inlet;
@@ -837,14 +807,14 @@ void Bridge::drop(OpenSource& source, const char* why, std::size_t messages) {
               {"why", why}});
 }
 
-std::optional<Outlets::Time> Bridge::end_sources(Outlets::Time now) {
+std::optional<Time> Bridge::end_sources(Time now) {
   std::set<ReaderKey> needed;
-  std::optional<Outlets::Time> next;
-  const auto wake_at = [&](Outlets::Time time) { next = next ? std::min(*next, time) : time; };
+  std::optional<Time> next;
+  const auto wake_at = [&](Time time) { next = next ? std::min(*next, time) : time; };
   for (auto at = sources_.begin(); at != sources_.end();) {
     OpenSource& source = at->second;
     const bool is_late = source.end && *source.end <= now;
-    if (is_late && *source.end + Outlets::held_linger <= now && !source.waiting.empty()) {
+    if (is_late && *source.end + held_linger <= now && !source.waiting.empty()) {
       drop(source, sentence_of(Errc::would_block), source.waiting.size());
       for (const Received& received : source.waiting) held_bytes_ -= held_bytes_of(received.bytes);
       source.waiting.clear();
@@ -858,10 +828,10 @@ std::optional<Outlets::Time> Bridge::end_sources(Outlets::Time now) {
     }
     // What both have had may still be there to be taken of the other one.
     if (source.former_end <= now) source.former_inlet.reset();
-    if (source.former_end + Outlets::linger <= now) source.has_begun = true;
-    if (source.end) wake_at(is_late ? now + Outlets::linger : *source.end);
+    if (source.former_end + linger <= now) source.has_begun = true;
+    if (source.end) wake_at(is_late ? now + linger : *source.end);
     if (source.former_inlet) wake_at(source.former_end);
-    if (!source.has_begun) wake_at(source.former_end + Outlets::linger);
+    if (!source.has_begun) wake_at(source.former_end + linger);
     needed.insert(source.inlet);
     if (source.former_inlet) needed.insert(*source.former_inlet);
     ++at;
@@ -957,14 +927,7 @@ void Bridge::tell_ros(const Plan& plan) {
   std::vector<RosNode> list;
   for (auto& [name, node] : nodes) list.push_back(std::move(node));
   if (const auto said = ros_graph_->set_nodes(std::move(list)); !said)
-    refused("ros_discovery_info", said.error().text());
-}
-
-void Bridge::refused(const std::string& what, const std::string& why) {
-  const auto before = former_refusals_.find(what);
-  const bool is_said = before != former_refusals_.end() && before->second == why;
-  if (std::exchange(refusals_[what], why) == why || is_said) return;
-  log_.write(LogLevel::warning, "not bridged", {{"what", what}, {"why", why}});
+    refusals_.note("ros_discovery_info", said.error().text());
 }
 
 }  // namespace agnocast::bridge

@@ -105,8 +105,8 @@ class Bridge {
     GenericPublisher::SharedPtr publisher;
     Traffic traffic;
     std::deque<Received> waiting;      // keep-all only
-    std::optional<Outlets::Time> end;  // not planned any more; ends then, or when nothing waits
-                                       // any longer, after Outlets::held_linger at the latest
+    std::optional<Time> end;  // not planned any more; ends then, or when nothing waits
+                                       // any longer, after held_linger at the latest
     std::int64_t newest_ns = 0;        // source time
     std::size_t depth = 1;             // of the publisher; less than planned after a Limit
     std::deque<std::size_t> history;   // of a transient-local one: bytes of what it retains
@@ -116,7 +116,7 @@ class Bridge {
     // then, or its time is over, messages come by the former one.
     bool has_begun = true;
     std::optional<ReaderKey> former_inlet;
-    Outlets::Time former_end;
+    Time former_end;
   };
   struct OpenTap {
     std::size_t lane = 0;
@@ -151,7 +151,7 @@ class Bridge {
   void apply_outward(const Plan& plan);
   void apply_inward(const Plan& plan);
   void tell_ros(const Plan& plan);
-  static void go_over(OpenSource& source, const ReaderKey& inlet, Outlets::Time end);
+  static void go_over(OpenSource& source, const ReaderKey& inlet, Time end);
   void take_from(DdsReader& reader);
   void publish(const ReaderKey& inlet, DdsSample sample);
   void publish_unplaced();
@@ -168,11 +168,8 @@ class Bridge {
   /// Whether one of them was.
   bool publish_waiting();
   /// When it has to look again.
-  std::optional<Outlets::Time> end_sources(Outlets::Time now);
+  std::optional<Time> end_sources(Time now);
   RawDecoder decoder_of(std::shared_ptr<const BridgedType> type, const std::string& topic);
-  std::optional<std::string> problem_of(const std::string& type);
-  /// Something could not be made; said once until it changes.
-  void refused(const std::string& what, const std::string& why);
 
   const BridgeOptions options_;
   const Log& log_;
@@ -181,12 +178,8 @@ class Bridge {
   std::unique_ptr<RosGraph> ros_graph_;
   std::unique_ptr<ServiceRoutes> services_;
 
-  std::map<std::string, std::shared_ptr<const BridgedType>> types_;
-  struct Missing {
-    std::string why;
-    Outlets::Time since;
-  };
-  std::map<std::string, Missing> missing_types_;
+  MessageTypes types_;
+  Refusals refusals_;
   Reaper reaper_;
   Outlets outlets_;
   std::set<std::uint64_t> outlet_keys_;
@@ -206,12 +199,10 @@ class Bridge {
   Seldom tells_limits_;
   std::set<Guid> held_;  // writers whose sources have something waiting
   std::size_t held_bytes_ = 0;
-  Outlets::Time next_room_look_;  // at held_
+  Time next_room_look_;  // at held_
   std::chrono::nanoseconds room_interval_{0};
-  std::optional<Outlets::Time> settle_at_;   // then something may have to be ended
-  std::optional<Outlets::Time> plan_again_;  // then, whatever happens until then
-  std::map<std::string, std::string> refusals_,
-      former_refusals_;  // of this plan, of the one before
+  std::optional<Time> settle_at_;   // then something may have to be ended
+  std::optional<Time> plan_again_;  // then, whatever happens until then
   Rules rules_;
   std::vector<Unbridged> unbridged_;          // of the newest plan
   std::uint64_t discovery_info_refused_ = 0;  // when it was said last
