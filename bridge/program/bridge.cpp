@@ -36,48 +36,54 @@ constexpr std::size_t lanes_max = 4;
 constexpr const char* marker_topic = "/_agnocast_bridge";
 constexpr const char* marker_task = "endpoint by which other bridges see this one";
 
+OutwardRoutes::Lanes make_lanes() {
+  const std::size_t count =
+      std::clamp<std::size_t>(std::thread::hardware_concurrency(), 1, lanes_max);
+  OutwardRoutes::Lanes lanes;
+  for (std::size_t i = 0; i < count; ++i)
+    lanes.push_back(
+        std::make_unique<Node>(std::string(bridge_node) + (i == 0 ? "" : '_' + std::to_string(i))));
+  return lanes;
+}
+
+std::string marker_node_of(const Guid& participant) {
+  std::string name = std::string(bridge_node) + '_';
+  for (const std::uint8_t byte : participant.bytes) {
+    for (const int digit : {byte >> 4, byte & 15}) name += "0123456789abcdef"[digit];
+  }
+  return name;
+}
+
 }  // namespace
 
 DdsResult<std::unique_ptr<Bridge>> Bridge::create(BridgeOptions options, const Log& log) {
-  std::unique_ptr<Bridge> bridge(new Bridge(std::move(options), log));
-  auto participant = DdsParticipant::create({.domain = bridge->options_.domain});
+  OutwardRoutes::Lanes lanes = make_lanes();
+  auto participant = DdsParticipant::create({.domain = options.domain});
   if (!participant) return tl::unexpected(participant.error());
-  bridge->participant_ = std::move(*participant);
-  bridge->marker_node_ = std::string(bridge_node) + '_';
-  for (const std::uint8_t byte : bridge->participant_->guid().bytes) {
-    for (const int digit : {byte >> 4, byte & 15})
-      bridge->marker_node_ += "0123456789abcdef"[digit];
-  }
-  auto graph = RosGraph::create(*bridge->participant_, bridge->options_.speak);
+  auto graph = RosGraph::create(**participant, options.speak);
   if (!graph) return tl::unexpected(graph.error());
-  bridge->ros_graph_ = std::move(*graph);
-  bridge->services_ = std::make_unique<ServiceRoutes>(
-      *bridge->participant_, *bridge->lanes_.front(), bridge->types_, log, bridge->reaper_,
-      bridge->refusals_);
-  return bridge;
+  return std::unique_ptr<Bridge>(new Bridge(std::move(options), log, std::move(lanes),
+                                            std::move(*participant), std::move(*graph)));
 }
 
-Bridge::Bridge(BridgeOptions options, const Log& log)
+Bridge::Bridge(BridgeOptions options, const Log& log, OutwardRoutes::Lanes lanes,
+               std::unique_ptr<DdsParticipant> participant, std::unique_ptr<RosGraph> graph)
     : options_(std::move(options)),
       log_(log),
+      lanes_(std::move(lanes)),
+      participant_(std::move(participant)),
+      ros_graph_(std::move(graph)),
       types_(options_.type_paths),
       refusals_(log),
-      outlets_(log, reaper_, [this] { participant_->interrupt(); }),
-      announced_(reaper_),
-      rules_{options_.rules, options_.otherwise, options_.announce} {
-  const std::size_t count =
-      std::clamp<std::size_t>(std::thread::hardware_concurrency(), 1, lanes_max);
-  for (std::size_t i = 0; i < count; ++i)
-    lanes_.push_back(
-        std::make_unique<Node>(std::string(bridge_node) + (i == 0 ? "" : '_' + std::to_string(i))));
-}
+      outward_(*participant_, lanes_, types_, log, reaper_, refusals_),
+      services_(*participant_, *lanes_.front(), types_, log, reaper_, refusals_),
+      rules_{options_.rules, options_.otherwise, options_.announce},
+      marker_node_(marker_node_of(participant_->guid())) {}
 
 Bridge::~Bridge() {
   stop();
   if (graph_thread_.joinable()) graph_thread_.join();
   marker_.reset();
-  taps_.clear();  // before the outlets that they write to
-  services_.reset();
 }
 
 void Bridge::stop() noexcept {
@@ -87,7 +93,7 @@ void Bridge::stop() noexcept {
   }
   paused_.notify_all();
   graph_.interrupt();
-  if (participant_ != nullptr) participant_->interrupt();
+  participant_->interrupt();
 }
 
 void Bridge::daemon_is(bool there, const std::string& why) {
@@ -174,9 +180,7 @@ Bridge::Role Bridge::find_role() {
 
 // Whoever is active has what we had: nothing lingers.
 void Bridge::stand_by() {
-  outlets_.close_all();
-  outlet_keys_.clear();
-  announced_.clear();
+  outward_.end_all();
   sources_.clear();
   history_bytes_ = 0;
   unplaced_.clear();
@@ -194,13 +198,7 @@ bool Bridge::renew_local() {
   if (!latest) return false;
   const std::uint64_t before = local_.incarnation;
   local_ = std::move(*latest);
-  if (local_.incarnation == before) return true;
-  // One that goes on from the former agnocastd gets no history that it has had: the new outlets' writers need it.
-  std::erase_if(taps_, [](const auto& tap) { return tap.first.of.qos_class.transient_local; });
-  outlets_.close_all();
-  outlet_keys_.clear();
-  announced_.clear();
-  planned_for_.clear();
+  if (local_.incarnation != before) outward_.begin_anew();
   return true;
 }
 
@@ -208,9 +206,8 @@ std::chrono::nanoseconds Bridge::tidy() {
   const Time now = std::chrono::steady_clock::now();
   std::optional<Time> next;
   const auto wake_at = [&](Time time) { next = next ? std::min(*next, time) : time; };
-  if (const auto next_look = services_->send_kept(now)) wake_at(*next_look);
-  const bool outlets_linger = outlets_.tidy(now);
-  if (outlets_linger) wake_at(now + linger);
+  if (const auto next_look = services_.send_kept(now)) wake_at(*next_look);
+  if (const auto next_end = outward_.tidy(now)) wake_at(*next_end);
   if (!held_.empty() && next_room_look_ <= now) {
     room_interval_ = room_interval_after(room_interval_, publish_waiting());
     next_room_look_ = now + room_interval_;
@@ -218,19 +215,11 @@ std::chrono::nanoseconds Bridge::tidy() {
   if (!held_.empty()) wake_at(next_room_look_);
   if (settle_at_ && *settle_at_ <= now) {
     settle_at_ = end_sources(now);
-    end_taps();
-    if (!settle_at_ && outlets_linger) settle_at_ = now + linger;
   }
   if (settle_at_) wake_at(*settle_at_);
   if (plan_again_) wake_at(*plan_again_);
   if (const auto due = pace_.due()) wake_at(*due);
   return next ? std::max(*next - now, std::chrono::nanoseconds(0)) : no_end;
-}
-
-void Bridge::end_taps() {
-  const std::set<ReaderKey> lingering = outlets_.lingering();
-  std::erase_if(
-      taps_, [&](const auto& tap) { return tap.second.is_over && !lingering.contains(tap.first); });
 }
 
 DdsResult<void> Bridge::run() {
@@ -265,7 +254,7 @@ DdsResult<void> Bridge::run() {
     for (DdsReader* const reader : readers) {
       if (inlet_of_.contains(reader)) take_from(*reader);
     }
-    services_->move(readers);
+    services_.move(readers);
     tell_limits();
     answer_status();
   }
@@ -291,17 +280,6 @@ bool Bridge::renew_rules() {
 
 // QoS of an endpoint in DDS cannot change while it lives.
 void Bridge::end_changed(const Plan& plan) {
-  std::vector<std::uint64_t> changed;
-  outlets_.for_each([&](std::uint64_t publisher, const OpenOutlet& outlet) {
-    const auto wanted = plan.outlets.find(publisher);
-    if (wanted != plan.outlets.end() &&
-        (wanted->second.offered != outlet.plan.offered || wanted->second.tap != outlet.plan.tap))
-      changed.push_back(publisher);
-  });
-  for (const std::uint64_t publisher : changed) {
-    outlets_.close(publisher);
-    outlet_keys_.erase(publisher);
-  }
   std::set<ReaderKey> ended;
   erase_inlets_if([&](const ReaderKey& key, const OpenInlet& inlet) {
     const auto wanted = plan.inlets.find(key.of);
@@ -370,23 +348,13 @@ BridgeStatus Bridge::look() const {
   now.has_daemon = daemon_ == Daemon::there && connection != ConnectionState::reconnecting &&
                    connection != ConnectionState::island;
   now.standby_for = standby_for_;
-  now.lost_early = outlets_.lost();
-  now.announced = announced_.size();
+  outward_.look(now);
   for (const LimitRow& row : limit_table)
     now.limits.push_back({row.name, row.most, participant_->limits().refused(row.limit)});
   now.discovery_info_refused = ros_graph_->refused();
   now.since_ns = since_ns_;
   for (const auto& [guid, remote] : participant_->remotes())
     now.participants += remote.kind == Remote::Kind::participant;
-  outlets_.for_each([&](std::uint64_t publisher, const OpenOutlet& outlet) {
-    // Asking a writer waits for what it writes.
-    if (!outlet.is_held) {
-      outlet.matched = outlet.writer->matched();
-      outlet.incompatible = outlet.writer->incompatible();
-    }
-    now.outlets.push_back({outlet.plan, publisher, outlet.writer->guid(), outlet.matched,
-                           outlet.incompatible, outlet.traffic.numbers()});
-  });
   std::map<Guid, std::string> node_of;
   for (const auto& [participant, entities] : ros_graph_->others()) {
     for (const RosNode& node : entities.nodes) {
@@ -407,9 +375,7 @@ BridgeStatus Bridge::look() const {
                           inlet.reader->incompatible(), inlet.reader->refused(),
                           inlet.without_source, inlet.reader->overflow()});
   }
-  for (const auto& [key, tap] : taps_)
-    now.taps.push_back({key, tap.subscription->get_lost_count()});
-  now.services = services_->look();
+  now.services = services_.look();
   now.unbridged = unbridged_;
   now.failures.assign(refusals_.now().begin(), refusals_.now().end());
   return now;
@@ -478,10 +444,11 @@ bool Bridge::plan_and_apply(const DdsParticipant::Remotes& remotes) {
   const bool is_active = role == Role::active;
   const Plan plan = is_active ? plan_of(situation) : Plan();
   const ServicePlan services = is_active ? plan_services(situation) : ServicePlan();
+  outward_.end_changed(plan);
   end_changed(plan);
-  apply_outward(plan);
+  (void)gives_up(outward_.apply(plan, local_.endpoints));
   apply_inward(plan);
-  (void)gives_up(services_->apply(services));
+  (void)gives_up(services_.apply(services));
   tell_ros(plan);
   unbridged_ = plan.unbridged;
   unbridged_.insert(unbridged_.end(), services.unbridged.begin(), services.unbridged.end());
@@ -494,86 +461,6 @@ bool Bridge::gives_up(Errc why) {
   is_cut_short_ = true;
   plan_again_ = std::chrono::steady_clock::now() + daemon_interval;
   return true;
-}
-
-// Taps before writers: what comes between waits.
-void Bridge::apply_outward(const Plan& plan) {
-  std::set<std::uint64_t> without, present;
-  for (const EndpointInfo& endpoint : local_.endpoints) {
-    present.insert(endpoint.generation);
-    if (!plan.outlets.contains(endpoint.generation)) without.insert(endpoint.generation);
-  }
-  std::erase_if(outlet_keys_, [&](std::uint64_t publisher) {
-    if (plan.outlets.contains(publisher)) return false;
-    if (present.contains(publisher)) {
-      outlets_.close(publisher);
-    } else {
-      outlets_.close_later(publisher, std::chrono::steady_clock::now());
-    }
-    return true;
-  });
-  announced_.end_others(plan);
-  for (auto& [key, tap] : taps_) tap.is_over = !plan.taps.contains(key);
-  end_taps();
-  // A tap brings a history once. A publisher that was there before and had no outlet, or another one, needs it again.
-  for (const auto& [publisher, outlet] : plan.outlets) {
-    if (outlet.tap.of.qos_class.transient_local && planned_for_.contains(publisher) &&
-        !outlet_keys_.contains(publisher)) {
-      taps_.erase(outlet.tap);
-      outlets_.forget_waiting(outlet.tap);
-    }
-  }
-  outlets_.set_without(without);
-  std::vector<std::size_t> lane_taps(lanes_.size());
-  for (const auto& [key, tap] : taps_) ++lane_taps[tap.lane];
-  // A tap has the messages of publishers beside its own as well, which shall not push out what it passes on.
-  const SubscriptionOptions options = SubscriptionOptions().depth_per_publisher();
-  std::map<TopicKey, std::set<ReaderKey>> former;
-  for (const auto& [key, tap] : taps_) former[key.of.key].insert(key);
-  for (const ReaderKey& key : plan.taps) {
-    if (taps_.contains(key)) continue;
-    const auto emptiest = std::min_element(lane_taps.begin(), lane_taps.end());
-    const auto lane = static_cast<std::size_t>(emptiest - lane_taps.begin());
-    const TopicKey& topic = key.of.key;
-    auto made = try_create_generic_subscription(
-        *lanes_[lane], topic.topic, types_.at(topic.type)->introspected,
-        qos_of(key.of.qos_class, key.depth, key.keep_all),
-        [this, key, type = types_.at(topic.type)](GenericMessage message) {
-          outlets_.pass(std::move(message), key, type->cdr);
-        },
-        options);
-    if (made) {
-      taps_[key] = {lane, std::move(*made), false};
-      ++*emptiest;
-    } else {
-      refusals_.note("subscription of " + topic.topic, text_of(made.error()));
-      if (gives_up(made.error().code)) break;
-    }
-  }
-  for (const auto& [publisher, outlet] : plan.outlets) {
-    if (outlet_keys_.contains(publisher)) continue;
-    const TopicKey& topic = outlet.tap.of.key;
-    DdsResult<std::unique_ptr<DdsWriter>> writer = announced_.take_over(publisher);
-    if (*writer == nullptr) writer = create_writer_of(*participant_, outlet);
-    if (!writer) {
-      refusals_.note("writer of " + topic.topic, writer.error().text());
-      without.insert(publisher);
-      continue;
-    }
-    auto open = std::make_unique<OpenOutlet>();
-    open->plan = outlet;
-    open->type = types_.at(topic.type);
-    open->writer = std::move(*writer);
-    // A new one, whose first messages another tap may have.
-    const std::set<ReaderKey>& taps = former[topic];
-    open->has_begun = outlet.tap.of.qos_class.transient_local || planned_for_.contains(publisher) ||
-                      taps.size() == taps.count(outlet.tap);
-    outlets_.open(publisher, std::move(open));
-    outlet_keys_.insert(publisher);
-  }
-  outlets_.set_without(std::move(without));
-  announced_.open(plan, *participant_, refusals_);
-  planned_for_ = std::move(present);
 }
 
 // A writer's last messages may come after the word that it is gone, so its source lingers.
@@ -896,7 +783,7 @@ RawDecoder Bridge::decoder_of(std::shared_ptr<const BridgedType> type, const std
 
 void Bridge::tell_ros(const Plan& plan) {
   std::map<std::pair<std::string, std::string>, RosNode> nodes;
-  std::map<std::string, RosNode*> by_name;
+  NodesByName by_name;
   // By which other bridges know this one.
   nodes[{"/", std::string(bridge_node)}] = {"/", std::string(bridge_node), {}, {}};
   for (const EndpointInfo& endpoint : local_.endpoints) {
@@ -907,14 +794,7 @@ void Bridge::tell_ros(const Plan& plan) {
     node.name = endpoint.node_name;
     by_name[full_name_of(endpoint)] = &node;
   }
-  outlets_.for_each([&](std::uint64_t, const OpenOutlet& outlet) {
-    if (const auto node = by_name.find(outlet.plan.node); node != by_name.end())
-      node->second->writers.push_back(outlet.writer->guid());
-  });
-  announced_.for_each([&](const Outlet& outlet, const DdsWriter& writer) {
-    if (const auto node = by_name.find(outlet.node); node != by_name.end())
-      node->second->writers.push_back(writer.guid());
-  });
+  outward_.tell(by_name);
   for (const auto& [key, inlet] : plan.inlets) {
     const auto open = inlets_.find({key, inlet.depth, inlet.keep_all});
     if (open == inlets_.end()) continue;
@@ -923,7 +803,7 @@ void Bridge::tell_ros(const Plan& plan) {
         node->second->readers.push_back(open->second.reader->guid());
     }
   }
-  services_->tell(by_name);
+  services_.tell(by_name);
   std::vector<RosNode> list;
   for (auto& [name, node] : nodes) list.push_back(std::move(node));
   if (const auto said = ros_graph_->set_nodes(std::move(list)); !said)

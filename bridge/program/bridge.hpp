@@ -25,8 +25,7 @@
 #include <bridge/common/log.hpp>
 #include <bridge/common/status.hpp>
 #include <bridge/dds/ros_graph.hpp>
-#include <bridge/outward/announced.hpp>
-#include <bridge/outward/outlets.hpp>
+#include <bridge/outward/outward_routes.hpp>
 #include <bridge/plan/plan_pace.hpp>
 #include <bridge/plan/routes.hpp>
 #include <bridge/services/service_routes.hpp>
@@ -118,13 +117,8 @@ class Bridge {
     std::optional<ReaderKey> former_inlet;
     Time former_end;
   };
-  struct OpenTap {
-    std::size_t lane = 0;
-    GenericSubscription::SharedPtr subscription;
-    bool is_over = false;  // not planned any more; ends when no outlet needs it
-  };
-
-  Bridge(BridgeOptions options, const Log& log);
+  Bridge(BridgeOptions options, const Log& log, OutwardRoutes::Lanes lanes,
+         std::unique_ptr<DdsParticipant> participant, std::unique_ptr<RosGraph> graph);
   void watch_graph();
   /// Whether agnocastd answers, as a thread has heard it; said when it changes.
   void daemon_is(bool there, const std::string& why);
@@ -139,7 +133,6 @@ class Bridge {
   void end_changed(const Plan& plan);
   void answer_status();
   BridgeStatus look() const;
-  void end_taps();
   /// How long run() may sleep.
   std::chrono::nanoseconds tidy();
   /// Remembers what changed in DDS, for the next plan.
@@ -148,7 +141,6 @@ class Bridge {
   /// Whether all of it could be planned and made; if not, what comes of writers without a source waits for the next one.
   bool plan_and_apply(const DdsParticipant::Remotes& remotes);
   bool gives_up(Errc why);
-  void apply_outward(const Plan& plan);
   void apply_inward(const Plan& plan);
   void tell_ros(const Plan& plan);
   static void go_over(OpenSource& source, const ReaderKey& inlet, Time end);
@@ -173,20 +165,14 @@ class Bridge {
 
   const BridgeOptions options_;
   const Log& log_;
-  std::vector<std::unique_ptr<Node>> lanes_;
-  std::unique_ptr<DdsParticipant> participant_;
-  std::unique_ptr<RosGraph> ros_graph_;
-  std::unique_ptr<ServiceRoutes> services_;
-
+  const OutwardRoutes::Lanes lanes_;
+  const std::unique_ptr<DdsParticipant> participant_;
+  const std::unique_ptr<RosGraph> ros_graph_;
   MessageTypes types_;
   Refusals refusals_;
   Reaper reaper_;
-  Outlets outlets_;
-  std::set<std::uint64_t> outlet_keys_;
-  Announced announced_;
-  // Generations of the endpoints of this host that the newest plan was for.
-  std::set<std::uint64_t> planned_for_;
-  std::map<ReaderKey, OpenTap> taps_;
+  OutwardRoutes outward_;
+  ServiceRoutes services_;
   std::map<ReaderKey, OpenInlet> inlets_;
   std::unordered_map<const DdsReader*, const ReaderKey*> inlet_of_;  // keys of inlets_
   std::map<Guid, OpenSource> sources_;
@@ -219,7 +205,7 @@ class Bridge {
   enum class Daemon : std::uint8_t { unknown, there, away };
   std::atomic<Daemon> daemon_{Daemon::unknown};
   GraphSnapshot local_;
-  std::string marker_node_;  // a name that no other bridge has
+  const std::string marker_node_;  // a name that no other bridge has
   std::unique_ptr<Node> marker_lane_;
   GenericSubscription::SharedPtr marker_;
   struct NoMarker {

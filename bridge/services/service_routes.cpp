@@ -483,7 +483,7 @@ void ServiceRoutes::answer(Asked& asked, const Raw& raw) {
   dropped(log_, asking.traffic, asking.traffic.refused, asking.service, sentence_of(sent.code));
 }
 
-void ServiceRoutes::tell(const std::map<std::string, RosNode*>& nodes) const {
+void ServiceRoutes::tell(const NodesByName& nodes) const {
   const auto add = [&](const ServiceRoute& route, const DdsReader& reader,
                        const DdsWriter& writer) {
     for (const std::string& name : route.nodes) {

@@ -21,6 +21,7 @@
 #include <bridge/common/refusals.hpp>
 #include <bridge/common/traffic.hpp>
 #include <bridge/dds/participant.hpp>
+#include <bridge/dds/ros_graph.hpp>
 #include <bridge/plan/service_plan.hpp>
 #include <bridge/services/under_way.hpp>
 
@@ -94,7 +95,7 @@ class ServiceRoutes {
   /// Sends on what was taken, if it is time to look at it. When it is next; nothing is kept: never.
   std::optional<Time> send_kept(Time now);
   /// Adds endpoints in DDS to the nodes of this host that they are for.
-  void tell(const std::map<std::string, RosNode*>& nodes) const;
+  void tell(const NodesByName& nodes) const;
   /// All of them, as they are now.
   std::vector<BridgeStatus::ServiceNow> look() const;
 
