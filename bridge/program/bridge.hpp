@@ -25,6 +25,7 @@
 #include <bridge/common/log.hpp>
 #include <bridge/common/status.hpp>
 #include <bridge/dds/ros_graph.hpp>
+#include <bridge/inward/inward_routes.hpp>
 #include <bridge/outward/outward_routes.hpp>
 #include <bridge/plan/plan_pace.hpp>
 #include <bridge/plan/routes.hpp>
@@ -34,17 +35,14 @@
 #include <chrono>
 #include <condition_variable>
 #include <cstdint>
-#include <deque>
 #include <exception>
 #include <functional>
 #include <map>
 #include <memory>
 #include <mutex>
 #include <optional>
-#include <set>
 #include <string>
 #include <thread>
-#include <unordered_map>
 #include <vector>
 
 namespace agnocast::bridge {
@@ -81,41 +79,11 @@ class Bridge {
   std::optional<BridgeStatus> status(std::chrono::milliseconds patience);
 
  private:
-  struct OpenInlet {
-    std::unique_ptr<DdsReader> reader;
-    Inlet plan;
-    bool is_over = false;  // not planned any more; ends with the last source that it serves
-    std::uint64_t without_source = 0;  // messages
-  };
-  /// What a decoder hands to take(): the object is the reader's, its message is shared memory.
-  struct Received {
-    OwnedGenericMessage message;
-    std::size_t bytes = 0;
-  };
   /// Which topics, which way: what a configuration that is read again may change.
   struct Rules {
     std::vector<Rule> list;
     Direction otherwise = Direction::both;
     bool announce = true;
-  };
-  /// The publisher in the place of one remote writer.
-  struct OpenSource {
-    Source plan;
-    GenericPublisher::SharedPtr publisher;
-    Traffic traffic;
-    std::deque<Received> waiting;      // keep-all only
-    std::optional<Time> end;  // not planned any more; ends then, or when nothing waits
-                                       // any longer, after held_linger at the latest
-    std::int64_t newest_ns = 0;        // source time
-    std::size_t depth = 1;             // of the publisher; less than planned after a Limit
-    std::deque<std::size_t> history;   // of a transient-local one: bytes of what it retains
-    std::size_t history_bytes = 0;
-    ReaderKey inlet;
-    // False after it has gone over to another inlet, until that gives what is not older than what has come. Until
-    // then, or its time is over, messages come by the former one.
-    bool has_begun = true;
-    std::optional<ReaderKey> former_inlet;
-    Time former_end;
   };
   Bridge(BridgeOptions options, const Log& log, OutwardRoutes::Lanes lanes,
          std::unique_ptr<DdsParticipant> participant, std::unique_ptr<RosGraph> graph);
@@ -130,7 +98,6 @@ class Bridge {
   void stand_by();
   bool renew_local();
   bool renew_rules();
-  void end_changed(const Plan& plan);
   void answer_status();
   BridgeStatus look() const;
   /// How long run() may sleep.
@@ -141,27 +108,9 @@ class Bridge {
   /// Whether all of it could be planned and made; if not, what comes of writers without a source waits for the next one.
   bool plan_and_apply(const DdsParticipant::Remotes& remotes);
   bool gives_up(Errc why);
-  void apply_inward(const Plan& plan);
   void tell_ros(const Plan& plan);
-  static void go_over(OpenSource& source, const ReaderKey& inlet, Time end);
-  void take_from(DdsReader& reader);
-  void publish(const ReaderKey& inlet, DdsSample sample);
-  void publish_unplaced();
-  Result<GenericPublisher::SharedPtr> make_publisher(const Source& plan, std::size_t depth);
-  /// Makes room in the histories for a message of this source. False if there is none.
-  bool fit_history(OpenSource& source, std::size_t bytes);
-  void forget_history(OpenSource& source);
+  void take_from(DdsReader& inlet);
   void tell_limits();
-  template <class Condition>
-  void erase_inlets_if(Condition condition);
-  /// False if keep-all holds it up; then it is still there.
-  bool publish_now(OpenSource& source, Received& received);
-  void drop(OpenSource& source, const char* why, std::size_t messages = 1);
-  /// Whether one of them was.
-  bool publish_waiting();
-  /// When it has to look again.
-  std::optional<Time> end_sources(Time now);
-  RawDecoder decoder_of(std::shared_ptr<const BridgedType> type, const std::string& topic);
 
   const BridgeOptions options_;
   const Log& log_;
@@ -171,23 +120,14 @@ class Bridge {
   MessageTypes types_;
   Refusals refusals_;
   Reaper reaper_;
-  OutwardRoutes outward_;
-  ServiceRoutes services_;
-  std::map<ReaderKey, OpenInlet> inlets_;
-  std::unordered_map<const DdsReader*, const ReaderKey*> inlet_of_;  // keys of inlets_
-  std::map<Guid, OpenSource> sources_;
   PlanPace pace_;
+  OutwardRoutes outward_;
+  InwardRoutes inward_;
+  ServiceRoutes services_;
   bool is_cut_short_ = false;          // the newest plan: agnocastd did not answer
   std::vector<Remote> gone_writers_;   // since the newest whole plan, without a source
-  std::deque<std::pair<ReaderKey, DdsSample>> unplaced_;  // of writers that no plan knows yet, by inlet
-  std::size_t history_bytes_ = 0;      // of all sources
   std::uint64_t limits_told_ = 0;      // refusals when it was said last
   Seldom tells_limits_;
-  std::set<Guid> held_;  // writers whose sources have something waiting
-  std::size_t held_bytes_ = 0;
-  Time next_room_look_;  // at held_
-  std::chrono::nanoseconds room_interval_{0};
-  std::optional<Time> settle_at_;   // then something may have to be ended
   std::optional<Time> plan_again_;  // then, whatever happens until then
   Rules rules_;
   std::vector<Unbridged> unbridged_;          // of the newest plan
