@@ -58,9 +58,9 @@ InwardRoutes::Applied InwardRoutes::apply(const Plan& plan) {
   open_inlets(plan);
   for (const Unbridged& each : plan.unbridged) {
     if (each.why == WhyNot::too_many)
-      refusals_.note("writers of " + each.topic, "more than the " +
-                                                     std::to_string(sources_per_topic_max) +
-                                                     " that a topic has room for");
+      refusals_.note(
+          "writers of " + each.topic,
+          "more than the " + std::to_string(sources_per_topic_max) + " that a topic has room for");
   }
   settle_at_ = std::chrono::steady_clock::now();
   return applied;
@@ -85,8 +85,7 @@ void InwardRoutes::open_sources(const Plan& plan, Applied& applied) {
     // Those that linger have places still.
     std::size_t& count = counts[source.key];
     if (count >= sources_per_topic_max) {
-      refusals_.note("new writer of " + source.key.topic,
-                     "those that are gone have places still");
+      refusals_.note("new writer of " + source.key.topic, "those that are gone have places still");
       applied.again = end;
       continue;
     }
@@ -185,8 +184,7 @@ void InwardRoutes::publish_one(const ReaderKey& inlet, DdsSample sample) {
   const auto source = sources_.all().find(sample.writer);
   if (source != sources_.all().end()) {
     if (source->second.way.takes(inlet, sample.source_time_ns))
-      sources_.publish(sample.writer, source->second,
-                       *static_cast<Received*>(sample.object.get()));
+      sources_.publish(sample.writer, source->second, *static_cast<Received*>(sample.object.get()));
     return;
   }
   if (pace_.is_owed()) {

@@ -53,8 +53,8 @@ class InwardRoutes {
   /// Ends inlets that the plan has with another QoS, which cannot change while they live.
   void end_changed(const Plan& plan);
   struct Applied {
-    Errc refusal = Errc::ok;           // daemon_not_running: what is left of the plan is for later
-    std::optional<Time> again = {};    // then there may be room for what there was none for
+    Errc refusal = Errc::ok;         // daemon_not_running: what is left of the plan is for later
+    std::optional<Time> again = {};  // then there may be room for what there was none for
   };
   [[nodiscard]] Applied apply(const Plan& plan);
   /// Everything, at once.
@@ -106,7 +106,8 @@ class InwardRoutes {
   std::map<ReaderKey, OpenInlet> inlets_;
   std::unordered_map<const DdsReader*, const ReaderKey*> inlet_of_;  // keys of inlets_
   Sources sources_;
-  std::deque<std::pair<ReaderKey, DdsSample>> unplaced_;  // of writers that no plan knows yet, by inlet
+  // Of writers that no plan knows yet, by inlet.
+  std::deque<std::pair<ReaderKey, DdsSample>> unplaced_;
   std::optional<Time> settle_at_;  // then something may have to be ended
 };
 

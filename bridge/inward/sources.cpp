@@ -29,8 +29,7 @@ Result<OpenSource*> Sources::open(const Guid& writer, const Source& plan) {
 
 Result<GenericPublisher::SharedPtr> Sources::make_publisher(const Source& plan,
                                                             std::size_t depth) const {
-  return try_create_generic_publisher(node_, plan.key.topic,
-                                      types_.at(plan.key.type)->introspected,
+  return try_create_generic_publisher(node_, plan.key.topic, types_.at(plan.key.type)->introspected,
                                       qos_of(plan.qos_class, depth, plan.keep_all));
 }
 
@@ -102,10 +101,9 @@ bool Sources::fit_history(OpenSource& source, std::size_t bytes) {
 void Sources::drop(OpenSource& source, const char* why, std::size_t messages) const {
   const std::uint64_t dropped = source.traffic.refused += messages;
   if (!source.traffic.tells.now()) return;
-  log_.write(LogLevel::warning, "message not published",
-             {{"topic", source.plan.key.topic},
-              {"dropped", std::to_string(dropped)},
-              {"why", why}});
+  log_.write(
+      LogLevel::warning, "message not published",
+      {{"topic", source.plan.key.topic}, {"dropped", std::to_string(dropped)}, {"why", why}});
 }
 
 std::optional<Time> Sources::publish_waiting(Time now) {

@@ -37,8 +37,7 @@ void OutwardRoutes::begin_anew() {
 }
 
 std::optional<Time> OutwardRoutes::tidy(Time now) {
-  const std::optional<Time> next =
-      outlets_.tidy(now) ? std::optional(now + linger) : std::nullopt;
+  const std::optional<Time> next = outlets_.tidy(now) ? std::optional(now + linger) : std::nullopt;
   if (settle_at_ && *settle_at_ <= now) {
     end_taps();
     settle_at_ = next;

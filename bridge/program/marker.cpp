@@ -53,8 +53,7 @@ Marker::Role Marker::find_role(const GraphSnapshot& local) {
   if (local.incarnation == 0) return Role::unknown;  // the graph will tell
   // Without a marker, since the configuration of agnocastd does not allow it, nobody stands by for this one, as this one
   // for nobody. What else is in the way passes.
-  if (!show_oneself())
-    return refusal_->code == Errc::access_denied ? Role::active : Role::unknown;
+  if (!show_oneself()) return refusal_->code == Errc::access_denied ? Role::active : Role::unknown;
   const EndpointInfo* own = nullptr;
   const EndpointInfo* oldest = nullptr;
   for (const EndpointInfo& endpoint : local.endpoints) {

@@ -42,7 +42,8 @@ class Planner {
   struct Plans {
     Plan topics;
     ServicePlan services;
-    bool ends_all = false;  // another bridge of the domain is active now, and has what we had: nothing lingers
+    // Another bridge of the domain is active now, and has what we had: nothing lingers.
+    bool ends_all = false;
   };
   struct CarriedOut {
     bool is_whole = true;            // false: agnocastd did not answer, what is left is for later
