@@ -66,6 +66,121 @@ const char* word_of(WhyNot why) {
   return "qos";
 }
 
+Object limits_of(const BridgeStatus& status) {
+  Object list = Object::array();
+  for (const BridgeStatus::LimitNow& limit : status.limits)
+    list.push_back({{"limit", limit.name}, {"most", limit.most}, {"refused", limit.refused}});
+  return list;
+}
+
+Object outlets_of(const BridgeStatus& status, std::uint64_t now_ns) {
+  Object list = Object::array();
+  for (const BridgeStatus::OutletNow& outlet : status.outlets) {
+    Object object{{"topic", outlet.plan.tap.of.key.topic},
+                  {"type", outlet.plan.tap.of.key.type},
+                  {"node", outlet.plan.node},
+                  {"publisher_generation", outlet.publisher},
+                  {"guid", text_of(outlet.writer)},
+                  {"qos", qos_object(outlet.plan.offered, outlet.plan.depth, outlet.plan.keep_all)},
+                  {"matched", outlet.matched},
+                  {"incompatible", outlet.incompatible}};
+    add(object, outlet.traffic, now_ns);
+    list.push_back(std::move(object));
+  }
+  return list;
+}
+
+Object sources_of(const BridgeStatus& status, std::uint64_t now_ns) {
+  Object list = Object::array();
+  for (const BridgeStatus::SourceNow& source : status.sources) {
+    Object object{
+        {"topic", source.plan.key.topic},
+        {"type", source.plan.key.type},
+        {"node", source.node},
+        {"guid", text_of(source.writer)},
+        {"qos", qos_object(source.plan.qos_class, source.plan.depth, source.plan.keep_all)}};
+    add(object, source.traffic, now_ns);
+    list.push_back(std::move(object));
+  }
+  return list;
+}
+
+Object inlets_of(const BridgeStatus& status) {
+  Object list = Object::array();
+  for (const BridgeStatus::InletNow& inlet : status.inlets) {
+    list.push_back(
+        {{"topic", inlet.key.key.topic},
+         {"type", inlet.key.key.type},
+         {"nodes", inlet.plan.nodes},
+         {"guid", text_of(inlet.reader)},
+         {"qos", qos_object(inlet.plan.requested, inlet.plan.depth, inlet.plan.keep_all)},
+         {"matched", inlet.matched},
+         {"incompatible", inlet.incompatible},
+         {"malformed", inlet.malformed},
+         {"without_source", inlet.without_source},
+         {"overflow", inlet.overflow}});
+  }
+  return list;
+}
+
+Object services_of(const BridgeStatus& status, std::uint64_t now_ns) {
+  Object list = Object::array();
+  for (const BridgeStatus::ServiceNow& service : status.services) {
+    const ServiceNumbers& numbers = service.numbers;
+    list.push_back({{"service", service.key.service},
+                    {"type", service.key.type},
+                    {"direction", word_of(service.way)},
+                    {"nodes", service.nodes},
+                    {"reader_guid", text_of(service.reader)},
+                    {"writer_guid", text_of(service.writer)},
+                    {"matched_writers", service.matched_writers},
+                    {"matched_readers", service.matched_readers},
+                    {"requests", numbers.requests},
+                    {"request_bytes", numbers.request_bytes},
+                    {"responses", numbers.responses},
+                    {"response_bytes", numbers.response_bytes},
+                    {"malformed", numbers.malformed},
+                    {"refused", numbers.refused},
+                    {"timed_out", numbers.timed_out},
+                    {"forgotten", numbers.forgotten},
+                    {"unasked", numbers.unasked},
+                    {"age_ns", age(numbers.since_ns, now_ns)},
+                    {"last_age_ns", age_or_null(numbers.last_ns, now_ns)}});
+  }
+  return list;
+}
+
+Object taps_of(const BridgeStatus& status) {
+  Object list = Object::array();
+  for (const BridgeStatus::TapNow& tap : status.taps) {
+    const ReaderKey& key = tap.key;
+    list.push_back({{"topic", key.of.key.topic},
+                    {"type", key.of.key.type},
+                    {"qos", qos_object(key.of.qos_class, key.depth, key.keep_all)},
+                    {"lost", tap.lost}});
+  }
+  return list;
+}
+
+Object unbridged_of(const BridgeStatus& status) {
+  Object list = Object::array();
+  for (const Unbridged& each : status.unbridged) {
+    list.push_back({{"kind", each.is_service ? "service" : "topic"},
+                    {"topic", each.topic},
+                    {"type", each.type},
+                    {"direction", word_of(each.way)},
+                    {"why", word_of(each.why)},
+                    {"detail", each.detail}});
+  }
+  return list;
+}
+
+Object failures_of(const BridgeStatus& status) {
+  Object list = Object::array();
+  for (const auto& [what, why] : status.failures) list.push_back({{"what", what}, {"why", why}});
+  return list;
+}
+
 }  // namespace
 
 std::string text_of(const Guid& guid) {
@@ -82,86 +197,6 @@ std::string json_of(const BridgeStatus& status, std::uint64_t now_ns) {
   char version[32];
   std::snprintf(version, sizeof version, "%d.%d.%d", AGNOCAST_VERSION_MAJOR, AGNOCAST_VERSION_MINOR,
                 AGNOCAST_VERSION_PATCH);
-  Object outlets = Object::array(), sources = Object::array(), inlets = Object::array(),
-         services = Object::array(), taps = Object::array(), unbridged = Object::array(),
-         failures = Object::array();
-  Object limits = Object::array();
-  for (const BridgeStatus::LimitNow& limit : status.limits)
-    limits.push_back({{"limit", limit.name}, {"most", limit.most}, {"refused", limit.refused}});
-  for (const BridgeStatus::OutletNow& outlet : status.outlets) {
-    Object object{{"topic", outlet.plan.tap.of.key.topic},
-                  {"type", outlet.plan.tap.of.key.type},
-                  {"node", outlet.plan.node},
-                  {"publisher_generation", outlet.publisher},
-                  {"guid", text_of(outlet.writer)},
-                  {"qos", qos_object(outlet.plan.offered, outlet.plan.depth, outlet.plan.keep_all)},
-                  {"matched", outlet.matched},
-                  {"incompatible", outlet.incompatible}};
-    add(object, outlet.traffic, now_ns);
-    outlets.push_back(std::move(object));
-  }
-  for (const BridgeStatus::SourceNow& source : status.sources) {
-    Object object{
-        {"topic", source.plan.key.topic},
-        {"type", source.plan.key.type},
-        {"node", source.node},
-        {"guid", text_of(source.writer)},
-        {"qos", qos_object(source.plan.qos_class, source.plan.depth, source.plan.keep_all)}};
-    add(object, source.traffic, now_ns);
-    sources.push_back(std::move(object));
-  }
-  for (const BridgeStatus::InletNow& inlet : status.inlets) {
-    inlets.push_back(
-        {{"topic", inlet.key.key.topic},
-         {"type", inlet.key.key.type},
-         {"nodes", inlet.plan.nodes},
-         {"guid", text_of(inlet.reader)},
-         {"qos", qos_object(inlet.plan.requested, inlet.plan.depth, inlet.plan.keep_all)},
-         {"matched", inlet.matched},
-         {"incompatible", inlet.incompatible},
-         {"malformed", inlet.malformed},
-         {"without_source", inlet.without_source},
-         {"overflow", inlet.overflow}});
-  }
-  for (const BridgeStatus::ServiceNow& service : status.services) {
-    const ServiceNumbers& numbers = service.numbers;
-    services.push_back({{"service", service.key.service},
-                        {"type", service.key.type},
-                        {"direction", word_of(service.way)},
-                        {"nodes", service.nodes},
-                        {"reader_guid", text_of(service.reader)},
-                        {"writer_guid", text_of(service.writer)},
-                        {"matched_writers", service.matched_writers},
-                        {"matched_readers", service.matched_readers},
-                        {"requests", numbers.requests},
-                        {"request_bytes", numbers.request_bytes},
-                        {"responses", numbers.responses},
-                        {"response_bytes", numbers.response_bytes},
-                        {"malformed", numbers.malformed},
-                        {"refused", numbers.refused},
-                        {"timed_out", numbers.timed_out},
-                        {"forgotten", numbers.forgotten},
-                        {"unasked", numbers.unasked},
-                        {"age_ns", age(numbers.since_ns, now_ns)},
-                        {"last_age_ns", age_or_null(numbers.last_ns, now_ns)}});
-  }
-  for (const BridgeStatus::TapNow& tap : status.taps) {
-    const ReaderKey& key = tap.key;
-    taps.push_back({{"topic", key.of.key.topic},
-                    {"type", key.of.key.type},
-                    {"qos", qos_object(key.of.qos_class, key.depth, key.keep_all)},
-                    {"lost", tap.lost}});
-  }
-  for (const Unbridged& each : status.unbridged) {
-    unbridged.push_back({{"kind", each.is_service ? "service" : "topic"},
-                         {"topic", each.topic},
-                         {"type", each.type},
-                         {"direction", word_of(each.way)},
-                         {"why", word_of(each.why)},
-                         {"detail", each.detail}});
-  }
-  for (const auto& [what, why] : status.failures)
-    failures.push_back({{"what", what}, {"why", why}});
   const Object object{
       {"schema", "agnocast.bridge-status/1"},
       {"version", version},
@@ -175,14 +210,14 @@ std::string json_of(const BridgeStatus& status, std::uint64_t now_ns) {
       {"announced", status.announced},
       {"lost_early", status.lost_early},
       {"discovery_info_refused", status.discovery_info_refused},
-      {"limits", std::move(limits)},
-      {"outlets", std::move(outlets)},
-      {"sources", std::move(sources)},
-      {"taps", std::move(taps)},
-      {"inlets", std::move(inlets)},
-      {"services", std::move(services)},
-      {"unbridged", std::move(unbridged)},
-      {"failures", std::move(failures)}};
+      {"limits", limits_of(status)},
+      {"outlets", outlets_of(status, now_ns)},
+      {"sources", sources_of(status, now_ns)},
+      {"taps", taps_of(status)},
+      {"inlets", inlets_of(status)},
+      {"services", services_of(status, now_ns)},
+      {"unbridged", unbridged_of(status)},
+      {"failures", failures_of(status)}};
   return object.dump(-1, ' ', false, Object::error_handler_t::replace) + '\n';
 }
 

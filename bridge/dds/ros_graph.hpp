@@ -36,6 +36,9 @@ struct RosNode {
   bool operator==(const RosNode&) const = default;
 };
 
+/// Nodes of this host, by their full names.
+using NodesByName = std::map<std::string, RosNode*>;
+
 /// What one participant says, as one message.
 struct RosEntities {
   Guid participant;

@@ -4,6 +4,7 @@
 
 #include <bridge/dds/names.hpp>
 
+#include <string>
 #include <utility>
 
 namespace agnocast::bridge {
@@ -46,14 +47,14 @@ std::unique_ptr<DdsWriter> Announced::take_over(std::uint64_t publisher) {
   return writer;
 }
 
-void Announced::open(const Plan& plan, DdsParticipant& participant, const Refused& refused) {
+void Announced::open(const Plan& plan, DdsParticipant& participant, Refusals& refusals) {
   for (const auto& [publisher, outlet] : plan.announced) {
     if (writers_.contains(publisher)) continue;
     auto writer = create_writer_of(participant, outlet);
     if (writer)
       writers_[publisher] = {outlet, std::move(*writer)};
     else
-      refused("writer of " + outlet.tap.of.key.topic, writer.error().text());
+      refusals.note("writer of " + outlet.tap.of.key.topic, writer.error().text());
   }
 }
 

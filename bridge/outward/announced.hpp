@@ -11,15 +11,14 @@
 #pragma once
 
 #include <bridge/common/reaper.hpp>
+#include <bridge/common/refusals.hpp>
 #include <bridge/dds/participant.hpp>
 #include <bridge/plan/routes.hpp>
 
 #include <cstddef>
 #include <cstdint>
-#include <functional>
 #include <map>
 #include <memory>
-#include <string>
 
 namespace agnocast::bridge {
 
@@ -29,7 +28,6 @@ namespace agnocast::bridge {
 
 class Announced {
  public:
-  using Refused = std::function<void(const std::string& what, const std::string& why)>;
   /// `reaper` ends the writers, and must outlive it.
   explicit Announced(Reaper& reaper) : reaper_(reaper) {}
 
@@ -37,8 +35,8 @@ class Announced {
   void end_others(const Plan& plan);
   /// Returns the writer of this publisher, which is not announced any longer; null if there is none.
   std::unique_ptr<DdsWriter> take_over(std::uint64_t publisher);
-  /// Makes the writers that the plan has and that are not there. `refused` is told what could not be made.
-  void open(const Plan& plan, DdsParticipant& participant, const Refused& refused);
+  /// Makes the writers that the plan has and that are not there.
+  void open(const Plan& plan, DdsParticipant& participant, Refusals& refusals);
   void clear();
 
   std::size_t size() const noexcept { return writers_.size(); }

@@ -3,6 +3,7 @@
 #include <bridge/outward/outlets.hpp>
 
 #include <algorithm>
+#include <chrono>
 #include <exception>
 #include <string>
 #include <utility>

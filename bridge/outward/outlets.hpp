@@ -16,18 +16,17 @@
 #pragma once
 
 #include <agnocast/generic.hpp>
-#include <base/clock.hpp>
 #include <bridge/cdr/cdr.hpp>
+#include <bridge/common/linger.hpp>
 #include <bridge/common/log.hpp>
+#include <bridge/common/message_types.hpp>
 #include <bridge/common/reaper.hpp>
-#include <bridge/common/status.hpp>
+#include <bridge/common/traffic.hpp>
 #include <bridge/common/worker.hpp>
 #include <bridge/dds/participant.hpp>
 #include <bridge/plan/routes.hpp>
 
-#include <algorithm>
 #include <atomic>
-#include <chrono>
 #include <cstdint>
 #include <deque>
 #include <functional>
@@ -38,40 +37,6 @@
 #include <utility>
 
 namespace agnocast::bridge {
-
-/// A message type, ready for both directions.
-struct BridgedType {
-  IntrospectedType introspected;
-  CdrType cdr;
-};
-
-/// One direction of one endpoint, since it exists. Any thread.
-struct Traffic {
-  std::atomic<std::uint64_t> messages{0};
-  std::atomic<std::uint64_t> bytes{0};           // as DDS carries them
-  std::atomic<std::uint64_t> unacknowledged{0};  // given up: a reader in DDS does not acknowledge
-  std::atomic<std::uint64_t> refused{0};         // not written or not published; the log says why
-  std::atomic<std::uint64_t> last_ns{0};         // of the newest message, monotonic
-  const std::uint64_t since_ns = monotonic_ns();
-  Seldom tells;  // the log
-
-  void count(std::size_t message_bytes) noexcept {
-    ++messages;
-    bytes += message_bytes;
-    last_ns = monotonic_ns();
-  }
-  TrafficNumbers numbers() const noexcept {
-    return {messages, bytes, unacknowledged, refused, since_ns, last_ns};
-  }
-};
-
-/// What may be held in all, as CDR, for publishers that are not known yet, and of what keep-all holds up: two seconds of
-/// a gigabit link, which is more than a history of ten point clouds. What is beyond is dropped and counted. A message
-/// counts as a KiB at least, which is what the holding costs.
-inline constexpr std::size_t held_bytes_max = std::size_t{256} << 20;
-inline std::size_t held_bytes_of(std::size_t bytes) noexcept {
-  return std::max<std::size_t>(bytes, 1024);
-}
 
 struct OpenOutlet {
   Outlet plan;
@@ -120,10 +85,6 @@ class Outlets {
   /// Everything, also what waits: generations mean others from now on.
   void close_all();
 
-  using Time = std::chrono::steady_clock::time_point;
-  static constexpr std::chrono::seconds linger{1};
-  /// Longer, while keep-all holds up what is still to be written: DDS's usual lease, after which a dead reader owes nothing.
-  static constexpr std::chrono::seconds held_linger{10};
   /// The publisher is gone: its outlet is closed by tidy() when its time is over.
   void close_later(std::uint64_t publisher, Time now);
   /// Ends what has had its time: outlets of those that are gone, and messages of publishers that nobody has told of.

@@ -329,6 +329,14 @@ DdsQos dds_qos_of(const QosClass& qos_class, std::size_t depth, bool keep_all) {
   return qos;
 }
 
+QoS qos_of(const QosClass& qos_class, std::size_t depth, bool keep_all) {
+  QoS qos(depth);
+  if (keep_all) qos.keep_all(depth);
+  if (!qos_class.reliable) qos.best_effort();
+  if (qos_class.transient_local) qos.transient_local();
+  return qos;
+}
+
 std::string full_name_of(const EndpointInfo& endpoint) {
   return (endpoint.node_namespace == "/" ? "" : endpoint.node_namespace) + '/' + endpoint.node_name;
 }

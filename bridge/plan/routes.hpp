@@ -33,6 +33,7 @@
 
 #include <agnocast/abi/limits.hpp>
 #include <agnocast/graph.hpp>
+#include <agnocast/qos.hpp>
 #include <bridge/dds/names.hpp>
 #include <bridge/dds/participant.hpp>
 #include <bridge/plan/rules.hpp>
@@ -132,6 +133,7 @@ struct Unbridged {
 };
 
 DdsQos dds_qos_of(const QosClass& qos_class, std::size_t depth, bool keep_all);
+QoS qos_of(const QosClass& qos_class, std::size_t depth, bool keep_all);
 
 struct Plan {
   std::map<std::uint64_t, Outlet> outlets;  ///< by generation of the publisher

@@ -1,51 +1,45 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Bridge: carries out what routes.hpp plans, and moves messages.
+// Bridge: what agnocast-bridge is made of, and the loop that turns it.
 //
-//   graph thread     sleeps until endpoints of this host change ──────────┐
-//   run()            sleeps until DDS or the graph has something: plans,  ◀┘  makes and ends endpoints;
-//                    takes what inlets received, publishes it by the sources
-//   lanes            (nodes' threads, the library's) taps' messages ──▶ writers of their outlets; a topic's
-//                    large messages hold up the other topics of its lane only
-//   Cyclone's        fragments ──▶ messages in the shared heap (decoders of the inlets)
+//   watch thread     sleeps until endpoints of this host change ──────────┐
+//   run()            sleeps until DDS or the graph has something: plans,  ◀┘  has the routes make and end endpoints;
+//                    has what inlets received published
+//   lanes            (nodes' threads, the library's) outward_routes.hpp
+//   Cyclone's        inward_routes.hpp
 //
-// Outward a message is written from shared memory straight into the DDS sample, inward it is read from the
-// fragments straight into shared memory. Idle, none of our threads wakes.
+//   HostWatch, Marker ──▶ Planner ──▶ OutwardRoutes, InwardRoutes, ServiceRoutes ──▶ DiscoveryInfo, StatusCollector
 //
-// What goes wrong with one message or one endpoint is counted and logged, and the others go on. A message that
-// keep-all holds up (a subscription of this host has not read enough) waits here for its turn, within bounds.
-//
-// Two bridges of one domain at one daemon would double every message. So each has an endpoint that the others see, the
-// marker, before anything else, and has routes only if no older marker is there: a snapshot with its own has all that are older.
+// Idle, none of our threads wakes. What goes wrong with one message or one endpoint is counted and logged, and the others
+// go on.
 #pragma once
 
-#include <agnocast/agnocast.hpp>
-#include <agnocast/generic.hpp>
-#include <agnocast/graph.hpp>
+#include <bridge/common/linger.hpp>
 #include <bridge/common/log.hpp>
+#include <bridge/common/message_types.hpp>
+#include <bridge/common/reaper.hpp>
+#include <bridge/common/refusals.hpp>
 #include <bridge/common/status.hpp>
+#include <bridge/dds/participant.hpp>
 #include <bridge/dds/ros_graph.hpp>
-#include <bridge/outward/announced.hpp>
-#include <bridge/outward/outlets.hpp>
+#include <bridge/inward/inward_routes.hpp>
+#include <bridge/outward/outward_routes.hpp>
 #include <bridge/plan/plan_pace.hpp>
 #include <bridge/plan/routes.hpp>
+#include <bridge/program/discovery_info.hpp>
+#include <bridge/program/host_watch.hpp>
+#include <bridge/program/limits_log.hpp>
+#include <bridge/program/marker.hpp>
+#include <bridge/program/planner.hpp>
+#include <bridge/program/status_collector.hpp>
 #include <bridge/services/service_routes.hpp>
 
-#include <atomic>
 #include <chrono>
-#include <condition_variable>
 #include <cstdint>
-#include <deque>
-#include <exception>
 #include <functional>
-#include <map>
 #include <memory>
-#include <mutex>
 #include <optional>
-#include <set>
 #include <string>
-#include <thread>
-#include <unordered_map>
 #include <vector>
 
 namespace agnocast::bridge {
@@ -82,167 +76,36 @@ class Bridge {
   std::optional<BridgeStatus> status(std::chrono::milliseconds patience);
 
  private:
-  struct OpenInlet {
-    std::unique_ptr<DdsReader> reader;
-    Inlet plan;
-    bool is_over = false;  // not planned any more; ends with the last source that it serves
-    std::uint64_t without_source = 0;  // messages
-  };
-  /// What a decoder hands to take(): the object is the reader's, its message is shared memory.
-  struct Received {
-    OwnedGenericMessage message;
-    std::size_t bytes = 0;
-  };
-  /// Which topics, which way: what a configuration that is read again may change.
-  struct Rules {
-    std::vector<Rule> list;
-    Direction otherwise = Direction::both;
-    bool announce = true;
-  };
-  /// The publisher in the place of one remote writer.
-  struct OpenSource {
-    Source plan;
-    GenericPublisher::SharedPtr publisher;
-    Traffic traffic;
-    std::deque<Received> waiting;      // keep-all only
-    std::optional<Outlets::Time> end;  // not planned any more; ends then, or when nothing waits
-                                       // any longer, after Outlets::held_linger at the latest
-    std::int64_t newest_ns = 0;        // source time
-    std::size_t depth = 1;             // of the publisher; less than planned after a Limit
-    std::deque<std::size_t> history;   // of a transient-local one: bytes of what it retains
-    std::size_t history_bytes = 0;
-    ReaderKey inlet;
-    // False after it has gone over to another inlet, until that gives what is not older than what has come. Until
-    // then, or its time is over, messages come by the former one.
-    bool has_begun = true;
-    std::optional<ReaderKey> former_inlet;
-    Outlets::Time former_end;
-  };
-  struct OpenTap {
-    std::size_t lane = 0;
-    GenericSubscription::SharedPtr subscription;
-    bool is_over = false;  // not planned any more; ends when no outlet needs it
-  };
-
-  Bridge(BridgeOptions options, const Log& log);
-  void watch_graph();
-  /// Whether agnocastd answers, as a thread has heard it; said when it changes.
-  void daemon_is(bool there, const std::string& why);
-  /// What all bridges of this domain can see of this one; false if it is not there yet.
-  bool show_oneself();
-  /// What is planned: nothing while another bridge of the domain was here first.
-  enum class Role : std::uint8_t { unknown, active, standby };
-  Role find_role();
-  void stand_by();
+  Bridge(BridgeOptions options, const Log& log, OutwardRoutes::Lanes lanes,
+         std::unique_ptr<DdsParticipant> participant, std::unique_ptr<RosGraph> graph);
+  /// What a turn of run() does with what it was woken for.
+  void move(const DdsParticipant::Ready& ready);
+  /// Whether there is something new on this host.
   bool renew_local();
-  bool renew_rules();
-  void end_changed(const Plan& plan);
-  void answer_status();
-  BridgeStatus look() const;
-  void end_taps();
+  void take_from(DdsReader& inlet);
+  void plan();
+  Planner::CarriedOut carry_out(const Planner::Plans& plans);
   /// How long run() may sleep.
   std::chrono::nanoseconds tidy();
-  /// Remembers what changed in DDS, for the next plan.
-  void note(const std::vector<RemoteChange>& changes);
-  void look_around();
-  /// Whether all of it could be planned and made; if not, what comes of writers without a source waits for the next one.
-  bool plan_and_apply(const DdsParticipant::Remotes& remotes);
-  bool gives_up(Errc why);
-  void apply_outward(const Plan& plan);
-  void apply_inward(const Plan& plan);
-  void tell_ros(const Plan& plan);
-  static void go_over(OpenSource& source, const ReaderKey& inlet, Outlets::Time end);
-  void take_from(DdsReader& reader);
-  void publish(const ReaderKey& inlet, DdsSample sample);
-  void publish_unplaced();
-  Result<GenericPublisher::SharedPtr> make_publisher(const Source& plan, std::size_t depth);
-  /// Makes room in the histories for a message of this source. False if there is none.
-  bool fit_history(OpenSource& source, std::size_t bytes);
-  void forget_history(OpenSource& source);
-  void tell_limits();
-  template <class Condition>
-  void erase_inlets_if(Condition condition);
-  /// False if keep-all holds it up; then it is still there.
-  bool publish_now(OpenSource& source, Received& received);
-  void drop(OpenSource& source, const char* why, std::size_t messages = 1);
-  /// Whether one of them was.
-  bool publish_waiting();
-  /// When it has to look again.
-  std::optional<Outlets::Time> end_sources(Outlets::Time now);
-  RawDecoder decoder_of(std::shared_ptr<const BridgedType> type, const std::string& topic);
-  std::optional<std::string> problem_of(const std::string& type);
-  /// Something could not be made; said once until it changes.
-  void refused(const std::string& what, const std::string& why);
 
-  const BridgeOptions options_;
-  const Log& log_;
-  std::vector<std::unique_ptr<Node>> lanes_;
-  std::unique_ptr<DdsParticipant> participant_;
-  std::unique_ptr<RosGraph> ros_graph_;
-  std::unique_ptr<ServiceRoutes> services_;
-
-  std::map<std::string, std::shared_ptr<const BridgedType>> types_;
-  struct Missing {
-    std::string why;
-    Outlets::Time since;
-  };
-  std::map<std::string, Missing> missing_types_;
+  const std::chrono::nanoseconds alive_interval_;
+  const std::function<void()> alive_;
+  const OutwardRoutes::Lanes lanes_;
+  const std::unique_ptr<DdsParticipant> participant_;
+  const std::unique_ptr<RosGraph> ros_graph_;
+  MessageTypes types_;
+  Refusals refusals_;
   Reaper reaper_;
-  Outlets outlets_;
-  std::set<std::uint64_t> outlet_keys_;
-  Announced announced_;
-  // Generations of the endpoints of this host that the newest plan was for.
-  std::set<std::uint64_t> planned_for_;
-  std::map<ReaderKey, OpenTap> taps_;
-  std::map<ReaderKey, OpenInlet> inlets_;
-  std::unordered_map<const DdsReader*, const ReaderKey*> inlet_of_;  // keys of inlets_
-  std::map<Guid, OpenSource> sources_;
   PlanPace pace_;
-  bool is_cut_short_ = false;          // the newest plan: agnocastd did not answer
-  std::vector<Remote> gone_writers_;   // since the newest whole plan, without a source
-  std::deque<std::pair<ReaderKey, DdsSample>> unplaced_;  // of writers that no plan knows yet, by inlet
-  std::size_t history_bytes_ = 0;      // of all sources
-  std::uint64_t limits_told_ = 0;      // refusals when it was said last
-  Seldom tells_limits_;
-  std::set<Guid> held_;  // writers whose sources have something waiting
-  std::size_t held_bytes_ = 0;
-  Outlets::Time next_room_look_;  // at held_
-  std::chrono::nanoseconds room_interval_{0};
-  std::optional<Outlets::Time> settle_at_;   // then something may have to be ended
-  std::optional<Outlets::Time> plan_again_;  // then, whatever happens until then
-  std::map<std::string, std::string> refusals_,
-      former_refusals_;  // of this plan, of the one before
-  Rules rules_;
-  std::vector<Unbridged> unbridged_;          // of the newest plan
-  std::uint64_t discovery_info_refused_ = 0;  // when it was said last
-  Seldom tells_discovery_info_;
-  const std::uint64_t since_ns_ = monotonic_ns();
-
-  Graph graph_;
-  std::mutex mutex_;                     // of the next four
-  std::optional<GraphSnapshot> latest_;  // not looked at yet
-  std::optional<Rules> next_rules_;      // not in force yet
-  bool is_asked_ = false;                // for the status
-  std::optional<BridgeStatus> answer_;
-  std::condition_variable answered_;
-  enum class Daemon : std::uint8_t { unknown, there, away };
-  std::atomic<Daemon> daemon_{Daemon::unknown};
-  GraphSnapshot local_;
-  std::string marker_node_;  // a name that no other bridge has
-  std::unique_ptr<Node> marker_lane_;
-  GenericSubscription::SharedPtr marker_;
-  struct NoMarker {
-    Errc code;
-    std::string why;
-  };
-  std::optional<NoMarker> no_marker_;         // why there is none
-  std::optional<std::uint32_t> standby_for_;  // the pid of the bridge that is active
-  std::atomic<bool> stops_{false};
-  std::mutex pause_mutex_;
-  std::condition_variable paused_;
-  std::atomic<bool> is_revoked_{false};
-  std::exception_ptr failed_;  // graph_thread_, which has ended
-  std::thread graph_thread_;
+  OutwardRoutes outward_;
+  InwardRoutes inward_;
+  ServiceRoutes services_;
+  HostWatch watch_;
+  Marker marker_;
+  Planner planner_;
+  DiscoveryInfo discovery_info_;
+  LimitsLog limits_log_;
+  StatusCollector status_;
 };
 
 }  // namespace agnocast::bridge

@@ -4,14 +4,10 @@
 
 #include <agnocast/topic_pattern.hpp>
 #include <bridge/dds/names.hpp>
+#include <config/mistakes.hpp>
+#include <config/toml_file.hpp>
 
-#include <toml++/toml.h>
-
-#include <algorithm>
-#include <cerrno>
 #include <cstring>
-#include <fstream>
-#include <iterator>
 #include <string_view>
 #include <utility>
 
@@ -73,7 +69,7 @@ std::string known_below(std::string_view prefix) {
 
 class Reader {
  public:
-  explicit Reader(std::string file) : file_(std::move(file)) {}
+  explicit Reader(const std::string& file) : mistakes_(file) {}
 
   tl::expected<Config, std::vector<ConfigError>> read(const toml::table& root) {
     for (const auto& [key, node] : root) {
@@ -100,23 +96,14 @@ class Reader {
         report(key.source(), name, "unknown key", known_below(""));
       }
     }
-    if (errors_.empty()) return std::move(config_);
-    // Keys of a table come in the order of the alphabet.
-    std::stable_sort(errors_.begin(), errors_.end(), [](const auto& a, const auto& b) {
-      return std::pair(a.first.line, a.first.column) < std::pair(b.first.line, b.first.column);
-    });
-    std::vector<ConfigError> errors;
-    for (auto& [place, error] : errors_) errors.push_back(std::move(error));
-    return tl::unexpected(std::move(errors));
+    if (mistakes_.count() == 0) return std::move(config_);
+    return tl::unexpected(mistakes_.take());
   }
 
  private:
   void report(const toml::source_region& place, std::string_view key, std::string what,
               std::string remedy) {
-    errors_.emplace_back(
-        place.begin, ConfigError{file_ + ':' + std::to_string(place.begin.line) + ':' +
-                                     std::to_string(place.begin.column) + ": " + std::string(key),
-                                 std::move(what), std::move(remedy)});
+    mistakes_.report(place.begin, std::string(key), std::move(what), std::move(remedy));
   }
 
   void read_domain(const toml::node& node) {
@@ -258,9 +245,8 @@ class Reader {
              R"(write type = "nav_msgs/msg/OccupancyGrid", or direction = "out")");
   }
 
-  std::string file_;
   Config config_;
-  std::vector<std::pair<toml::source_position, ConfigError>> errors_;
+  config::Mistakes mistakes_;
 };
 
 }  // namespace
@@ -269,24 +255,17 @@ std::span<const ConfigKey> config_keys() noexcept { return keys; }
 
 tl::expected<Config, std::vector<ConfigError>> parse_config(const std::string& text,
                                                             const std::string& name) {
-  try {
-    return Reader(name).read(toml::parse(text, name));
-  } catch (const toml::parse_error& error) {
-    return tl::unexpected(
-        std::vector<ConfigError>{{name + ':' + std::to_string(error.source().begin.line) + ':' +
-                                      std::to_string(error.source().begin.column),
-                                  std::string(error.description()), "write it as TOML"}});
-  }
+  auto table = config::parse_toml(text, name, "write it as TOML");
+  if (table) return Reader(name).read(*table);
+  return tl::unexpected(std::vector<ConfigError>{std::move(table.error())});
 }
 
 tl::expected<Config, std::vector<ConfigError>> load_config(const std::string& path) {
-  std::ifstream file(path);
-  (void)file.peek();  // a directory can be opened, not read; a file may be empty
-  if (!file.is_open() || file.bad())
-    return tl::unexpected(std::vector<ConfigError>{
-        {path, std::string("it cannot be read: ") + std::strerror(errno), "ls -l " + path}});
-  file.clear();
-  return parse_config({std::istreambuf_iterator<char>(file), {}}, path);
+  const auto text = config::read_file(path);
+  if (text) return parse_config(*text, path);
+  return tl::unexpected(std::vector<ConfigError>{
+      {path, 0, 0, "", std::string("it cannot be read: ") + std::strerror(text.error()),
+       "ls -l " + path}});
 }
 
 }  // namespace agnocast::bridge

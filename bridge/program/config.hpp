@@ -15,6 +15,7 @@
 
 #include <base/log.hpp>
 #include <bridge/program/bridge.hpp>
+#include <config/mistake.hpp>
 
 #include <tl/expected.hpp>
 
@@ -26,11 +27,7 @@
 
 namespace agnocast::bridge {
 
-struct ConfigError {
-  std::string where;  ///< "bridge.toml:3:1: topic.name"
-  std::string what;
-  std::string remedy;
-};
+using ConfigError = config::Mistake;
 /// For the manual page and the example.
 struct ConfigKey {
   std::string_view name;

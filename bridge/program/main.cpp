@@ -117,7 +117,7 @@ tl::expected<Config, std::vector<ConfigError>> configuration(const Options& opti
       const unsigned long domain = std::strtoul(text, &end, 10);
       if (*end != '\0' || domain > domain_max)
         return tl::unexpected(
-            std::vector<ConfigError>{{"ROS_DOMAIN_ID", in_quotes(text) + " is no domain",
+            std::vector<ConfigError>{{"ROS_DOMAIN_ID", 0, 0, "", in_quotes(text) + " is no domain",
                                       "ROS_DOMAIN_ID=0 agnocast-bridge"}});
       config.domain = static_cast<std::uint32_t>(domain);
     }
@@ -132,7 +132,7 @@ void read_again(const Options& options, const BridgeOptions& before, Bridge& bri
   if (!config) {
     for (const ConfigError& error : config.error())
       log.write(LogLevel::warning, "configuration not taken over",
-                {{"where", error.where}, {"why", error.what}, {"remedy", error.remedy}});
+                {{"where", error.where()}, {"why", error.what}, {"remedy", error.remedy}});
     return;
   }
   if (config->bridge.domain != before.domain || config->bridge.speak != before.speak ||
@@ -149,7 +149,7 @@ int run(const Options& options) {
   auto config = configuration(options);
   if (!config) {
     for (const ConfigError& error : config.error())
-      complain(error.where + ": " + error.what, error.remedy);
+      complain(error.where() + ": " + error.what, error.remedy);
     return 1;
   }
   if (options.check_config) {

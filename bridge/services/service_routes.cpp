@@ -85,7 +85,7 @@ void ServiceRoutes::dropped(const Log& log, ServiceTraffic& traffic,
               {{"service", service}, {"dropped", std::to_string(count)}, {"why", why}});
 }
 
-Errc ServiceRoutes::apply(const ServicePlan& plan, const TypeOf& type_of) {
+Errc ServiceRoutes::apply(const ServicePlan& plan) {
   std::erase_if(served_, [&](const auto& route) {
     if (plan.served.contains(route.first)) return false;
     served_by_.erase(route.second.requests.get());
@@ -104,7 +104,7 @@ Errc ServiceRoutes::apply(const ServicePlan& plan, const TypeOf& type_of) {
     return true;
   });
   const auto type_of_service = [&](const ServiceKey& key) {
-    return BridgedService{type_of(key.type + "_Request"), type_of(key.type + "_Response")};
+    return BridgedService{types_.at(key.type + "_Request"), types_.at(key.type + "_Response")};
   };
   refusal_ = Errc::ok;
   for (const auto& [key, route] : plan.served) {
@@ -128,7 +128,7 @@ Errc ServiceRoutes::apply(const ServicePlan& plan, const TypeOf& type_of) {
 }
 
 void ServiceRoutes::refuse(const std::string& what, const Failure& why) {
-  refused_(what, text_of(why));
+  refusals_.note(what, text_of(why));
   refusal_ = why.code;
 }
 
@@ -167,7 +167,7 @@ void ServiceRoutes::serve(const ServiceKey& key, const ServiceRoute& route,
   auto client = try_create_generic_client(node_, key.service, type.introspected(), service_qos());
   if (!client) return refuse("client of " + key.service, client.error());
   auto ends = make_ends(key, ServiceRole::server);
-  if (!ends) return refused_("server of " + key.service + " in DDS", ends.error().text());
+  if (!ends) return refusals_.note("server of " + key.service + " in DDS", ends.error().text());
   Served& served = served_[key];
   served.plan = route;
   served.answering = std::make_shared<Answering>();
@@ -182,7 +182,7 @@ void ServiceRoutes::serve(const ServiceKey& key, const ServiceRoute& route,
 void ServiceRoutes::ask(const ServiceKey& key, const ServiceRoute& route,
                         const BridgedService& type) {
   auto ends = make_ends(key, ServiceRole::client);
-  if (!ends) return refused_("client of " + key.service + " in DDS", ends.error().text());
+  if (!ends) return refusals_.note("client of " + key.service + " in DDS", ends.error().text());
   auto asking = std::make_shared<Asking>();
   asking->type = type;
   asking->requests = std::move(ends->writer);
@@ -290,7 +290,7 @@ void ServiceRoutes::take_responses(Asked& asked) {
   }
 }
 
-std::optional<ServiceRoutes::Time> ServiceRoutes::send_kept(Time now) {
+std::optional<Time> ServiceRoutes::send_kept(Time now) {
   std::optional<Time> next;
   std::erase_if(keeping_, [&](const ServiceKey& key) {
     Served& served = served_.at(key);
@@ -483,7 +483,7 @@ void ServiceRoutes::answer(Asked& asked, const Raw& raw) {
   dropped(log_, asking.traffic, asking.traffic.refused, asking.service, sentence_of(sent.code));
 }
 
-void ServiceRoutes::tell(const std::map<std::string, RosNode*>& nodes) const {
+void ServiceRoutes::tell(const NodesByName& nodes) const {
   const auto add = [&](const ServiceRoute& route, const DdsReader& reader,
                        const DdsWriter& writer) {
     for (const std::string& name : route.nodes) {

@@ -15,7 +15,13 @@
 
 #include <agnocast/agnocast.hpp>
 #include <agnocast/generic_service.hpp>
-#include <bridge/outward/outlets.hpp>
+#include <bridge/common/linger.hpp>
+#include <bridge/common/message_types.hpp>
+#include <bridge/common/reaper.hpp>
+#include <bridge/common/refusals.hpp>
+#include <bridge/common/traffic.hpp>
+#include <bridge/dds/participant.hpp>
+#include <bridge/dds/ros_graph.hpp>
 #include <bridge/plan/service_plan.hpp>
 #include <bridge/services/under_way.hpp>
 
@@ -24,7 +30,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <deque>
-#include <functional>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -73,33 +78,30 @@ struct ServiceTraffic {
 
 class ServiceRoutes {
  public:
-  using TypeOf = std::function<std::shared_ptr<const BridgedType>(const std::string& type)>;
-  using Refused = std::function<void(const std::string& what, const std::string& why)>;
-  /// All must outlive it; `reaper` ends writers, `refused` is told what could not be made.
-  ServiceRoutes(DdsParticipant& participant, Node& node, const Log& log, Reaper& reaper,
-                Refused refused)
+  /// All must outlive it; `reaper` ends writers, `types` knows the halves of every planned type.
+  ServiceRoutes(DdsParticipant& participant, Node& node, const MessageTypes& types, const Log& log,
+                Reaper& reaper, Refusals& refusals)
       : participant_(participant),
         node_(node),
+        types_(types),
         log_(log),
         reaper_(reaper),
-        refused_(std::move(refused)) {}
+        refusals_(refusals) {}
 
-  /// `type_of` knows the halves of every type in the plan. daemon_not_running: what is left of the plan is for later.
-  [[nodiscard]] Errc apply(const ServicePlan& plan, const TypeOf& type_of);
+  /// daemon_not_running: what is left of the plan is for later.
+  [[nodiscard]] Errc apply(const ServicePlan& plan);
   /// Takes what those readers have that are its own.
   void move(std::span<DdsReader* const> ready);
   /// Sends on what was taken, if it is time to look at it. When it is next; nothing is kept: never.
-  std::optional<std::chrono::steady_clock::time_point> send_kept(
-      std::chrono::steady_clock::time_point now);
+  std::optional<Time> send_kept(Time now);
   /// Adds endpoints in DDS to the nodes of this host that they are for.
-  void tell(const std::map<std::string, RosNode*>& nodes) const;
+  void tell(const NodesByName& nodes) const;
   /// All of them, as they are now.
   std::vector<BridgeStatus::ServiceNow> look() const;
 
   std::size_t size() const noexcept { return served_.size() + asked_.size(); }
 
  private:
-  using Time = std::chrono::steady_clock::time_point;
   struct Raw {
     std::vector<std::byte> bytes;
   };
@@ -190,9 +192,10 @@ class ServiceRoutes {
 
   DdsParticipant& participant_;
   Node& node_;
+  const MessageTypes& types_;
   const Log& log_;
   Reaper& reaper_;
-  const Refused refused_;
+  Refusals& refusals_;
   std::map<ServiceKey, Served> served_;
   std::map<ServiceKey, Asked> asked_;
   std::set<ServiceKey> keeping_;  // of served_, those that keep requests

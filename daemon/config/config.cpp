@@ -2,18 +2,15 @@
 
 #include <agnocast/topic_pattern.hpp>
 #include <base/text.hpp>
-#include <base/unique_fd.hpp>
+#include <config/mistakes.hpp>
+#include <config/toml_file.hpp>
 #include <daemon/config/config_keys.hpp>
 #include <daemon/state/hold_pool.hpp>
 
-#include <toml++/toml.h>
-
-#include <fcntl.h>
 #include <grp.h>
 #include <pwd.h>
 
 #include <algorithm>
-#include <array>
 #include <cerrno>
 #include <charconv>
 #include <cstring>
@@ -26,7 +23,6 @@ using config_keys::Key;
 using config_keys::Kind;
 
 constexpr std::uint64_t domain_count = std::uint64_t{1} << 32;  // ROS_DOMAIN_ID, with room
-constexpr std::size_t file_bytes_max = 1 << 20;                 // anything longer is not ours
 
 constexpr std::string_view sections[] = {"daemon", "heap", "limits", "quota", "access"};
 constexpr std::string_view access_keys[] = {"topic", "domain", "publish", "subscribe"};
@@ -65,25 +61,20 @@ std::string_view type_name(toml::node_type type) {
 
 class Reader {
  public:
-  Reader(const std::string& file, const NameLookup& names) : file_(file), names_(names) {}
+  Reader(const std::string& file, const NameLookup& names) : mistakes_(file), names_(names) {}
 
   ConfigResult read(const toml::table& root) {
     for (const auto& [key, node] : root) read_section(key, node);
-    if (errors_.empty()) check_together();
-    if (errors_.empty()) return std::move(config_);
-    std::stable_sort(errors_.begin(), errors_.end(), [](const auto& a, const auto& b) {
-      return std::pair(a.line, a.column) < std::pair(b.line, b.column);
-    });
-    return tl::unexpected(std::move(errors_));
+    if (mistakes_.count() == 0) check_together();
+    if (mistakes_.count() == 0) return std::move(config_);
+    return tl::unexpected(mistakes_.take());
   }
 
  private:
   using Place = toml::source_position;
 
   void report(const Place& place, std::string key, std::string what, std::string remedy) {
-    errors_.push_back({file_, static_cast<std::uint32_t>(place.line),
-                       static_cast<std::uint32_t>(place.column), std::move(key), std::move(what),
-                       std::move(remedy)});
+    mistakes_.report(place, std::move(key), std::move(what), std::move(remedy));
   }
   void wrong_type(const toml::node& node, const std::string& key, std::string_view expected) {
     report(node.source().begin, key, std::string(type_name(node.type())) + " cannot stand here",
@@ -279,7 +270,7 @@ class Reader {
     AccessRule rule;
     const Place& place = table.source().begin;
     rule.line = static_cast<std::uint32_t>(place.line);
-    const std::size_t errors_before = errors_.size();
+    const std::size_t mistakes_before = mistakes_.count();
     for (const auto& [key, node] : table) {
       if (key.str() == "topic") {
         read_topic(node, rule);
@@ -297,7 +288,7 @@ class Reader {
       report(place, "access.topic", "is missing", "say which topics: topic = \"/lidar/**\"");
     if (!table.contains("publish") && !table.contains("subscribe"))
       report(place, "access", "the rule says nothing", "add publish or subscribe with a list");
-    if (errors_.size() != errors_before) return;
+    if (mistakes_.count() != mistakes_before) return;
     check_shadowed(rule, place);
     config_.access.push_back(std::move(rule));
   }
@@ -462,10 +453,9 @@ class Reader {
   static constexpr std::string_view principal_examples =
       "\"user:NAME\", \"group:NAME\", \"uid:1000\", \"gid:1000\" or \"*\"";
 
-  const std::string& file_;
+  config::Mistakes mistakes_;
   const NameLookup& names_;
   Config config_;
-  std::vector<ConfigError> errors_;
   std::vector<std::pair<const Key*, Place>> places_;
 };
 
@@ -510,14 +500,6 @@ ConfigResult unreadable(const std::string& file, int error) {
 
 }  // namespace
 
-std::string ConfigError::text() const {
-  std::string text = escaped(file);
-  if (line != 0) text += ':' + std::to_string(line) + ':' + std::to_string(column);
-  text += ": ";
-  if (!key.empty()) text += key + ": ";
-  return text + what + "; " + remedy;
-}
-
 NameLookup NameLookup::system() {
   return {[](const std::string& name) -> std::optional<uid_t> {
             const passwd* const entry = ::getpwnam(name.c_str());
@@ -534,29 +516,15 @@ ConfigResult parse_config(std::string_view text, const std::string& file, const 
     return tl::unexpected(std::vector<ConfigError>{{file, place->first, place->second, "",
                                                     "a character that is not ASCII",
                                                     "write it in a comment, or as \\uXXXX"}});
-  try {
-    return Reader(file, names).read(toml::parse(text));
-  } catch (const toml::parse_error& error) {
-    const auto& place = error.source().begin;
-    return tl::unexpected(std::vector<ConfigError>{
-        {file, static_cast<std::uint32_t>(place.line), static_cast<std::uint32_t>(place.column), "",
-         escaped(error.description(), 400), "correct the TOML there"}});
-  }
+  auto table = config::parse_toml(text, file, "correct the TOML there");
+  if (table) return Reader(file, names).read(*table);
+  table.error().what = escaped(table.error().what, 400);
+  return tl::unexpected(std::vector<ConfigError>{std::move(table.error())});
 }
 
 ConfigResult load_config(const std::string& file, const NameLookup& names) {
-  const UniqueFd fd(::open(file.c_str(), O_RDONLY | O_CLOEXEC));
-  if (!fd) return unreadable(file, errno);
-  std::string text;
-  std::array<char, 4096> buffer;
-  for (;;) {
-    const ssize_t bytes = ::read(fd.get(), buffer.data(), buffer.size());
-    if (bytes < 0 && errno == EINTR) continue;
-    if (bytes < 0) return unreadable(file, errno);
-    if (bytes == 0) return parse_config(text, file, names);
-    text.append(buffer.data(), static_cast<std::size_t>(bytes));
-    if (text.size() > file_bytes_max) return unreadable(file, EFBIG);
-  }
+  const auto text = config::read_file(file);
+  return text ? parse_config(*text, file, names) : unreadable(file, text.error());
 }
 
 }  // namespace agnocast::daemon

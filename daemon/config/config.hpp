@@ -12,6 +12,7 @@
 #include <agnocast/abi/client_region.hpp>
 #include <agnocast/abi/limits.hpp>
 #include <base/log.hpp>
+#include <config/mistake.hpp>
 #include <daemon/config/access.hpp>
 
 #include <tl/expected.hpp>
@@ -100,17 +101,7 @@ struct Config {
   friend bool operator==(const Config&, const Config&) = default;
 };
 
-struct ConfigError {
-  std::string file;
-  std::uint32_t line = 0;    // from 1; 0: the file as a whole
-  std::uint32_t column = 0;  // from 1
-  std::string key;           // "limits.depth_max"; empty when the mistake is not in one
-  std::string what;
-  std::string remedy;
-
-  /// "agnocastd.toml:12:5: limits.depth_max: 5000 is out of range; use 1 to 1000". One line.
-  std::string text() const;
-};
+using ConfigError = config::Mistake;
 
 /// A configuration, or every mistake in the order of the file (at least one).
 using ConfigResult = tl::expected<Config, std::vector<ConfigError>>;

@@ -60,7 +60,7 @@ durability = "transient_local"
 depth = 5
 )",
                                    "bridge.toml");
-  ASSERT_TRUE(config) << config.error()[0].where << config.error()[0].what;
+  ASSERT_TRUE(config) << config.error()[0].where() << config.error()[0].what;
   EXPECT_EQ(config->domain, 7u);
   EXPECT_EQ(config->bridge.speak, RosGraph::Speak::iron);
   EXPECT_EQ(config->bridge.type_paths, std::vector<std::string>{"/opt/robot/lib"});
@@ -118,22 +118,22 @@ TEST(BridgeConfig, NamesAllMistakesInTheirOrderAndWhatToWrite) {
     const auto config = parse_config(each.text, "bridge.toml");
     ASSERT_FALSE(config) << each.text;
     ASSERT_THAT(config.error(), SizeIs(1)) << each.text;
-    EXPECT_THAT(config.error()[0].where, HasSubstr(std::string("bridge.toml") + each.where));
+    EXPECT_THAT(config.error()[0].where(), HasSubstr(std::string("bridge.toml") + each.where));
     EXPECT_THAT(config.error()[0].what, HasSubstr(each.what)) << each.text;
     EXPECT_THAT(config.error()[0].remedy, HasSubstr(each.remedy)) << each.text;
   }
   const auto several = parse_config("x = 1\ndomain = -1\na = 2\n", "bridge.toml");
   ASSERT_FALSE(several);
   ASSERT_THAT(several.error(), SizeIs(3));
-  EXPECT_THAT(several.error()[0].where, HasSubstr(":1:1: x"));
-  EXPECT_THAT(several.error()[1].where, HasSubstr(":2:10: domain"));
-  EXPECT_THAT(several.error()[2].where, HasSubstr(":3:1: a"));
+  EXPECT_THAT(several.error()[0].where(), HasSubstr(":1:1: x"));
+  EXPECT_THAT(several.error()[1].where(), HasSubstr(":2:10: domain"));
+  EXPECT_THAT(several.error()[2].where(), HasSubstr(":3:1: a"));
 }
 
 TEST(BridgeConfig, TheExampleAndTheDocumentHaveEveryKey) {
   const std::string example = AGNOCAST_SOURCE_DIR "/systemd/bridge.toml";
   const auto config = load_config(example);
-  ASSERT_TRUE(config) << config.error()[0].where << config.error()[0].what;
+  ASSERT_TRUE(config) << config.error()[0].where() << config.error()[0].what;
   const std::string document = text_of(AGNOCAST_SOURCE_DIR "/docs/bridge.md");
   for (const ConfigKey& key : config_keys()) {
     const std::string name(key.name.substr(key.name.rfind('.') + 1));
@@ -141,6 +141,21 @@ TEST(BridgeConfig, TheExampleAndTheDocumentHaveEveryKey) {
     EXPECT_THAT(document, HasSubstr("| `" + name + '`')) << key.name;
   }
   EXPECT_FALSE(load_config("/nowhere/bridge.toml"));
+}
+
+TEST(BridgeConfig, UnreadableFilesSayWhy) {
+  const test::TemporaryDirectory directory;
+  const auto problem_of = [](const std::string& path) {
+    const auto config = load_config(path);
+    return config ? "none" : config.error().front().text();
+  };
+  const std::string folder = directory.path(), missing = directory.path("missing.toml");
+  EXPECT_EQ(problem_of(missing),
+            missing + ": it cannot be read: No such file or directory; ls -l " + missing);
+  EXPECT_EQ(problem_of(folder), folder + ": it cannot be read: Is a directory; ls -l " + folder);
+  const std::string endless = directory.path("endless.toml");
+  std::ofstream(endless) << std::string((std::size_t{1} << 20) + 1, '#');
+  EXPECT_EQ(problem_of(endless), endless + ": it cannot be read: File too large; ls -l " + endless);
 }
 
 TEST(BridgeConfig, TheFileOfTheDomainWinsOverTheOneOfAll) {

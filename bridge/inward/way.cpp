@@ -1,0 +1,50 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <bridge/inward/way.hpp>
+
+namespace agnocast::bridge {
+
+void Way::begin_with(const ReaderKey& former, Time end) {
+  has_begun_ = false;
+  former_ = former;
+  former_end_ = end;
+}
+
+void Way::go_over(const ReaderKey& inlet, Time end) {
+  if (has_begun_) former_ = inlet_;  // else by the one before that
+  inlet_ = inlet;
+  has_begun_ = former_ == inlet;
+  if (has_begun_) former_.reset();
+  former_end_ = end;
+}
+
+void Way::end_inlets(const std::set<ReaderKey>& ended, Time end) {
+  if (former_ && ended.contains(*former_)) former_.reset();
+  if (!ended.contains(inlet_)) return;
+  has_begun_ = false;
+  former_end_ = end;
+}
+
+bool Way::takes(const ReaderKey& by, std::int64_t source_time_ns) {
+  const bool is_own = inlet_ == by;
+  if (!is_own && former_ != by) return false;  // the other inlet has it too
+  if (is_own && !has_begun_) {
+    if (source_time_ns < newest_ns_) return false;
+    has_begun_ = true;
+    former_.reset();
+    if (source_time_ns == newest_ns_) return false;
+  }
+  newest_ns_ = source_time_ns;
+  return true;
+}
+
+std::optional<Time> Way::tidy(Time now) {
+  if (former_end_ <= now) former_.reset();
+  if (former_end_ + linger <= now) has_begun_ = true;
+  std::optional<Time> next;
+  if (former_) next = former_end_;
+  if (!has_begun_) next = earliest(next, former_end_ + linger);
+  return next;
+}
+
+}  // namespace agnocast::bridge

@@ -1,0 +1,39 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// DiscoveryInfo: hears and says which nodes have which endpoints, as ROS 2 does it (ros_discovery_info; ros_graph.hpp), and
+// says to the log what goes wrong with it. One thread, run()'s.
+#pragma once
+
+#include <agnocast/graph.hpp>
+#include <bridge/common/log.hpp>
+#include <bridge/common/refusals.hpp>
+#include <bridge/dds/ros_graph.hpp>
+
+#include <cstdint>
+#include <functional>
+#include <span>
+
+namespace agnocast::bridge {
+
+class DiscoveryInfo {
+ public:
+  /// All must outlive it.
+  DiscoveryInfo(std::uint32_t domain, RosGraph& graph, const Log& log, Refusals& refusals)
+      : domain_(domain), graph_(graph), log_(log), refusals_(refusals) {}
+
+  const DdsReader* reader() const noexcept { return graph_.reader(); }
+  /// Takes what others said.
+  void hear();
+  /// Says which nodes this host has in the domain, with the endpoints that `add` gives them.
+  void say(std::span<const EndpointInfo> local, const std::function<void(const NodesByName&)>& add);
+
+ private:
+  const std::uint32_t domain_;
+  RosGraph& graph_;
+  const Log& log_;
+  Refusals& refusals_;
+  std::uint64_t refused_told_ = 0;  // messages, when it was said last
+  Seldom tells_refused_;
+};
+
+}  // namespace agnocast::bridge

@@ -1,0 +1,40 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// LimitsLog: says to the log how often others in DDS were beyond a limit (limits.hpp). One thread, run()'s.
+#pragma once
+
+#include <bridge/common/log.hpp>
+#include <bridge/dds/limits.hpp>
+
+#include <cstdint>
+#include <string>
+
+namespace agnocast::bridge {
+
+class LimitsLog {
+ public:
+  /// Both must outlive it.
+  LimitsLog(const Limits& limits, const Log& log) : limits_(limits), log_(log) {}
+
+  /// Writes what was refused, if that is more than it said before and it has not just spoken.
+  void write() {
+    std::uint64_t all = 0;
+    for (const LimitRow& row : limit_table) all += limits_.refused(row.limit);
+    if (all == told_ || !tells_.now()) return;
+    told_ = all;
+    std::string text;
+    for (const LimitRow& row : limit_table) {
+      if (const std::uint64_t refused = limits_.refused(row.limit); refused != 0)
+        text += (text.empty() ? "" : ", ") + std::string(row.name) + ' ' + std::to_string(refused);
+    }
+    log_.write(LogLevel::warning, "beyond a limit", {{"refused", text}});
+  }
+
+ private:
+  const Limits& limits_;
+  const Log& log_;
+  std::uint64_t told_ = 0;  // refusals when it was said last
+  Seldom tells_;
+};
+
+}  // namespace agnocast::bridge

@@ -1,0 +1,25 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Mistake: one thing that is wrong with a file of configuration, with its place and what to write instead.
+#pragma once
+
+#include <cstdint>
+#include <string>
+
+namespace agnocast::config {
+
+struct Mistake {
+  std::string file;
+  std::uint32_t line = 0;    // from 1; 0: the file as a whole
+  std::uint32_t column = 0;  // from 1
+  std::string key;           // "limits.depth_max"; empty when the mistake is not in one
+  std::string what;
+  std::string remedy;
+
+  /// "agnocastd.toml:12:5: limits.depth_max"
+  std::string where() const;
+  /// "agnocastd.toml:12:5: limits.depth_max: 5000 is out of range; use 1 to 1000". One line.
+  std::string text() const;
+};
+
+}  // namespace agnocast::config
