@@ -27,7 +27,7 @@ class Way {
   /// Another inlet looked out for the writer, and may have read what the own one is too late for.
   void begin_with(const ReaderKey& former, Time end);
   void go_over(const ReaderKey& inlet, Time end);
-  /// These inlets have ended. Who reads in their place may get a history that has come.
+  /// These inlets have ended. A reader in their place may get a history that has come.
   void end_inlets(const std::set<ReaderKey>& ended, Time end);
   /// Whether a message that came by this inlet is passed on; then what is older is not.
   bool takes(const ReaderKey& by, std::int64_t source_time_ns);

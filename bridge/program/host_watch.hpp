@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // HostWatch: what there is on this host, and whether the bridge goes on: a thread that sleeps until endpoints of this host
-// change, or agnocastd is back. Idle, it does not wake. Whoever has to look is woken by it.
+// change, or agnocastd is back, and then wakes the thread that has to look. Idle, it does not wake.
 #pragma once
 
 #include <agnocast/graph.hpp>

@@ -20,6 +20,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <exception>
+#include <functional>
 #include <memory>
 #include <mutex>
 #include <new>
@@ -145,6 +146,59 @@ void read_again(const Options& options, const BridgeOptions& before, Bridge& bri
   log.write(LogLevel::notice, "configuration read again");
 }
 
+/// To be called before any thread is made, so that all of them leave these to the one that waits for them.
+sigset_t block_signals() {
+  sigset_t waited;
+  sigemptyset(&waited);
+  for (const int signal : {SIGTERM, SIGINT, SIGHUP}) sigaddset(&waited, signal);
+  ::pthread_sigmask(SIG_BLOCK, &waited, nullptr);
+  std::signal(SIGPIPE, SIG_IGN);
+  return waited;
+}
+
+/// The bridge tells a service manager that it turns, if that wants to know.
+void tell_watchdog(BridgeOptions& bridge) {
+  std::uint64_t watchdog_us = 0;
+  if (::sd_watchdog_enabled(0, &watchdog_us) > 0) {
+    bridge.alive_interval = std::chrono::microseconds(watchdog_us / 2);
+    bridge.alive = [said_ns = std::uint64_t{0}, watchdog_us]() mutable {
+      // Every message turns the loop; the manager is told four times in an interval.
+      const std::uint64_t now_ns = monotonic_ns();
+      if (now_ns - said_ns < watchdog_us * 1000 / 4) return;
+      said_ns = now_ns;
+      (void)::sd_notify(0, "WATCHDOG=1");
+    };
+  }
+}
+
+/// Why it ended; empty: a signal said so. SIGHUP is for `read_configuration`.
+std::string run_until_signal(Bridge& bridge, const sigset_t& waited,
+                             const std::function<void()>& read_configuration) {
+  std::thread signals([&] {
+    for (int signal = 0; ::sigwait(&waited, &signal) == 0 && signal == SIGHUP;) {
+      try {
+        read_configuration();
+      } catch (const std::exception& error) {
+        complain_in_pieces("the configuration is not read: ", error.what(),
+                           "systemctl reload agnocast-bridge");
+      }
+    }
+    bridge.stop();
+  });
+  std::string failure;
+  try {
+    if (const auto ended = bridge.run(); !ended) failure = "DDS: " + ended.error().text();
+  } catch (const std::bad_alloc& error) {
+    end_at_once(error.what());
+  } catch (const std::exception& error) {
+    failure = error.what();
+  }
+  (void)::sd_notify(0, "STOPPING=1");
+  ::pthread_kill(signals.native_handle(), SIGTERM);
+  signals.join();
+  return failure;
+}
+
 int run(const Options& options) {
   auto config = configuration(options);
   if (!config) {
@@ -161,28 +215,13 @@ int run(const Options& options) {
   if (options.socket) ::setenv("AGNOCAST_SOCKET", options.socket->c_str(), 1);
   ::setenv("ROS_DOMAIN_ID", domain.c_str(), 1);
 
-  // Before any thread is made, so that all of them leave these to the one that waits for them.
-  sigset_t waited;
-  sigemptyset(&waited);
-  for (const int signal : {SIGTERM, SIGINT, SIGHUP}) sigaddset(&waited, signal);
-  ::pthread_sigmask(SIG_BLOCK, &waited, nullptr);
-  std::signal(SIGPIPE, SIG_IGN);
+  const sigset_t waited = block_signals();
 
   SharedLog shared(config->log_level.value_or(agnocast::LogLevel::info));
   const Log log([&shared](LogLevel level, std::string_view event, const Log::Fields& fields) {
     shared.write(level, event, fields);
   });
-  std::uint64_t watchdog_us = 0;
-  if (::sd_watchdog_enabled(0, &watchdog_us) > 0) {
-    config->bridge.alive_interval = std::chrono::microseconds(watchdog_us / 2);
-    config->bridge.alive = [said_ns = std::uint64_t{0}, watchdog_us]() mutable {
-      // Every message turns the loop; the manager is told four times in an interval.
-      const std::uint64_t now_ns = monotonic_ns();
-      if (now_ns - said_ns < watchdog_us * 1000 / 4) return;
-      said_ns = now_ns;
-      (void)::sd_notify(0, "WATCHDOG=1");
-    };
-  }
+  tell_watchdog(config->bridge);
   const BridgeOptions in_force = config->bridge;
   const char* const variable = ::secure_getenv("AGNOCAST_BRIDGE_SOCKET");
   const std::string path = choose_status_path(
@@ -212,28 +251,8 @@ int run(const Options& options) {
   // Before the thread, since nothing may throw between its begin and its end; signals wait for it.
   log.write(LogLevel::notice, "ready", {{"domain", domain}});
   (void)::sd_notify(0, ("READY=1\nSTATUS=bridging domain " + domain).c_str());
-  std::thread signals([&] {
-    for (int signal = 0; ::sigwait(&waited, &signal) == 0 && signal == SIGHUP;) {
-      try {
-        read_again(options, in_force, **bridge, shared, log);
-      } catch (const std::exception& error) {
-        complain_in_pieces("the configuration is not read: ", error.what(),
-                           "systemctl reload agnocast-bridge");
-      }
-    }
-    (*bridge)->stop();
-  });
-  std::string failure;
-  try {
-    if (const auto ended = (*bridge)->run(); !ended) failure = "DDS: " + ended.error().text();
-  } catch (const std::bad_alloc& error) {
-    end_at_once(error.what());
-  } catch (const std::exception& error) {
-    failure = error.what();
-  }
-  (void)::sd_notify(0, "STOPPING=1");
-  ::pthread_kill(signals.native_handle(), SIGTERM);
-  signals.join();
+  const std::string failure = run_until_signal(
+      **bridge, waited, [&] { read_again(options, in_force, **bridge, shared, log); });
   if (failure.empty()) log.write(LogLevel::notice, "ended");
   shared.end();
   return failure.empty() ? 0 : complain(failure, "systemctl status agnocast-bridge");

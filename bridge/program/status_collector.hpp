@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // StatusCollector: puts together what the parts of the bridge have at one moment (status.hpp). Another thread asks;
-// run()'s, which all parts belong to, answers.
+// run()'s thread, which all parts belong to, answers.
 #pragma once
 
 #include <base/clock.hpp>
