@@ -7,6 +7,7 @@
 
 #include <tests/model/plans.hpp>
 #include <tests/model/reuse_scenario.hpp>
+#include <tests/support/rotation.hpp>
 
 #include <gtest/gtest.h>
 
@@ -117,7 +118,10 @@ TEST(ModelMutants, EveryStatementFenceAndDecisionOfTheProtocolIsNeeded) {
   for (const QueuePlan& plan : mutant_plans) plans.push_back(&plan);
   unsigned killed = 0;
   unsigned survived = 0;
-  for (const Mutation& mutation : mutants) {
+  const test::Rotation rotation;
+  for (std::size_t i = 0; i < mutants.size(); ++i) {
+    if (!rotation.takes(i)) continue;
+    const Mutation& mutation = mutants[i];
     std::string noticed;
     const char* plan_name = "";
     for (const std::uint64_t state_limit : limits_for(mutation)) {
@@ -150,7 +154,8 @@ TEST(ModelMutants, EveryStatementFenceAndDecisionOfTheProtocolIsNeeded) {
     }
     std::fflush(stdout);
   }
-  std::printf("%zu mutants: %u noticed, %u equivalent\n", mutants.size(), killed, survived);
+  std::printf("%zu mutants, %s: %u noticed, %u equivalent\n", mutants.size(),
+              rotation.text().c_str(), killed, survived);
 }
 
 }  // namespace

@@ -1,0 +1,34 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Rotation: the part of a long list that this run does. AGNOCAST_ROTATION="1/3" is every third of it, beginning with the
+// second; without the variable it is everything. scripts/test sets it by the number of commits, so the parts come
+// in turn; with --full it does not.
+#pragma once
+
+#include <cstddef>
+#include <cstdio>
+#include <cstdlib>
+#include <string>
+
+namespace agnocast::test {
+
+class Rotation {
+ public:
+  Rotation() {
+    const char* const text = std::getenv("AGNOCAST_ROTATION");
+    if (text == nullptr) return;
+    if (std::sscanf(text, "%zu/%zu", &part_, &parts_) == 2 && part_ < parts_) return;
+    std::fprintf(stderr, "AGNOCAST_ROTATION is %s, not PART/PARTS with PART from 0\n", text);
+    std::exit(2);
+  }
+  bool takes(std::size_t index) const noexcept { return index % parts_ == part_; }
+  std::string text() const {
+    if (parts_ == 1) return "all";
+    return "part " + std::to_string(part_ + 1) + " of " + std::to_string(parts_) + " (all: scripts/test --full)";
+  }
+
+ private:
+  std::size_t part_ = 0, parts_ = 1;
+};
+
+}  // namespace agnocast::test
