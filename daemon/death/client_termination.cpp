@@ -6,8 +6,8 @@
 
 #include <base/clock.hpp>
 #include <daemon/state/memory_reserve.hpp>
-#include <daemon/state/user_log.hpp>
 #include <daemon/state/steps.hpp>
+#include <daemon/state/user_log.hpp>
 #include <journal/cases.hpp>
 
 #include <sys/epoll.h>

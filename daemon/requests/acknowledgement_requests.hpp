@@ -4,8 +4,8 @@
 // to its end, let go of something, cannot map a window, or gave up a reader.
 #pragma once
 
+#include <daemon/admission/address_conflicts.hpp>
 #include <daemon/lifecycle/membership.hpp>
-#include <daemon/requests/address_conflicts.hpp>
 #include <daemon/requests/reader_reports.hpp>
 #include <daemon/transport/connection_table.hpp>
 #include <daemon/transport/requests.hpp>

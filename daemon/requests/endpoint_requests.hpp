@@ -4,14 +4,14 @@
 #pragma once
 
 #include <base/log.hpp>
+#include <daemon/admission/admission.hpp>
+#include <daemon/admission/refusal_report.hpp>
 #include <daemon/config/config.hpp>
 #include <daemon/lifecycle/membership.hpp>
 #include <daemon/lifecycle/regions.hpp>
-#include <daemon/requests/admission.hpp>
 #include <daemon/requests/reader_reports.hpp>
-#include <daemon/requests/refusal_report.hpp>
-#include <daemon/requests/request_scheduler.hpp>
-#include <daemon/requests/request_server.hpp>
+#include <daemon/serving/request_scheduler.hpp>
+#include <daemon/serving/request_server.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/connection_table.hpp>
 #include <daemon/transport/requests.hpp>

@@ -3,7 +3,7 @@
 // ExecutorRequests: executors of a process, and the bells by which publishers wake them.
 #pragma once
 
-#include <daemon/requests/admission.hpp>
+#include <daemon/admission/admission.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/connection_table.hpp>
 #include <daemon/transport/doorbells.hpp>

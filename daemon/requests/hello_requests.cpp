@@ -6,7 +6,7 @@
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/check.hpp>
-#include <daemon/requests/check_caller.hpp>
+#include <daemon/admission/check_caller.hpp>
 #include <daemon/state/memory_reserve.hpp>
 #include <daemon/transport/brought_windows.hpp>
 #include <journal/cases.hpp>

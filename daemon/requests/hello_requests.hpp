@@ -6,12 +6,12 @@
 #pragma once
 
 #include <base/log.hpp>
+#include <daemon/admission/admission.hpp>
 #include <daemon/death/client_termination.hpp>
 #include <daemon/death/region_look.hpp>
 #include <daemon/lifecycle/regions.hpp>
-#include <daemon/requests/admission.hpp>
-#include <daemon/requests/request_scheduler.hpp>
-#include <daemon/requests/request_server.hpp>
+#include <daemon/serving/request_scheduler.hpp>
+#include <daemon/serving/request_server.hpp>
 #include <daemon/state/address_plan.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/connection_table.hpp>

@@ -18,8 +18,8 @@
 #include <daemon/death/client_termination.hpp>
 #include <daemon/lifecycle/membership.hpp>
 #include <daemon/lifecycle/regions.hpp>
-#include <daemon/requests/request_scheduler.hpp>
-#include <daemon/requests/user_namespaces.hpp>
+#include <daemon/serving/request_scheduler.hpp>
+#include <daemon/serving/user_namespaces.hpp>
 #include <daemon/state/address_plan.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/connection_table.hpp>

@@ -5,11 +5,11 @@
 #include <daemon/requests/rejoin_requests.hpp>
 
 #include <base/clock.hpp>
-#include <daemon/requests/check_caller.hpp>
+#include <daemon/admission/check_caller.hpp>
 #include <daemon/requests/rejoin_facts.hpp>
 #include <daemon/state/memory_reserve.hpp>
-#include <daemon/transport/brought_windows.hpp>
 #include <daemon/state/steps.hpp>
+#include <daemon/transport/brought_windows.hpp>
 #include <journal/cases.hpp>
 
 #include <cstdint>

@@ -4,11 +4,11 @@
 #pragma once
 
 #include <base/log.hpp>
+#include <daemon/admission/access_control.hpp>
+#include <daemon/admission/address_conflicts.hpp>
 #include <daemon/death/client_termination.hpp>
 #include <daemon/death/let_go_watch.hpp>
 #include <daemon/lifecycle/membership.hpp>
-#include <daemon/requests/access_control.hpp>
-#include <daemon/requests/address_conflicts.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/connection_table.hpp>
 #include <daemon/transport/doorbells.hpp>

@@ -5,8 +5,8 @@
 #include <daemon/requests/window_requests.hpp>
 
 #include <daemon/state/memory_reserve.hpp>
-#include <daemon/transport/shared_fd.hpp>
 #include <daemon/state/steps.hpp>
+#include <daemon/transport/shared_fd.hpp>
 #include <journal/cases.hpp>
 
 #include <string>

@@ -5,10 +5,10 @@
 
 #include <base/log.hpp>
 #include <base/unique_fd.hpp>
+#include <daemon/admission/address_conflicts.hpp>
+#include <daemon/admission/admission.hpp>
 #include <daemon/lifecycle/membership.hpp>
 #include <daemon/lifecycle/regions.hpp>
-#include <daemon/requests/address_conflicts.hpp>
-#include <daemon/requests/admission.hpp>
 #include <daemon/state/address_plan.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/connection_table.hpp>

@@ -6,7 +6,7 @@
 // and then the input changes bytes of its log and of its tables. What is taken over is asked
 // everything that the daemon asks, goes on with further changes, and is taken over once more.
 
-#include <daemon/requests/dump.hpp>
+#include <daemon/observers/dump.hpp>
 #include <daemon/state/registry.hpp>
 
 #include <fuzzer/FuzzedDataProvider.h>

@@ -7,8 +7,8 @@
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/check.hpp>
 #include <daemon/death/reaper.hpp>
-#include <daemon/requests/dump.hpp>
-#include <daemon/requests/flight_recorder.hpp>
+#include <daemon/observers/dump.hpp>
+#include <daemon/observers/flight_recorder.hpp>
 #include <daemon/requests/rejoin_facts.hpp>
 
 #include <tests/support/temporary_directory.hpp>

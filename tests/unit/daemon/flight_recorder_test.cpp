@@ -5,7 +5,7 @@
 // record is said to be one. Method: the registry over anonymous memory; records overwritten, places
 // used again, a bit flipped.
 
-#include <daemon/requests/flight_recorder.hpp>
+#include <daemon/observers/flight_recorder.hpp>
 #include <tests/support/registry_memory.hpp>
 
 #include <gtest/gtest.h>

@@ -3,7 +3,7 @@
 // Goal: the table calls the function that was named for the kind of a request. Method: a handler that writes down
 // what it was called with.
 
-#include <daemon/requests/request_table.hpp>
+#include <daemon/serving/request_table.hpp>
 
 #include <gtest/gtest.h>
 

@@ -2,7 +2,7 @@
 //
 // RequestServer: see the header.
 
-#include <daemon/requests/request_server.hpp>
+#include <daemon/serving/request_server.hpp>
 
 #include <daemon/state/memory_reserve.hpp>
 #include <daemon/transport/brought_windows.hpp>

@@ -2,7 +2,7 @@
 //
 // PacketReader: see the header.
 
-#include <daemon/requests/packet_reader.hpp>
+#include <daemon/serving/packet_reader.hpp>
 
 #include <agnocast/abi/wire.hpp>
 #include <base/clock.hpp>

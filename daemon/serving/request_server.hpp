@@ -6,11 +6,11 @@
 // rules and the tables. What it changes is journaled before it is answered. docs/control-plane.md.
 #pragma once
 
+#include <daemon/admission/address_conflicts.hpp>
+#include <daemon/admission/admission.hpp>
+#include <daemon/admission/refusal_report.hpp>
 #include <daemon/death/client_termination.hpp>
-#include <daemon/requests/address_conflicts.hpp>
-#include <daemon/requests/admission.hpp>
-#include <daemon/requests/refusal_report.hpp>
-#include <daemon/requests/request_table.hpp>
+#include <daemon/serving/request_table.hpp>
 #include <daemon/transport/connection_table.hpp>
 #include <daemon/transport/requests.hpp>
 

@@ -16,9 +16,9 @@
 #include <agnocast/abi/wire.hpp>
 #include <base/log.hpp>
 #include <base/peer_identity.hpp>
+#include <daemon/admission/admission.hpp>
 #include <daemon/config/config.hpp>
 #include <daemon/lifecycle/membership.hpp>
-#include <daemon/requests/admission.hpp>
 #include <daemon/state/address_plan.hpp>
 #include <daemon/state/obstacles.hpp>
 #include <daemon/state/registry.hpp>

@@ -6,7 +6,7 @@
 // process.
 #pragma once
 
-#include <daemon/requests/request_scheduler.hpp>
+#include <daemon/serving/request_scheduler.hpp>
 #include <daemon/transport/connection_table.hpp>
 #include <daemon/transport/errands.hpp>
 

@@ -10,10 +10,10 @@
 #include <base/packet_socket.hpp>
 #include <base/peer_identity.hpp>
 #include <base/unique_fd.hpp>
+#include <daemon/admission/admission.hpp>
 #include <daemon/config/config.hpp>
-#include <daemon/requests/admission.hpp>
-#include <daemon/requests/request_scheduler.hpp>
-#include <daemon/requests/user_namespaces.hpp>
+#include <daemon/serving/request_scheduler.hpp>
+#include <daemon/serving/user_namespaces.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/connection_table.hpp>
 #include <daemon/transport/dispatcher.hpp>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <daemon/requests/check_caller.hpp>
+#include <daemon/admission/check_caller.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <daemon/transport/requests.hpp>

@@ -7,8 +7,8 @@
 #pragma once
 
 #include <daemon/death/client_termination.hpp>
-#include <daemon/requests/request_scheduler.hpp>
-#include <daemon/requests/request_server.hpp>
+#include <daemon/serving/request_scheduler.hpp>
+#include <daemon/serving/request_server.hpp>
 #include <daemon/transport/connection_table.hpp>
 #include <daemon/transport/disposal.hpp>
 #include <daemon/transport/fair_scheduler.hpp>

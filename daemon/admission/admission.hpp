@@ -7,9 +7,9 @@
 #pragma once
 
 #include <base/peer_identity.hpp>
+#include <daemon/admission/access_control.hpp>
 #include <daemon/config/config.hpp>
 #include <daemon/lifecycle/membership.hpp>
-#include <daemon/requests/access_control.hpp>
 #include <daemon/state/address_plan.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/descriptor_store.hpp>

@@ -2,7 +2,7 @@
 //
 // RequestScheduler: see the header.
 
-#include <daemon/requests/request_scheduler.hpp>
+#include <daemon/serving/request_scheduler.hpp>
 
 #include <base/clock.hpp>
 

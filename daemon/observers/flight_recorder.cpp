@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <daemon/requests/flight_recorder.hpp>
+#include <daemon/observers/flight_recorder.hpp>
 
 #include <daemon/transport/post.hpp>
 

@@ -5,7 +5,7 @@
 #pragma once
 
 #include <base/log.hpp>
-#include <daemon/requests/admission.hpp>
+#include <daemon/admission/admission.hpp>
 #include <daemon/state/refusals.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/connection_table.hpp>

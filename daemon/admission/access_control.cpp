@@ -2,7 +2,7 @@
 //
 // AccessControl: see the header.
 
-#include <daemon/requests/access_control.hpp>
+#include <daemon/admission/access_control.hpp>
 
 #include <string>
 #include <string_view>

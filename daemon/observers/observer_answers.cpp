@@ -2,10 +2,10 @@
 //
 // ObserverAnswers: see the header.
 
-#include <daemon/requests/observer_answers.hpp>
+#include <daemon/observers/observer_answers.hpp>
 
 #include <base/clock.hpp>
-#include <daemon/requests/flight_recorder.hpp>
+#include <daemon/observers/flight_recorder.hpp>
 #include <daemon/state/memory_reserve.hpp>
 
 #include <algorithm>

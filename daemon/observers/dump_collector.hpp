@@ -4,10 +4,10 @@
 #pragma once
 
 #include <base/log.hpp>
+#include <daemon/admission/admission.hpp>
 #include <daemon/config/config.hpp>
 #include <daemon/lifecycle/regions.hpp>
-#include <daemon/requests/admission.hpp>
-#include <daemon/requests/dump.hpp>
+#include <daemon/observers/dump.hpp>
 #include <daemon/state/address_plan.hpp>
 #include <daemon/state/obstacles.hpp>
 #include <daemon/state/refusals.hpp>

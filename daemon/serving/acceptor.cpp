@@ -2,7 +2,7 @@
 //
 // Acceptor: see the header.
 
-#include <daemon/requests/acceptor.hpp>
+#include <daemon/serving/acceptor.hpp>
 
 #include <agnocast/abi/limits.hpp>
 #include <base/peer_identity.hpp>

@@ -2,7 +2,7 @@
 //
 // AddressConflicts: see the header.
 
-#include <daemon/requests/address_conflicts.hpp>
+#include <daemon/admission/address_conflicts.hpp>
 
 #include <base/check.hpp>
 #include <daemon/state/memory_reserve.hpp>

@@ -4,11 +4,11 @@
 #pragma once
 
 #include <base/log.hpp>
+#include <daemon/admission/admission.hpp>
 #include <daemon/config/access.hpp>
 #include <daemon/death/client_termination.hpp>
 #include <daemon/lifecycle/regions.hpp>
-#include <daemon/requests/admission.hpp>
-#include <daemon/requests/observer_answers.hpp>
+#include <daemon/observers/observer_answers.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/connection_table.hpp>
 #include <daemon/transport/peer_output.hpp>

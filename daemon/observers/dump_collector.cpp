@@ -2,7 +2,7 @@
 //
 // DumpCollector: see the header.
 
-#include <daemon/requests/dump_collector.hpp>
+#include <daemon/observers/dump_collector.hpp>
 
 #include <agnocast/version.hpp>
 #include <base/clock.hpp>

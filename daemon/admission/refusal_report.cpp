@@ -2,7 +2,7 @@
 //
 // RefusalReport: see the header.
 
-#include <daemon/requests/refusal_report.hpp>
+#include <daemon/admission/refusal_report.hpp>
 
 #include <base/clock.hpp>
 

@@ -2,12 +2,12 @@
 //
 // ObserverRequests: see the header.
 
-#include <daemon/requests/observer_requests.hpp>
+#include <daemon/observers/observer_requests.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/check.hpp>
 #include <base/names.hpp>
-#include <daemon/requests/check_caller.hpp>
+#include <daemon/admission/check_caller.hpp>
 #include <daemon/state/memory_reserve.hpp>
 
 #include <unistd.h>

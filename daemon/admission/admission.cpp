@@ -2,7 +2,7 @@
 //
 // Admission: see the header.
 
-#include <daemon/requests/admission.hpp>
+#include <daemon/admission/admission.hpp>
 
 namespace agnocast::daemon {
 

@@ -2,7 +2,7 @@
 //
 // UserNamespaces: see the header.
 
-#include <daemon/requests/user_namespaces.hpp>
+#include <daemon/serving/user_namespaces.hpp>
 
 #include <base/peer_identity.hpp>
 #include <base/pidfd.hpp>

@@ -9,8 +9,8 @@
 
 #include <daemon/config/config.hpp>
 #include <daemon/death/client_termination.hpp>
-#include <daemon/requests/dump.hpp>
-#include <daemon/requests/dump_collector.hpp>
+#include <daemon/observers/dump.hpp>
+#include <daemon/observers/dump_collector.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/allowance.hpp>
 #include <daemon/transport/connection_table.hpp>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <daemon/requests/dump.hpp>
+#include <daemon/observers/dump.hpp>
 
 #include <daemon/transport/post.hpp>
 
