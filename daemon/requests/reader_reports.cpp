@@ -12,6 +12,7 @@
 namespace agnocast::daemon {
 
 // What a client says of its own publisher. The reader is looked up here: nothing of it is the client's word.
+// (Its process may not have been told of the reader: it is served no more also because it could not be mapped.)
 void ReaderReports::withdrawn(const PeerIdentity& who, ClientIndex client, const wire::Withdrawn& said) {
   const ReaderPair pair{{Kind::publisher, static_cast<TopicIndex>(said.topic),
                          static_cast<std::uint32_t>(said.publisher)},
@@ -20,8 +21,7 @@ void ReaderReports::withdrawn(const PeerIdentity& who, ClientIndex client, const
   if (!registry_.is_used(pair.publisher) || !registry_.is_used(pair.reader) ||
       registry_.generation_of(pair.publisher) != said.publisher_generation ||
       registry_.generation_of(pair.reader) != said.subscription_generation ||
-      registry_.owner_of(pair.publisher) != client ||
-      !registry_.told_of(pair.reader).contains(number(client)))
+      registry_.owner_of(pair.publisher) != client)
     return;
   const auto why = static_cast<abi::Withdrawal>(said.why);
   const bool is_served = why == abi::Withdrawal::none;
