@@ -5,6 +5,8 @@
 // where many publish; it is killed, and the honest pair goes on and makes requests until nothing of it is left.
 // How long they waited is in the attack table (largest gap): it depends on the machine, so nothing here judges it.
 
+#include <base/memfd.hpp>
+#include <base/populate.hpp>
 #include <tests/hostile/hostile_node.hpp>
 #include <tests/support/ctl.hpp>
 
@@ -91,7 +93,9 @@ TEST(HostileEndings, MemoryThatADeadProcessHasFilledIsFreedBesideTheOthers) {
       HostileNode node(stage.socket_path());
       // The subscriber of this topic is told of all its memory.
       node.join(Kind::publisher, open_topic);
-      fill(node.region_fd(), std::min(filled_bytes(), node.welcome().client_region_bytes));
+      const std::uint64_t in_region = std::min(filled_bytes(), node.welcome().client_region_bytes);
+      EXPECT_TRUE(lengthen(node.region_fd(), in_region));  // it may be immutable
+      EXPECT_TRUE(populate(node.region(), in_region));
       attack.word(0) = inode_of(node.region_fd());
       std::vector<Incoming> windows;
       std::uint64_t left = filled_bytes();

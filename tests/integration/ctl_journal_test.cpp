@@ -180,7 +180,7 @@ TEST(CtlJournal, TellsWhoIsServedNoMoreAndIsNotFloodedWithIt) {
   EXPECT_EQ(counters()["readers_withdrawn"], 1);
   const std::string self = std::to_string(::getpid());
   const std::string serves = "publisher 0 of /points (camera, pid " + self +
-                             "): serves subscription 0 (viewer, pid " + self + ", uid " +
+                             "): says that it serves subscription 0 (viewer, pid " + self + ", uid " +
                              std::to_string(::geteuid()) + ") ";
   EXPECT_THAT(run_ctl(socket, {"journal", "--process", "viewer", "-n", "2"}).out,
               testing::AllOf(HasSubstr(serves + "no more: its user kept too much of the heap\n"),

@@ -39,7 +39,7 @@ std::map<std::string, nlohmann::json> schemas() {
 TEST(Schemas, AreThoseThatTheSourcesName) {
   std::set<std::string> named{"urn:agnocast:common:1"}, installed;
   const std::regex name("\"agnocast\\.([a-z-]+)/([0-9]+)\"");
-  for (const auto& entry : fs::directory_iterator(folder)) {
+  for (const auto& entry : fs::recursive_directory_iterator(folder)) {
     if (entry.path().extension() != ".cpp") continue;
     const std::string text = text_of(entry.path());
     for (std::sregex_iterator i(text.begin(), text.end(), name), end; i != end; ++i)
