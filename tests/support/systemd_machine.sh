@@ -30,8 +30,10 @@ mount -t tmpfs machine "$root/tmp"
 mount -t tmpfs machine "$root/run"
 mount -t proc machine "$root/proc"
 # Most of what is in there is the host's as well, and systemd would write it when it boots.
-mount --bind "$root/proc/sys" "$root/proc/sys"
-mount -o remount,bind,ro "$root/proc/sys"
+for settings in proc/sys sys/kernel/mm; do
+  mount --bind "$root/$settings" "$root/$settings"
+  mount -o remount,bind,ro "$root/$settings"
+done
 cd "$root"
 mkdir -p former
 pivot_root . former
