@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Closer: lets go of memory that takes long to free.
+// Closer: lets go of the memory of processes that have ended.
 //
-// Whoever closes the last descriptor of a memfd frees its pages, a tenth of a second and more for
-// each GiB, and the daemon must not keep everybody waiting for so long; unmapping what a process has filled
-// takes as long. So a thread of its own does both with what is large. It waits until the manager has removed its copies from the store: otherwise the
+// Closing the last descriptor of a memfd frees its pages, a tenth of a second and more for each GiB; unmapping it takes as long, and
+// waits for locks that readers of the file have as well. The daemon must not keep everybody waiting for that.
+// So a thread of its own does both. It waits until the manager has removed its copies from the store: otherwise the
 // manager might be the last, which under systemd is PID 1.
 //
 // The thread touches nothing but the descriptors that it was given. It begins with the first of them.
