@@ -17,14 +17,7 @@
 
 namespace {
 
-using hook_test::attach;
-using hook_test::hook;
-using hook_test::is_shared;
-using hook_test::libc_function;
-using hook_test::MiB;
-using hook_test::opaque;
-using hook_test::Scope;
-using hook_test::WindowFile;
+using namespace hook_test;
 
 struct Maker {
   const char* name;
@@ -161,7 +154,8 @@ void realloc_walk(bool made_in_scope, bool changed_in_scope, bool expect_shared_
       }).join();
       ASSERT_NE(block, nullptr);
       EXPECT_EQ(is_shared(block), expect_shared_after);
-      for (std::size_t i = 0; i < (from < to ? from : to); ++i) ASSERT_EQ(block[i], static_cast<unsigned char>(i * 7));
+      for (std::size_t i = 0; i < (from < to ? from : to); ++i)
+        ASSERT_EQ(block[i], static_cast<unsigned char>(i * 7));
       std::memset(block, 1, to);
       free(block);
     }
@@ -241,8 +235,10 @@ HOOKED_TEST(HookFamily, OddArgumentsAnswerAsLibc) {
   attach(file);
   const auto libc_malloc = libc_function<void* (*)(std::size_t)>("malloc");
   const auto libc_calloc = libc_function<void* (*)(std::size_t, std::size_t)>("calloc");
-  const auto libc_posix_memalign = libc_function<int (*)(void**, std::size_t, std::size_t)>("posix_memalign");
-  const auto libc_aligned_alloc = libc_function<void* (*)(std::size_t, std::size_t)>("aligned_alloc");
+  const auto libc_posix_memalign =
+      libc_function<int (*)(void**, std::size_t, std::size_t)>("posix_memalign");
+  const auto libc_aligned_alloc =
+      libc_function<void* (*)(std::size_t, std::size_t)>("aligned_alloc");
   const auto libc_memalign = libc_function<void* (*)(std::size_t, std::size_t)>("memalign");
   const auto libc_valloc = libc_function<void* (*)(std::size_t)>("valloc");
   const auto libc_pvalloc = libc_function<void* (*)(std::size_t)>("pvalloc");
@@ -265,15 +261,25 @@ HOOKED_TEST(HookFamily, OddArgumentsAnswerAsLibc) {
     if (in_scope) hook().enter();
     for (std::size_t size : odd_sizes) {
       SCOPED_TRACE(size);
-      compare("malloc", [&] { return malloc(size); }, [&] { return libc_malloc(size); });
-      compare("calloc", [&] { return calloc(1, size); }, [&] { return libc_calloc(1, size); });
-      compare("aligned_alloc", [&] { return aligned_alloc(64, size); }, [&] { return libc_aligned_alloc(64, size); });
-      compare("memalign", [&] { return memalign(64, size); }, [&] { return libc_memalign(64, size); });
-      compare("valloc", [&] { return valloc(size); }, [&] { return libc_valloc(size); });
-      compare("pvalloc", [&] { return pvalloc(size); }, [&] { return libc_pvalloc(size); });
+      compare(
+          "malloc", [&] { return malloc(size); }, [&] { return libc_malloc(size); });
+      compare(
+          "calloc", [&] { return calloc(1, size); }, [&] { return libc_calloc(1, size); });
+      compare(
+          "aligned_alloc", [&] { return aligned_alloc(64, size); },
+          [&] { return libc_aligned_alloc(64, size); });
+      compare(
+          "memalign", [&] { return memalign(64, size); }, [&] { return libc_memalign(64, size); });
+      compare(
+          "valloc", [&] { return valloc(size); }, [&] { return libc_valloc(size); });
+      compare(
+          "pvalloc", [&] { return pvalloc(size); }, [&] { return libc_pvalloc(size); });
     }
-    compare("calloc overflow", [] { return calloc(SIZE_MAX / 2, 3); }, [&] { return libc_calloc(SIZE_MAX / 2, 3); });
-    compare("calloc 0 * 8", [] { return calloc(0, 8); }, [&] { return libc_calloc(0, 8); });
+    compare(
+        "calloc overflow", [] { return calloc(SIZE_MAX / 2, 3); },
+        [&] { return libc_calloc(SIZE_MAX / 2, 3); });
+    compare(
+        "calloc 0 * 8", [] { return calloc(0, 8); }, [&] { return libc_calloc(0, 8); });
     for (std::size_t alignment : odd_alignments) {
       SCOPED_TRACE(alignment);
       void* mine = &mine;
@@ -290,9 +296,12 @@ HOOKED_TEST(HookFamily, OddArgumentsAnswerAsLibc) {
       } else {
         EXPECT_EQ(mine, &mine) << "untouched on failure";
       }
-      compare("aligned_alloc", [&] { return aligned_alloc(alignment, 100); },
-              [&] { return libc_aligned_alloc(alignment, 100); });
-      compare("memalign", [&] { return memalign(alignment, 100); }, [&] { return libc_memalign(alignment, 100); });
+      compare(
+          "aligned_alloc", [&] { return aligned_alloc(alignment, 100); },
+          [&] { return libc_aligned_alloc(alignment, 100); });
+      compare(
+          "memalign", [&] { return memalign(alignment, 100); },
+          [&] { return libc_memalign(alignment, 100); });
     }
     EXPECT_EQ(malloc_usable_size(nullptr), libc_usable(nullptr));
     if (in_scope) hook().leave();
@@ -303,9 +312,10 @@ HOOKED_TEST(HookFamily, OddArgumentsAnswerAsLibc) {
 HOOKED_TEST(HookFamily, SizedFreeOfC23IsServed) {
   WindowFile file(64 * MiB);
   attach(file);
-  const auto free_sized = reinterpret_cast<void (*)(void*, std::size_t)>(dlsym(RTLD_DEFAULT, "free_sized"));
-  const auto free_aligned_sized =
-      reinterpret_cast<void (*)(void*, std::size_t, std::size_t)>(dlsym(RTLD_DEFAULT, "free_aligned_sized"));
+  const auto free_sized =
+      reinterpret_cast<void (*)(void*, std::size_t)>(dlsym(RTLD_DEFAULT, "free_sized"));
+  const auto free_aligned_sized = reinterpret_cast<void (*)(void*, std::size_t, std::size_t)>(
+      dlsym(RTLD_DEFAULT, "free_aligned_sized"));
   ASSERT_NE(free_sized, nullptr);
   ASSERT_NE(free_aligned_sized, nullptr);
   Scope scope;

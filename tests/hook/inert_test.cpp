@@ -19,11 +19,7 @@
 
 namespace {
 
-using hook_test::Directory;
-using hook_test::hook_path;
-using hook_test::Outcome;
-using hook_test::run;
-using hook_test::RunOptions;
+using namespace hook_test;
 
 const std::string programs = AGNOCAST_TEST_PROGRAMS;
 
@@ -39,7 +35,8 @@ TEST(HookInert, AddsNoDescriptorNoThreadAndNoMappingButItself) {
   RunOptions options;
   const Outcome without = run({programs + "/hook_test_report"}, options);
   options.preload = !linked;
-  const Outcome with = run({programs + (linked ? "/hook_test_report_linked" : "/hook_test_report")}, options);
+  const Outcome with =
+      run({programs + (linked ? "/hook_test_report_linked" : "/hook_test_report")}, options);
   ASSERT_EQ(without.exit_status, 0) << without.error;
   ASSERT_EQ(with.exit_status, 0) << with.error;
   EXPECT_EQ(with.error, "");
@@ -57,7 +54,8 @@ TEST(HookInert, AddsNoDescriptorNoThreadAndNoMappingButItself) {
       continue;
     }
     std::string same = line;
-    if (const std::size_t name = same.find("_report_linked"); name != std::string::npos) same.erase(name + 7, 7);
+    if (const std::size_t name = same.find("_report_linked"); name != std::string::npos)
+      same.erase(name + 7, 7);
     rest += same + "\n";
   }
   EXPECT_GE(own, 3) << "the hook was there";
@@ -88,7 +86,8 @@ TEST(HookInert, LibraryNeedsOnlyLibc) {
 }
 
 TEST(HookInert, LibraryCannotReadTheEnvironmentOrEndTheProcessPolitely) {
-  const Outcome outcome = run({"nm", "-D", "--undefined-only", "--without-symbol-versions", hook_path()});
+  const Outcome outcome =
+      run({"nm", "-D", "--undefined-only", "--without-symbol-versions", hook_path()});
   ASSERT_EQ(outcome.exit_status, 0) << outcome.error;
   std::set<std::string> used;
   for (const std::string& line : lines_of(outcome.output)) {
@@ -96,14 +95,16 @@ TEST(HookInert, LibraryCannotReadTheEnvironmentOrEndTheProcessPolitely) {
     for (std::string word; words >> word;) used.insert(word);
   }
   EXPECT_EQ(used.count("mmap"), 1u) << "the list is one";
-  for (const char* name : {"getenv", "secure_getenv", "environ", "__environ", "exit", "printf", "fprintf", "stderr", "syslog",
-                           "__cxa_throw", "__gxx_personality_v0", "_Znwm"}) {
+  for (const char* name :
+       {"getenv", "secure_getenv", "environ", "__environ", "exit", "printf", "fprintf", "stderr",
+        "syslog", "__cxa_throw", "__gxx_personality_v0", "_Znwm"}) {
     EXPECT_EQ(used.count(name), 0u) << name;
   }
 }
 
 TEST(HookInert, LibraryExportsTheFamilyAndItsTableOnly) {
-  const Outcome outcome = run({"nm", "-D", "--defined-only", "--without-symbol-versions", hook_path()});
+  const Outcome outcome =
+      run({"nm", "-D", "--defined-only", "--without-symbol-versions", hook_path()});
   ASSERT_EQ(outcome.exit_status, 0) << outcome.error;
   int operators = 0;
   std::set<std::string> others;
@@ -116,9 +117,10 @@ TEST(HookInert, LibraryExportsTheFamilyAndItsTableOnly) {
     }
   }
   EXPECT_EQ(operators, 20);
-  EXPECT_EQ(others, (std::set<std::string>{"agnocast_heaphook", "aligned_alloc", "calloc", "free", "free_aligned_sized",
-                                           "free_sized", "malloc", "malloc_usable_size", "memalign", "posix_memalign", "pvalloc",
-                                           "realloc", "reallocarray", "valloc"}));
+  EXPECT_EQ(others, (std::set<std::string>{"agnocast_heaphook", "aligned_alloc", "calloc", "free",
+                                           "free_aligned_sized", "free_sized", "malloc",
+                                           "malloc_usable_size", "memalign", "posix_memalign",
+                                           "pvalloc", "realloc", "reallocarray", "valloc"}));
 }
 
 TEST(HookInert, ConfigurationOfAnotherJemallocIsNotOurs) {
@@ -128,7 +130,8 @@ TEST(HookInert, ConfigurationOfAnotherJemallocIsNotOurs) {
   options.preload = !hook_test::hook_is_linked();
   options.environment = {"MALLOC_CONF=nonsense:1,confirm_conf:true,narenas:17,stats_print:true"};
   const Outcome outcome =
-      run({self, "--in-own-process", "--gtest_filter=HookInert.AttachedBody", "--gtest_brief=1"}, options);
+      run({self, "--in-own-process", "--gtest_filter=HookInert.AttachedBody", "--gtest_brief=1"},
+          options);
   EXPECT_EQ(outcome.exit_status, 0) << outcome.output;
   EXPECT_EQ(outcome.error, "") << "jemalloc would complain here";
 }
@@ -150,7 +153,8 @@ TEST(HookInert, TwoCopiesOfTheHookFormAChain) {
   RunOptions options;
   options.environment = {"LD_PRELOAD=" + hook_path() + ":" + other};
   const Outcome outcome =
-      run({self, "--in-own-process", "--gtest_filter=HookInert.AttachedBody", "--gtest_brief=1"}, options);
+      run({self, "--in-own-process", "--gtest_filter=HookInert.AttachedBody", "--gtest_brief=1"},
+          options);
   EXPECT_EQ(outcome.exit_status, 0) << outcome.output << outcome.error;
   EXPECT_NE(outcome.output.find("[  PASSED  ] 1 test"), std::string::npos) << outcome.output;
 }
@@ -182,8 +186,10 @@ TEST(HookInert, SetuidProgramsStayWithLibc) {
     GTEST_SKIP() << "another user cannot run programs of the build directory: " << probe.error;
   }
   if (linked) {
-    const Outcome outcome = run({copy, "--in-own-process", "--gtest_filter=HookInert.DISABLED_SecureBody",
-                                 "--gtest_also_run_disabled_tests", "--gtest_brief=1"}, options);
+    const Outcome outcome =
+        run({copy, "--in-own-process", "--gtest_filter=HookInert.DISABLED_SecureBody",
+             "--gtest_also_run_disabled_tests", "--gtest_brief=1"},
+            options);
     EXPECT_EQ(outcome.exit_status, 0) << outcome.output << outcome.error;
     EXPECT_NE(outcome.output.find("[  PASSED  ] 1 test"), std::string::npos) << outcome.output;
   } else {

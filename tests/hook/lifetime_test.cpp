@@ -24,13 +24,7 @@
 
 namespace {
 
-using hook_test::attach;
-using hook_test::hook;
-using hook_test::is_shared;
-using hook_test::MiB;
-using hook_test::opaque;
-using hook_test::Scope;
-using hook_test::WindowFile;
+using namespace hook_test;
 
 // --- before main -----------------------------------------------------------------------------------------------------------
 
@@ -78,10 +72,19 @@ HOOKED_TEST(HookLifetime, EveryEntryPointWorksAsTheFirstActOfAThread) {
       [](void* block) { return realloc(block, 5000); },
       [](void* block) { return reallocarray(block, 50, 100); },
       [](void* block) { return realloc(block, 0); },
-      [](void* block) { free(block); return block; },
-      [](void* block) { operator delete(block); return block; },
+      [](void* block) {
+        free(block);
+        return block;
+      },
+      [](void* block) {
+        operator delete(block);
+        return block;
+      },
       [](void* block) { return malloc_usable_size(block) >= 1000 ? block : nullptr; },
-      [](void*) { void* made = nullptr; return posix_memalign(&made, 64, 100) == 0 ? made : nullptr; },
+      [](void*) {
+        void* made = nullptr;
+        return posix_memalign(&made, 64, 100) == 0 ? made : nullptr;
+      },
       [](void*) { return aligned_alloc(64, 128); },
       [](void*) { return memalign(64, 100); },
       [](void*) { return valloc(100); },
@@ -104,12 +107,16 @@ HOOKED_TEST(HookLifetime, EveryEntryPointWorksAsTheFirstActOfAThread) {
         Start start{&acts[i], malloc(1000), nullptr, in_scope};
         if (shared_block) hook().leave();
         pthread_t thread;
-        ASSERT_EQ(pthread_create(&thread, nullptr, [](void* argument) -> void* {
-          auto& it = *static_cast<Start*>(argument);
-          if (it.in_scope) hook().enter();
-          it.result = (*it.act)(it.block);
-          return nullptr;
-        }, &start), 0);
+        ASSERT_EQ(pthread_create(
+                      &thread, nullptr,
+                      [](void* argument) -> void* {
+                        auto& it = *static_cast<Start*>(argument);
+                        if (it.in_scope) hook().enter();
+                        it.result = (*it.act)(it.block);
+                        return nullptr;
+                      },
+                      &start),
+                  0);
         pthread_join(thread, nullptr);
         const bool makes = i < 5 || (i >= 9 && i < 16);
         if (makes) {
@@ -141,7 +148,8 @@ HOOKED_TEST(HookLifetime, AnEndingThreadGivesItsCacheBack) {
   }
   const agnocast_heaphook_usage usage = hook_test::usage();
   EXPECT_EQ(usage.live_bytes, 0u);
-  EXPECT_LT(usage.used_bytes, 40 * MiB) << "fifty threads one after the other need the memory of one";
+  EXPECT_LT(usage.used_bytes, 40 * MiB)
+      << "fifty threads one after the other need the memory of one";
   hook().purge();
   EXPECT_LT(file.resident_bytes(), MiB);
 }
@@ -153,16 +161,18 @@ HOOKED_TEST(HookLifetime, DestructorsOfThreadDataMayFreeAndAllocate) {
   attach(file);
   // Runs at thread exit, after and between the allocator's own clean-up (glibc repeats up to four times).
   static int runs = 0;
-  ASSERT_EQ(pthread_key_create(&late_key, [](void* block) {
-    free(block);
-    Scope scope;
-    void* const again = malloc(3000);
-    if (++runs % 3 != 0) {
-      pthread_setspecific(late_key, again);
-    } else {
-      free(again);
-    }
-  }), 0);
+  ASSERT_EQ(pthread_key_create(&late_key,
+                               [](void* block) {
+                                 free(block);
+                                 Scope scope;
+                                 void* const again = malloc(3000);
+                                 if (++runs % 3 != 0) {
+                                   pthread_setspecific(late_key, again);
+                                 } else {
+                                   free(again);
+                                 }
+                               }),
+            0);
   for (int i = 0; i < 10; ++i) {
     std::thread([] {
       Scope scope;
@@ -193,7 +203,8 @@ HOOKED_TEST(HookLifetime, ManyThreadKeysOfTheProgramAreNoProblem) {
   thread.join();
   hook().resume();
   EXPECT_TRUE(shared);
-  EXPECT_LE(live, 112u) << "what libc allocates for its own needs inside the allocator is not shared";
+  EXPECT_LE(live, 112u)
+      << "what libc allocates for its own needs inside the allocator is not shared";
   EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
 }
 
@@ -237,7 +248,8 @@ HOOKED_TEST(HookLifetime, LoadingWhileThreadsAllocateNeverDeadlocks) {
         std::thread([] {  // new threads meet the loader's TLS bookkeeping
           Scope scope;
           for (std::size_t i = 1; i < 100; ++i) free(opaque(malloc(i * 50)));
-        }).join();
+        })
+            .join();
       }
     });
   }
@@ -261,7 +273,8 @@ struct BehindZeros {
     for (char*& each : blocks) each = static_cast<char*>(malloc(bytes));
     hook().leave();
     for (char* const each : blocks) {
-      if (std::find(std::begin(blocks), std::end(blocks), each - bytes) != std::end(blocks)) block = each;
+      if (std::find(std::begin(blocks), std::end(blocks), each - bytes) != std::end(blocks))
+        block = each;
     }
     if (block != nullptr) memset(block - bytes, 0, bytes);
   }
@@ -304,7 +317,8 @@ HOOKED_TEST(HookLifetime, ALibraryThatIsBoundDeeplyHasAMallocOfItsOwn) {
     ADD_FAILURE() << "libc takes it";
   }
   signal(SIGABRT, SIG_DFL);
-  EXPECT_NE(testing::internal::GetCapturedStderr().find("free(): invalid pointer"), std::string::npos);
+  EXPECT_NE(testing::internal::GetCapturedStderr().find("free(): invalid pointer"),
+            std::string::npos);
   EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
 }
 

@@ -24,15 +24,7 @@
 
 namespace {
 
-using hook_test::attach;
-using hook_test::hook;
-using hook_test::is_shared;
-using hook_test::MiB;
-using hook_test::opaque;
-using hook_test::options_for;
-using hook_test::Scope;
-using hook_test::self_status_kib;
-using hook_test::WindowFile;
+using namespace hook_test;
 
 HOOKED_TEST(HookMemory, PurgeReturnsWhatMessagesUsed) {
   WindowFile file(1024 * MiB);
@@ -79,7 +71,8 @@ HOOKED_TEST(HookMemory, WhatAReaderBringsBackIsGivenBackAgain) {
     void* const mapping = mmap(nullptr, length, PROT_READ, MAP_SHARED, file.window.read_fd, 0);
     ASSERT_NE(mapping, MAP_FAILED);
     unsigned sum = 0;
-    for (std::size_t at = 0; at < length; at += 4096) sum += static_cast<const unsigned char*>(mapping)[at];
+    for (std::size_t at = 0; at < length; at += 4096)
+      sum += static_cast<const unsigned char*>(mapping)[at];
     opaque(&sum);
     munmap(mapping, length);
   };
@@ -209,11 +202,13 @@ HOOKED_TEST(HookMemory, IdleIsWhatNobodyHasWantedSinceTheLastLook) {
 }
 
 HOOKED_TEST(HookMemory, AsksForHugePages) {
-  if (access("/sys/kernel/mm/transparent_hugepage/shmem_enabled", F_OK) != 0) GTEST_SKIP() << "this kernel has none";
+  if (access("/sys/kernel/mm/transparent_hugepage/shmem_enabled", F_OK) != 0)
+    GTEST_SKIP() << "this kernel has none";
   WindowFile file(512 * MiB);
   attach(file);
   char begin[20];
-  std::snprintf(begin, sizeof begin, "%lx-", static_cast<unsigned long>(reinterpret_cast<std::uintptr_t>(file.window.base)));
+  std::snprintf(begin, sizeof begin, "%lx-",
+                static_cast<unsigned long>(reinterpret_cast<std::uintptr_t>(file.window.base)));
   std::ifstream maps("/proc/self/smaps");
   std::string line;
   while (std::getline(maps, line) && line.rfind(begin, 0) != 0) {
@@ -240,7 +235,8 @@ HOOKED_TEST(HookMemory, SteadyStateReusesWarmPages) {
 
 // --- mlockall ----------------------------------------------------------------------------------------------------------------
 
-constexpr std::size_t locked_overhead_kib = 26 * 1024;  // private metadata of the allocator, and one step of the frontier
+constexpr std::size_t locked_overhead_kib =
+    26 * 1024;  // private metadata of the allocator, and one step of the frontier
 
 void use_ten_mib() {
   Scope scope;
@@ -252,7 +248,8 @@ void use_ten_mib() {
 }
 
 HOOKED_TEST(HookMemory, MlockallBeforeAttachLocksWhatIsUsed) {
-  if (mlockall(MCL_CURRENT | MCL_FUTURE) != 0) GTEST_SKIP() << "this process may not lock its memory";
+  if (mlockall(MCL_CURRENT | MCL_FUTURE) != 0)
+    GTEST_SKIP() << "this process may not lock its memory";
   const std::size_t locked = self_status_kib("VmLck");
   WindowFile file(4096 * MiB);
   attach(file);
@@ -266,7 +263,8 @@ HOOKED_TEST(HookMemory, MlockallAfterAttachLocksWhatIsUsed) {
   WindowFile file(4096 * MiB);
   attach(file);
   use_ten_mib();
-  if (mlockall(MCL_CURRENT | MCL_FUTURE) != 0) GTEST_SKIP() << "this process may not lock its memory";
+  if (mlockall(MCL_CURRENT | MCL_FUTURE) != 0)
+    GTEST_SKIP() << "this process may not lock its memory";
   EXPECT_LE(file.resident_bytes(), 14 * MiB);
   use_ten_mib();
   EXPECT_LE(file.resident_bytes(), 26 * MiB);
@@ -276,7 +274,8 @@ HOOKED_TEST(HookMemory, MlockallAfterAttachLocksWhatIsUsed) {
 HOOKED_TEST(HookMemory, PurgeWorksOnLockedMemory) {
   WindowFile file(1024 * MiB);
   attach(file);
-  if (mlockall(MCL_CURRENT | MCL_FUTURE) != 0) GTEST_SKIP() << "this process may not lock its memory";
+  if (mlockall(MCL_CURRENT | MCL_FUTURE) != 0)
+    GTEST_SKIP() << "this process may not lock its memory";
   char* kept = nullptr;
   {
     Scope scope;
@@ -287,7 +286,8 @@ HOOKED_TEST(HookMemory, PurgeWorksOnLockedMemory) {
     free(idle);
   }
   EXPECT_GE(hook().purge(), 50 * MiB);
-  EXPECT_LE(file.resident_bytes(), 15 * MiB) << "the kept message and what lies between use and frontier";
+  EXPECT_LE(file.resident_bytes(), 15 * MiB)
+      << "the kept message and what lies between use and frontier";
   for (std::size_t i = 0; i < MiB; ++i) ASSERT_EQ(kept[i], 0x33);
   Scope scope;
   auto* const again = static_cast<char*>(calloc(1, 20 * MiB));
@@ -327,7 +327,8 @@ HOOKED_TEST(HookMemory, TooFewAddressesAreARefusalThatMayBeTriedAgain) {
   for (const std::size_t room : {4u, 12u, 16u, 20u}) {
     const rlimit tight{self_status_kib("VmSize") * 1024 + room * MiB, before.rlim_max};
     ASSERT_EQ(setrlimit(RLIMIT_AS, &tight), 0);
-    EXPECT_EQ(hook().attach(&file.window, &options), AGNOCAST_HEAPHOOK_OS) << room << " MiB of room";
+    EXPECT_EQ(hook().attach(&file.window, &options), AGNOCAST_HEAPHOOK_OS)
+        << room << " MiB of room";
     EXPECT_EQ(errno, ENOMEM);
     ASSERT_EQ(setrlimit(RLIMIT_AS, &before), 0);
   }
@@ -364,7 +365,7 @@ struct Slot {
 };
 
 bool intact(const Slot& slot) {
-  for (std::size_t i = 0; i < slot.size; i += slot.size > 4096 ? 509 : 1) {
+  for (std::size_t i = 0; i<slot.size; i += slot.size> 4096 ? 509 : 1) {
     if (slot.block[i] != slot.pattern) return false;
   }
   return slot.size == 0 || slot.block[slot.size - 1] == slot.pattern;
@@ -415,7 +416,8 @@ HOOKED_TEST(HookMemory, SoakOfRandomOperationsByFourThreads) {
           case 2:
             free(block);
             block = calloc(size, 1);
-            for (std::size_t i = 0; i < size; i += 127) wrong += static_cast<unsigned char*>(block)[i] != 0;
+            for (std::size_t i = 0; i < size; i += 127)
+              wrong += static_cast<unsigned char*>(block)[i] != 0;
             break;
           case 3:
             free(block);

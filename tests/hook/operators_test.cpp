@@ -15,13 +15,7 @@
 
 namespace {
 
-using hook_test::attach;
-using hook_test::hook;
-using hook_test::is_shared;
-using hook_test::MiB;
-using hook_test::opaque;
-using hook_test::Scope;
-using hook_test::WindowFile;
+using namespace hook_test;
 
 constexpr std::align_val_t aligned{128};
 
@@ -33,7 +27,8 @@ struct Form {
 };
 
 const Form forms[] = {
-    {"new / delete", [](std::size_t n) { return operator new(n); }, [](void* p, std::size_t) { operator delete(p); }, 16},
+    {"new / delete", [](std::size_t n) { return operator new(n); },
+     [](void* p, std::size_t) { operator delete(p); }, 16},
     {"new[] / delete[]", [](std::size_t n) { return operator new[](n); },
      [](void* p, std::size_t) { operator delete[](p); }, 16},
     {"new / sized delete", [](std::size_t n) { return operator new(n); },
@@ -52,9 +47,11 @@ const Form forms[] = {
      [](void* p, std::size_t n) { operator delete(p, n, aligned); }, 128},
     {"aligned new[] / sized delete[]", [](std::size_t n) { return operator new[](n, aligned); },
      [](void* p, std::size_t n) { operator delete[](p, n, aligned); }, 128},
-    {"aligned nothrow new / delete", [](std::size_t n) { return operator new(n, aligned, std::nothrow); },
+    {"aligned nothrow new / delete",
+     [](std::size_t n) { return operator new(n, aligned, std::nothrow); },
      [](void* p, std::size_t) { operator delete(p, aligned, std::nothrow); }, 128},
-    {"aligned nothrow new[] / delete[]", [](std::size_t n) { return operator new[](n, aligned, std::nothrow); },
+    {"aligned nothrow new[] / delete[]",
+     [](std::size_t n) { return operator new[](n, aligned, std::nothrow); },
      [](void* p, std::size_t) { operator delete[](p, aligned, std::nothrow); }, 128},
 };
 

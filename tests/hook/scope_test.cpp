@@ -11,13 +11,7 @@
 
 namespace {
 
-using hook_test::attach;
-using hook_test::hook;
-using hook_test::is_shared;
-using hook_test::MiB;
-using hook_test::opaque;
-using hook_test::Scope;
-using hook_test::WindowFile;
+using namespace hook_test;
 
 bool malloc_is_shared() {
   void* const block = opaque(malloc(100));
@@ -165,7 +159,8 @@ HOOKED_TEST(HookScope, ContainersOfAMessageAreShared) {
   std::vector<std::string> message;
   {
     Scope scope;
-    for (int i = 0; i < 1000; ++i) message.push_back(std::string(static_cast<std::size_t>(i + 32), 'a'));
+    for (int i = 0; i < 1000; ++i)
+      message.push_back(std::string(static_cast<std::size_t>(i + 32), 'a'));
   }
   EXPECT_TRUE(is_shared(message.data()));
   for (const std::string& text : message) ASSERT_TRUE(is_shared(text.data()));

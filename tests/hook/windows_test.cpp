@@ -19,16 +19,7 @@
 
 namespace {
 
-using hook_test::announced;
-using hook_test::attach;
-using hook_test::hook;
-using hook_test::is_shared;
-using hook_test::MiB;
-using hook_test::opaque;
-using hook_test::options_for;
-using hook_test::Scope;
-using hook_test::window_address;
-using hook_test::WindowFile;
+using namespace hook_test;
 
 // Whether all of the block lies below the frontier that was announced by now.
 bool announced_covers(const void* block, std::size_t size) {
@@ -45,7 +36,8 @@ std::size_t mapped_bytes(std::uintptr_t base, std::size_t length) {
     std::size_t dash = 0;
     const std::uintptr_t first = std::stoul(line, &dash, 16);
     const std::uintptr_t last = std::stoul(line.substr(dash + 1), nullptr, 16);
-    if (first >= base && last <= base + length && line.find(" rw-s ") != std::string::npos) bytes += last - first;
+    if (first >= base && last <= base + length && line.find(" rw-s ") != std::string::npos)
+      bytes += last - first;
   }
   return bytes;
 }
@@ -72,7 +64,8 @@ HOOKED_TEST(HookWindows, TheFrontierIsAnnouncedBeforeAnAddressBeyondItIsReturned
   EXPECT_GT(announced.calls.load(), 5);
   EXPECT_EQ(announced.frontier[0].load(), hook().frontier(0));
   hook().pause();
-  EXPECT_EQ(mapped_bytes(window_address, file.window.length), hook().frontier(0)) << "mapped is exactly what is announced";
+  EXPECT_EQ(mapped_bytes(window_address, file.window.length), hook().frontier(0))
+      << "mapped is exactly what is announced";
   hook().resume();
 }
 
@@ -98,11 +91,13 @@ HOOKED_TEST(HookWindows, ManyThreadsNeverSeeAnAddressBeyondTheAnnouncedFrontier)
 
 HOOKED_TEST(HookWindows, AReservedRangeIsUsedInPlace) {
   WindowFile file(256 * MiB);
-  void* const reserved = mmap(file.window.base, file.window.length, PROT_NONE,
-                              MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE | MAP_FIXED_NOREPLACE, -1, 0);
+  void* const reserved =
+      mmap(file.window.base, file.window.length, PROT_NONE,
+           MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE | MAP_FIXED_NOREPLACE, -1, 0);
   ASSERT_EQ(reserved, file.window.base);
   const agnocast_heaphook_options options = options_for(AGNOCAST_HEAPHOOK_SCOPE_LOAN);
-  EXPECT_EQ(hook().attach(&file.window, &options), AGNOCAST_HEAPHOOK_OCCUPIED) << "not ours unless the caller says so";
+  EXPECT_EQ(hook().attach(&file.window, &options), AGNOCAST_HEAPHOOK_OCCUPIED)
+      << "not ours unless the caller says so";
   file.window.flags = AGNOCAST_HEAPHOOK_WINDOW_RESERVED;
   attach(file);
   Scope scope;
@@ -211,7 +206,9 @@ HOOKED_TEST(HookWindows, AFreshWindowGivesUpThoseBeforeIt) {
   WindowFile second(64 * MiB, window_address + (std::uintptr_t{1} << 30));
   attach(first);
   const auto in = [](const WindowFile& file, const void* block) {
-    return reinterpret_cast<std::uintptr_t>(block) - reinterpret_cast<std::uintptr_t>(file.window.base) < file.window.length;
+    return reinterpret_cast<std::uintptr_t>(block) -
+               reinterpret_cast<std::uintptr_t>(file.window.base) <
+           file.window.length;
   };
   void* before[64];
   for (std::size_t i = 0; i < 64; ++i) {
@@ -265,7 +262,8 @@ HOOKED_TEST(HookWindows, ABlockOfAWindowThatWasGivenUpMovesWhenItGrows) {
   Scope scope;
   EXPECT_EQ(opaque(realloc(block, MiB / 2 + 1)), block) << "what shrinks may stay";
   auto* const moved = static_cast<char*>(opaque(realloc(block, 2 * MiB)));
-  EXPECT_GE(reinterpret_cast<std::uintptr_t>(moved), reinterpret_cast<std::uintptr_t>(second.window.base));
+  EXPECT_GE(reinterpret_cast<std::uintptr_t>(moved),
+            reinterpret_cast<std::uintptr_t>(second.window.base));
   EXPECT_EQ(moved[0], 7);
   EXPECT_EQ(moved[MiB / 2], 7);
   free(moved);
@@ -274,9 +272,11 @@ HOOKED_TEST(HookWindows, ABlockOfAWindowThatWasGivenUpMovesWhenItGrows) {
 
 HOOKED_TEST(HookWindows, EightWindowsAndNoMore) {
   std::vector<std::unique_ptr<WindowFile>> files;
-  for (std::uintptr_t i = 0; i < 9; ++i) files.push_back(std::make_unique<WindowFile>(4 * MiB, window_address + i * 4 * MiB));
+  for (std::uintptr_t i = 0; i < 9; ++i)
+    files.push_back(std::make_unique<WindowFile>(4 * MiB, window_address + i * 4 * MiB));
   attach(*files[0]);
-  for (std::size_t i = 1; i < 8; ++i) ASSERT_EQ(hook().add_window(&files[i]->window), AGNOCAST_HEAPHOOK_OK) << i;
+  for (std::size_t i = 1; i < 8; ++i)
+    ASSERT_EQ(hook().add_window(&files[i]->window), AGNOCAST_HEAPHOOK_OK) << i;
   EXPECT_EQ(hook().add_window(&files[8]->window), AGNOCAST_HEAPHOOK_FULL);
   // Neighbouring windows are different files: a block must never span two of them.
   Scope scope;
@@ -315,28 +315,38 @@ HOOKED_TEST(HookWindows, AttachRefusesWhatItCannotUse) {
   EXPECT_EQ(attach_with([](Window&, Options& o) { o.grown = nullptr; }), AGNOCAST_HEAPHOOK_INVALID);
   EXPECT_EQ(attach_with([](Window&, Options& o) { o.scope = 7; }), AGNOCAST_HEAPHOOK_INVALID);
   EXPECT_EQ(attach_with([](Window& w, Options&) { w.base = nullptr; }), AGNOCAST_HEAPHOOK_INVALID);
-  EXPECT_EQ(attach_with([](Window& w, Options&) { w.base = static_cast<char*>(w.base) + 4096; }), AGNOCAST_HEAPHOOK_INVALID);
+  EXPECT_EQ(attach_with([](Window& w, Options&) { w.base = static_cast<char*>(w.base) + 4096; }),
+            AGNOCAST_HEAPHOOK_INVALID);
   EXPECT_EQ(attach_with([](Window& w, Options&) { w.length = 0; }), AGNOCAST_HEAPHOOK_INVALID);
   EXPECT_EQ(attach_with([](Window& w, Options&) { w.length += 4096; }), AGNOCAST_HEAPHOOK_INVALID);
-  EXPECT_EQ(attach_with([](Window& w, Options&) { w.length *= 2; }), AGNOCAST_HEAPHOOK_INVALID) << "longer than the file";
+  EXPECT_EQ(attach_with([](Window& w, Options&) { w.length *= 2; }), AGNOCAST_HEAPHOOK_INVALID)
+      << "longer than the file";
   EXPECT_EQ(attach_with([](Window& w, Options&) { w.flags = 4; }), AGNOCAST_HEAPHOOK_INVALID);
-  EXPECT_EQ(attach_with([](Window& w, Options&) { w.flags = AGNOCAST_HEAPHOOK_WINDOW_FRESH; }), AGNOCAST_HEAPHOOK_INVALID)
+  EXPECT_EQ(attach_with([](Window& w, Options&) { w.flags = AGNOCAST_HEAPHOOK_WINDOW_FRESH; }),
+            AGNOCAST_HEAPHOOK_INVALID)
       << "there is none before the first";
-  EXPECT_EQ(attach_with([](Window& w, Options&) { w.read_fd = w.write_fd; }), AGNOCAST_HEAPHOOK_INVALID) << "not read-only";
-  EXPECT_EQ(attach_with([](Window& w, Options&) { w.write_fd = w.read_fd; }), AGNOCAST_HEAPHOOK_INVALID) << "not writable";
+  EXPECT_EQ(attach_with([](Window& w, Options&) { w.read_fd = w.write_fd; }),
+            AGNOCAST_HEAPHOOK_INVALID)
+      << "not read-only";
+  EXPECT_EQ(attach_with([](Window& w, Options&) { w.write_fd = w.read_fd; }),
+            AGNOCAST_HEAPHOOK_INVALID)
+      << "not writable";
   EXPECT_EQ(attach_with([](Window& w, Options&) { w.write_fd = -1; }), AGNOCAST_HEAPHOOK_OS);
   WindowFile other(16 * MiB);
-  EXPECT_EQ(attach_with([&](Window& w, Options&) { w.read_fd = other.window.read_fd; }), AGNOCAST_HEAPHOOK_INVALID);
+  EXPECT_EQ(attach_with([&](Window& w, Options&) { w.read_fd = other.window.read_fd; }),
+            AGNOCAST_HEAPHOOK_INVALID);
   EXPECT_EQ(hook().add_window(&file.window), AGNOCAST_HEAPHOOK_STATE) << "attach comes first";
 
-  void* const in_the_way = mmap(file.window.base, 4096, PROT_READ, MAP_PRIVATE | MAP_ANONYMOUS | MAP_FIXED_NOREPLACE, -1, 0);
+  void* const in_the_way = mmap(file.window.base, 4096, PROT_READ,
+                                MAP_PRIVATE | MAP_ANONYMOUS | MAP_FIXED_NOREPLACE, -1, 0);
   ASSERT_NE(in_the_way, MAP_FAILED);
   EXPECT_EQ(hook().attach(&file.window, &good), AGNOCAST_HEAPHOOK_OCCUPIED);
   munmap(in_the_way, 4096);
   EXPECT_EQ(mapped_bytes(window_address, file.window.length), 0u);
   EXPECT_EQ(hook_test::usage().window_count, 0u);
 
-  EXPECT_EQ(hook().attach(&file.window, &good), AGNOCAST_HEAPHOOK_OK) << "refusals leave nothing behind";
+  EXPECT_EQ(hook().attach(&file.window, &good), AGNOCAST_HEAPHOOK_OK)
+      << "refusals leave nothing behind";
   EXPECT_EQ(hook().attach(&other.window, &good), AGNOCAST_HEAPHOOK_STATE);
   EXPECT_EQ(hook().add_window(&other.window), AGNOCAST_HEAPHOOK_INVALID) << "overlaps the first";
 }
@@ -360,8 +370,9 @@ HOOKED_TEST(HookWindows, GrowthSurvivesAProgramThatClosesAllDescriptors) {
 HOOKED_TEST(HookWindows, SomethingMappedIntoTheWindowStopsGrowthOnly) {
   WindowFile file(256 * MiB);
   attach(file);
-  void* const intruder = mmap(static_cast<char*>(file.window.base) + 16 * MiB, 4096, PROT_READ | PROT_WRITE,
-                              MAP_PRIVATE | MAP_ANONYMOUS | MAP_FIXED_NOREPLACE, -1, 0);
+  void* const intruder =
+      mmap(static_cast<char*>(file.window.base) + 16 * MiB, 4096, PROT_READ | PROT_WRITE,
+           MAP_PRIVATE | MAP_ANONYMOUS | MAP_FIXED_NOREPLACE, -1, 0);
   ASSERT_NE(intruder, MAP_FAILED);
   std::memset(intruder, 0x55, 4096);
   Scope scope;

@@ -26,14 +26,12 @@ namespace agnocast::test {
 namespace {
 
 using abi::Qos;
+using sweep::answer;
 using sweep::Child;
 using sweep::serve;
 
 constexpr Qos deep{10, false, true, false, false};
 constexpr const char* topic_name = "/sweep";
-
-// What a child answers: its own failed expectations would otherwise be seen by nobody.
-char answer(bool done) { return testing::Test::HasFailure() ? '!' : done ? '+' : '-'; }
 
 // A publisher in a process of its own: p publish · w until a subscription is attached · x packets,
 // then a pass.

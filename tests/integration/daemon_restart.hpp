@@ -30,7 +30,7 @@ namespace agnocast::test {
 inline constexpr abi::Qos deep{10, false, true, false, false};
 inline constexpr const char* topic_name = "/restart";
 
-inline char answer(bool done) { return testing::Test::HasFailure() ? '!' : done ? '+' : '-'; }
+using sweep::answer;
 
 // A publisher in a process of its own, because no two clients of one process could have the same
 // window: w until a subscription is attached · p publish.

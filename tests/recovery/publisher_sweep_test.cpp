@@ -6,6 +6,7 @@
 // point, for n = 1, 2, 3 … until it survives. The parent is daemon and subscriber: it recovers,
 // verifies, drains, and compares with what the publisher had acknowledged.
 
+#include <tests/recovery/one_sided_script.hpp>
 #include <tests/recovery/stage.hpp>
 
 #include <algorithm>
@@ -20,18 +21,6 @@ namespace {
 // e withdraw · i disregard · s serve again.
 // Subscriber and daemon (parent): j subscribe and link · t take · T take, and there is one · 0 take, and there is none · r release · z sleep · w wake · l
 // leave · u unlink, subscription over.
-struct Script {
-  const char* name;
-  Setup setup;
-  const char* commands;
-};
-
-void PrintTo(const Script& script, std::ostream* out) { *out << script.name; }
-
-constexpr abi::Qos keep_last(std::uint32_t depth, bool transient_local = false) {
-  return {depth, transient_local, true, false, false};
-}
-
 const Script scripts[] = {
     {"volatile, everything read and released", {keep_last(1), keep_last(5)}, "japtrptrptrx"},
     {"volatile, held while more is published", {keep_last(1), keep_last(5)}, "japptptprrptrrx"},

@@ -5,6 +5,7 @@
 // subscription starts clean. Method: a child process runs a script and is killed at its n-th crash
 // point, for n = 1, 2, 3 … until it survives. The parent is daemon and publisher.
 
+#include <tests/recovery/one_sided_script.hpp>
 #include <tests/recovery/stage.hpp>
 
 #include <cstdio>
@@ -17,18 +18,6 @@ namespace {
 // Commands. Publisher and daemon (parent): p publish · g grow, then publish · x pass · a attach.
 // Subscriber (child): L link from the start · l link late · t take · r release · z sleep · w wake ·
 // u unlink.
-struct Script {
-  const char* name;
-  Setup setup;
-  const char* commands;
-};
-
-void PrintTo(const Script& script, std::ostream* out) { *out << script.name; }
-
-constexpr abi::Qos keep_last(std::uint32_t depth, bool transient_local = false) {
-  return {depth, transient_local, true, false, false};
-}
-
 const Script scripts[] = {
     {"link, take, release, unlink", {keep_last(1), keep_last(5)}, "Lapptrtru"},
     {"several held, released in between", {keep_last(1), keep_last(5)}, "Lapppttrprptrtrtru"},

@@ -24,6 +24,7 @@
 
 #include <base/packet_socket.hpp>
 #include <tests/recovery/sweep_parcel.hpp>
+#include <tests/support/actor.hpp>
 #include <tests/support/crash_point.hpp>
 
 #include <fcntl.h>
@@ -50,23 +51,6 @@
 
 namespace agnocast::sweep {
 namespace {
-
-struct Node {
-  const char* get_name() const { return "actor"; }
-  const char* get_namespace() const { return "/"; }
-  const char* get_fully_qualified_name() const { return "/actor"; }
-};
-
-QoS qos_of(const std::string& text) {
-  std::size_t end = 0;
-  const std::size_t depth = std::stoul(text, &end);
-  QoS qos(depth);
-  for (const char letter : text.substr(end)) {
-    if (letter == 't') qos.transient_local();
-    if (letter == 'a') qos.keep_all(depth);
-  }
-  return qos;
-}
 
 constexpr std::size_t big_words = (std::size_t{4} << 20) / sizeof(std::uint64_t);
 constexpr std::size_t huge_words = big_words * 3;  // all of them are touched
@@ -102,11 +86,12 @@ class Actor {
     }
     line >> topic >> qos;
     if (what == "pub") {
-      publishers_[id].publisher = create_publisher<Parcel>(node_, topic, qos_of(qos));
+      publishers_[id].publisher =
+          create_publisher<Parcel>(node_, topic, test::qos_from_letters(qos));
     } else if (what == "sub") {
-      subscriptions_[id] = create_subscription<Parcel>(node_, topic, qos_of(qos));
+      subscriptions_[id] = create_subscription<Parcel>(node_, topic, test::qos_from_letters(qos));
     } else if (what == "cb") {
-      listen(id, topic, qos_of(qos));
+      listen(id, topic, test::qos_from_letters(qos));
     } else {
       return "bad command " + what;
     }
@@ -266,7 +251,7 @@ class Actor {
     return "ok";
   }
 
-  Node node_;
+  test::ActorNode node_{"actor"};
   std::map<std::uint64_t, OwnPublisher> publishers_;
   std::map<std::uint64_t, Subscription<Parcel>::SharedPtr> subscriptions_;
   std::map<std::uint64_t, Callback> callbacks_;

@@ -19,6 +19,7 @@
 // What survivors get of each other is the same, in the same order.
 #pragma once
 
+#include <tests/recovery/sweep_run.hpp>
 #include <tests/recovery/sweep_stage.hpp>
 #include <tests/support/step_names.hpp>
 
@@ -36,58 +37,6 @@
 #include <vector>
 
 namespace agnocast::sweep {
-
-struct Script {
-  const char* name;
-  const char* commands;
-  bool loses_store() const { return std::strstr(commands, "lose;") != nullptr; }
-};
-
-struct Command {
-  char who = '*';
-  std::string text;  // without who
-  std::string what;
-  std::uint64_t id = 0;
-  std::string topic;  // or a count
-  std::uint64_t count() const { return std::strtoull(topic.c_str(), nullptr, 10); }
-};
-
-inline std::vector<Command> parse(const char* text) {
-  std::vector<Command> commands;
-  std::istringstream lines(text);
-  for (std::string line; std::getline(lines, line, ';');) {
-    line.erase(0, line.find_first_not_of(' '));
-    Command command;
-    static constexpr const char* of_all[] = {"sync",  "revoke",    "restart", "lose",
-                                             "moved", "connected", "settled"};
-    if (std::find(std::begin(of_all), std::end(of_all), line) == std::end(of_all)) {
-      command.who = line[0];
-      line.erase(0, 2);
-    }
-    command.text = line;
-    std::istringstream words(line);
-    words >> command.what >> command.id >> command.topic;
-    commands.push_back(command);
-  }
-  return commands;
-}
-
-/// What happened in one run, as far as it shall be the same in another.
-struct Run {
-  using Names = std::vector<std::uint64_t>;
-
-  std::vector<std::string> answers;  // by command; empty: not given
-  std::map<std::uint64_t, std::map<std::uint64_t, Names>>
-      got;                                      // subscription → publisher → numbers
-  std::map<std::uint64_t, std::size_t> joined;  // subscription → command
-  std::map<std::uint64_t, std::uint64_t>
-      interrupted;  // publisher → numbers V was asked for when it died
-  std::map<std::uint64_t, std::uint64_t> acknowledged;  // publisher → numbers
-  std::uint64_t committed = 0;                          // of what V was asked for when it died
-  std::optional<std::size_t> noticed_dead;              // before or at this command
-  std::size_t last_answer = 0;                          // of V
-  std::string wrong;
-};
 
 class Performance {
  public:
@@ -558,65 +507,12 @@ class Performance {
 
   // --- comparisons
 
-  std::string compare_answers(const Run& run) const {
-    for (std::size_t i = 0; i < commands_.size(); ++i) {
-      if (run.answers[i] != reference_.answers[i]) return differs(i, run.answers[i]);
-    }
-    return {};
-  }
-  std::string differs(std::size_t i, const std::string& answer) const {
-    return "command " + std::to_string(i + 1) + " (" + commands_[i].who + " " + commands_[i].text +
-           "): got '" + answer + "', without a death '" + reference_.answers[i] + "'";
-  }
+  std::string compare_answers(const Run& run) const;
+  std::string differs(std::size_t i, const std::string& answer) const;
 
-  std::string compare(const Run& run) const {
-    if (!run.noticed_dead) return compare_answers(run);
-    for (std::size_t i = 0; i < commands_.size(); ++i) {
-      const Command& command = commands_[i];
-      if (command.who == '*' || run.answers[i] == reference_.answers[i]) continue;
-      if (command.who == 'V') {
-        if (!run.answers[i].empty()) return differs(i, run.answers[i]);
-        continue;
-      }
-      const bool is_judged = command.what == "take" || command.what == "drain" ||
-                             command.what == "heard" ||
-                             (command.what == "release" && run.answers[i] == "nothing");
-      if (!is_judged) return differs(i, run.answers[i]);
-    }
-    for (const auto& [subscription, joined] : run.joined) {
-      for (const auto& [publisher, whose] : publishers_) {
-        if (const std::string wrong = judge(run, subscription, publisher); !wrong.empty())
-          return wrong;
-      }
-    }
-    return {};
-  }
+  std::string compare(const Run& run) const;
 
-  std::string judge(const Run& run, std::uint64_t subscription, std::uint64_t publisher) const {
-    const Run::Names got = names(run, subscription, publisher);
-    const Run::Names wanted = names(reference_, subscription, publisher);
-    const auto say = [&](const char* what) {
-      std::string text = "subscription " + std::to_string(subscription) + " of publisher " +
-                         std::to_string(publisher) + ": " + what + "; got";
-      for (const std::uint64_t number : got) text += " " + std::to_string(number);
-      text += ", without a death";
-      for (const std::uint64_t number : wanted) text += " " + std::to_string(number);
-      return text;
-    };
-    if (publishers_.at(publisher).owner != 'V')
-      return got == wanted ? "" : say("a survivor's messages");
-    const std::uint64_t acknowledged = number_in(run.acknowledged, publisher);
-    if (got.size() > wanted.size() || !std::equal(got.begin(), got.end(), wanted.begin()))
-      return say("no prefix");
-    if (!got.empty() && got.back() > acknowledged + number_in(run.interrupted, publisher))
-      return say("more than was published");
-    const std::uint64_t committed = committed_by(run, publisher);
-    const auto owed = static_cast<std::size_t>(std::count_if(
-        wanted.begin(), wanted.end(), [&](std::uint64_t number) { return number <= committed; }));
-    if (run.joined.at(subscription) < run.last_answer && got.size() < owed)
-      return say("a committed message is missing");
-    return {};
-  }
+  std::string judge(const Run& run, std::uint64_t subscription, std::uint64_t publisher) const;
   static std::uint64_t number_in(const std::map<std::uint64_t, std::uint64_t>& numbers,
                                  std::uint64_t publisher) {
     const auto found = numbers.find(publisher);
@@ -651,3 +547,5 @@ class Performance {
 };
 
 }  // namespace agnocast::sweep
+
+#include <tests/recovery/sweep_comparison.hpp>  // bodies

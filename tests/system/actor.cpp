@@ -18,6 +18,7 @@
 //   run_sub ID DEPTH PUBLISHERS SEED PROGRESS → free run: verdict (tests/system/free_run.hpp)
 //   live                                 → bytes allocated in the shared heap, and its frontier
 
+#include <tests/support/actor.hpp>
 #include <tests/system/free_run.hpp>
 #include <tests/system/specimen.hpp>
 
@@ -36,24 +37,6 @@
 
 namespace agnocast::test {
 namespace {
-
-struct Node {
-  const char* get_name() const { return "actor"; }
-  const char* get_namespace() const { return "/"; }
-  const char* get_fully_qualified_name() const { return "/actor"; }
-};
-
-QoS qos_of(const std::string& text) {
-  std::size_t end = 0;
-  const std::size_t depth = std::stoul(text, &end);
-  QoS qos(depth);
-  for (const char letter : text.substr(end)) {
-    if (letter == 't') qos.transient_local();
-    if (letter == 'b') qos.best_effort();
-    if (letter == 'a') qos.keep_all(depth);
-  }
-  return qos;
-}
 
 class Actor {
  public:
@@ -97,7 +80,7 @@ class Actor {
   std::string advertise(std::uint64_t id, std::istringstream& line) {
     std::string topic, qos;
     line >> topic >> qos;
-    publishers_[id] = {create_publisher<Specimen>(node_, topic, qos_of(qos)), 0};
+    publishers_[id] = {create_publisher<Specimen>(node_, topic, qos_from_letters(qos)), 0};
     return "ok";
   }
 
@@ -105,7 +88,7 @@ class Actor {
     std::string topic, qos;
     std::size_t quota = 0;
     line >> topic >> qos >> quota;
-    auto made = try_create_subscription<Specimen>(node_, topic, qos_of(qos),
+    auto made = try_create_subscription<Specimen>(node_, topic, qos_from_letters(qos),
                                                   SubscriptionOptions().hold_quota(quota));
     if (!made) throw Error(made.error());
     subscriptions_[id] = {std::move(*made), {}};
@@ -231,7 +214,7 @@ class Actor {
     return judge.verdict();
   }
 
-  Node node_;
+  ActorNode node_{"actor"};
   std::uint64_t seed_ = 0;
   std::map<std::uint64_t, OwnPublisher> publishers_;
   std::map<std::uint64_t, OwnSubscription> subscriptions_;

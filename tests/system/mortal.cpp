@@ -19,6 +19,7 @@
 //     events                                → CALLS CURRENT of the matched callback
 //   QOS: a depth, then t (transient local), a (keep-all)
 
+#include <tests/support/actor.hpp>
 #include <tests/system/sheaf.hpp>
 
 #include <agnocast/agnocast.hpp>
@@ -39,19 +40,6 @@
 
 namespace agnocast::test {
 namespace {
-
-struct Node {
-  const char* get_name() const { return "mortal"; }
-  const char* get_namespace() const { return "/"; }
-  const char* get_fully_qualified_name() const { return "/mortal"; }
-};
-
-QoS qos_of(const std::string& text) {
-  QoS qos(std::strtoul(text.c_str(), nullptr, 10));
-  if (text.find('t') != std::string::npos) qos.transient_local();
-  if (text.find('a') != std::string::npos) qos.keep_all(qos.depth());
-  return qos;
-}
 
 class Mortal {
  public:
@@ -93,7 +81,7 @@ class Mortal {
   std::string advertise(const std::string& topic, const std::string& qos) {
     PublisherOptions options;
     options.matched_callback([this](MatchedInfo& info) { note(info); });
-    auto made = try_create_publisher<Sheaf>(node_, topic, qos_of(qos), options);
+    auto made = try_create_publisher<Sheaf>(node_, topic, qos_from_letters(qos), options);
     if (!made) return "refused " + text_of(made.error());
     publisher_ = *made;
     return "ok";
@@ -123,7 +111,7 @@ class Mortal {
     SubscriptionOptions options;
     options.hold_quota(quota);
     options.matched_callback([this](MatchedInfo& info) { note(info); });
-    auto made = try_create_subscription<Sheaf>(node_, topic, qos_of(qos), options);
+    auto made = try_create_subscription<Sheaf>(node_, topic, qos_from_letters(qos), options);
     if (!made) return "refused " + text_of(made.error());
     subscription_ = *made;
     return "ok";
@@ -192,7 +180,7 @@ class Mortal {
     return asked ? "ok" : "refused " + text_of(asked.error());
   }
 
-  Node node_;
+  ActorNode node_{"mortal"};
   Publisher<Sheaf>::SharedPtr publisher_;
   Subscription<Sheaf>::SharedPtr subscription_;
   std::vector<Held> held_;

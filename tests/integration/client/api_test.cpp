@@ -6,6 +6,8 @@
 
 #include <agnocast/agnocast.hpp>
 #include <tests/support/daemon_process.hpp>
+#include <tests/support/error_of.hpp>
+#include <tests/support/suite_daemon.hpp>
 
 #include <sensor_msgs/msg/point_cloud2.hpp>
 
@@ -26,6 +28,7 @@
 namespace agnocast {
 namespace {
 
+using test::error_of;
 using Cloud = sensor_msgs::msg::PointCloud2;
 
 /// What create_publisher needs of a node, and nothing else.
@@ -58,14 +61,8 @@ struct LookAlikeQos {
   Durability durability() const { return how_durable; }
 };
 
-class Api : public testing::Test {
+class Api : public test::SuiteDaemon {
  protected:
-  // The library connects once per process, so all tests here share one daemon.
-  static void SetUpTestSuite() {
-    daemon = new test::DaemonProcess;
-    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
-  }
-  static test::DaemonProcess* daemon;
   PlainNode node;
 
   template <class T>
@@ -78,7 +75,6 @@ class Api : public testing::Test {
     return {};
   }
 };
-test::DaemonProcess* Api::daemon = nullptr;
 
 void fill(Cloud& cloud, std::uint32_t points) {
   cloud.header.frame_id = "a frame whose name does not fit into a string object";
@@ -353,16 +349,6 @@ TEST_F(Api, APublisherThatIsGoneIsNotCountedThoughItsMessagesAreThere) {
   publisher.reset();
   EXPECT_TRUE(test::eventually([&] { return subscription->get_publisher_count() == 0; }));
   EXPECT_TRUE(take_soon(*subscription));
-}
-
-template <class Function>
-std::string error_of(Function function) {
-  try {
-    function();
-  } catch (const Error& error) {
-    return error.what();
-  }
-  return "(no error)";
 }
 
 TEST_F(Api, MistakesAreNamed) {

@@ -12,6 +12,7 @@
 #include <tests/support/plain_node.hpp>
 #include <tests/support/random_message.hpp>
 #include <tests/support/steered_process.hpp>
+#include <tests/support/suite_daemon.hpp>
 #include <tests/support/temporary_directory.hpp>
 
 #include <gmock/gmock.h>
@@ -61,13 +62,8 @@ struct MessageTraits<Impostor> {
 
 namespace {
 
-class CtlTopic : public testing::Test {
+class CtlTopic : public test::SuiteDaemon {
  protected:
-  // The library connects once per process.
-  static void SetUpTestSuite() {
-    daemon = new test::DaemonProcess;
-    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
-  }
   static CtlResult ctl(std::vector<std::string> words) {
     return test::run_ctl(daemon->socket_path(), std::move(words));
   }
@@ -99,10 +95,8 @@ class CtlTopic : public testing::Test {
     message.data = data;
     return message;
   }
-  static test::DaemonProcess* daemon;
   PlainNode node;
 };
-test::DaemonProcess* CtlTopic::daemon = nullptr;
 
 PointCloud2 cloud() {
   PointCloud2 cloud;

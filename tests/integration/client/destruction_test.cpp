@@ -7,6 +7,7 @@
 #include <agnocast/agnocast.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/plain_node.hpp>
+#include <tests/support/suite_daemon.hpp>
 
 #include <gmock/gmock.h>
 
@@ -73,17 +74,11 @@ struct MessageTraits<Noted> {
 
 namespace {
 
-class Destruction : public testing::Test {
+class Destruction : public test::SuiteDaemon {
  protected:
-  // The library connects once per process.
-  static void SetUpTestSuite() {
-    daemon = new test::DaemonProcess;
-    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
-  }
   void SetUp() override {
     for (auto& count : destroyed_by) count.store(0);
-    publisher = create_publisher<Noted>(
-        test::PlainNode(), testing::UnitTest::GetInstance()->current_test_info()->name(), QoS(1));
+    publisher = create_publisher<Noted>(test::PlainNode(), test_name(), QoS(1));
   }
   void TearDown() override { publisher = nullptr; }
 
@@ -98,10 +93,8 @@ class Destruction : public testing::Test {
     doing = before;
   }
 
-  static test::DaemonProcess* daemon;
   static Publisher<Noted>::SharedPtr publisher;
 };
-test::DaemonProcess* Destruction::daemon = nullptr;
 Publisher<Noted>::SharedPtr Destruction::publisher;
 
 void come_back() { Destruction::borrow_and_publish(small); }

@@ -9,6 +9,7 @@
 #include <tests/integration/client/second_process.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/foreign_socket.hpp>
+#include <tests/support/suite_daemon.hpp>
 
 #include <gmock/gmock.h>
 
@@ -29,21 +30,7 @@ using test::Number;
 using test::qos_of;
 using test::SecondProcess;
 
-class Events : public testing::Test {
- protected:
-  // The library connects once per process, so all tests here share one daemon.
-  static void SetUpTestSuite() {
-    daemon = new test::DaemonProcess;
-    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
-  }
-  static void TearDownTestSuite() { delete daemon; }
-  static test::DaemonProcess* daemon;
-
-  static std::string own(const std::string& name) {
-    return name + "_" + testing::UnitTest::GetInstance()->current_test_info()->name();
-  }
-};
-test::DaemonProcess* Events::daemon = nullptr;
+class Events : public test::SuiteDaemon {};
 
 /// A list that callbacks fill.
 template <class Info>

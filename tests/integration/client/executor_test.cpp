@@ -10,6 +10,8 @@
 #include <tests/integration/client/second_process.hpp>
 #include <tests/support/child.hpp>
 #include <tests/support/daemon_process.hpp>
+#include <tests/support/error_of.hpp>
+#include <tests/support/suite_daemon.hpp>
 
 #include <poll.h>
 #include <signal.h>
@@ -32,6 +34,7 @@ namespace agnocast {
 namespace {
 
 using namespace std::chrono_literals;
+using test::error_of;
 using test::eventually;
 using test::Number;
 using test::SecondProcess;
@@ -39,27 +42,14 @@ using Message = ipc_shared_ptr<const Number>;
 
 static_assert(std::has_virtual_destructor_v<Executor>, "may be held by pointers to the base");
 
-class Executors : public testing::Test {
+class Executors : public test::SuiteDaemon {
  protected:
-  // The library connects once per process, so all tests here share one daemon.
-  static void SetUpTestSuite() {
-    daemon = new test::DaemonProcess;
-    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
-  }
-  static void TearDownTestSuite() { delete daemon; }
-  static test::DaemonProcess* daemon;
-
-  /// Names of this test alone.
-  static std::string own(const std::string& name) {
-    return name + "_" + testing::UnitTest::GetInstance()->current_test_info()->name();
-  }
   static void publish(Publisher<Number>& publisher, std::uint64_t value) {
     auto number = publisher.borrow_loaned_message();
     number->value = value;
     ASSERT_TRUE(publisher.publish(std::move(number)));
   }
 };
-test::DaemonProcess* Executors::daemon = nullptr;
 
 /// What callbacks saw, from any thread.
 struct Seen {
@@ -81,16 +71,6 @@ std::vector<std::uint64_t> up_to(std::uint64_t last) {
   std::vector<std::uint64_t> values;
   for (std::uint64_t value = 1; value <= last; ++value) values.push_back(value);
   return values;
-}
-
-template <class Function>
-std::string error_of(Function function) {
-  try {
-    function();
-  } catch (const Error& error) {
-    return error.what();
-  }
-  return "(no error)";
 }
 
 TEST_F(Executors, SpinRunsCallbacksInItsThreadUntilCancelled) {

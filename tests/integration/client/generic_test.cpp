@@ -12,6 +12,7 @@
 #include <agnocast/heap.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/plain_node.hpp>
+#include <tests/support/suite_daemon.hpp>
 
 #include <gmock/gmock.h>
 
@@ -62,19 +63,15 @@ struct MessageTraits<Track> {
 
 namespace {
 
-class Generic : public testing::Test {
+class Generic : public test::SuiteDaemon {
  protected:
-  // The library connects once per process.
   static void SetUpTestSuite() {
-    daemon = new test::DaemonProcess(
-        {.config = "[heap]\n" AGNOCAST_TEST_ARENA_BASE
-                   "window_bytes = \"64MiB\"\narena_bytes = \"1GiB\"\nwindows_per_process = 1\n"});
-    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
+    start({.config =
+               "[heap]\n" AGNOCAST_TEST_ARENA_BASE
+               "window_bytes = \"64MiB\"\narena_bytes = \"1GiB\"\nwindows_per_process = 1\n"});
   }
-  static test::DaemonProcess* daemon;
   PlainNode node;
 };
-test::DaemonProcess* Generic::daemon = nullptr;
 
 TEST_F(Generic, ASubscriptionThatKnowsOnlyTheIdentityGetsTheMessages) {
   const auto type = message_type_of<Track>();

@@ -7,6 +7,7 @@
 
 #include <agnocast/abi/heaphook.h>
 #include <agnocast/agnocast.hpp>
+#include <tests/support/bulk.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/own_process.hpp>
 #include <tests/support/plain_node.hpp>
@@ -30,23 +31,8 @@
 namespace agnocast {
 namespace {
 
-struct Bulk : SharedMessage {
-  SharedVector<std::uint8_t> data;
-};
-
-}  // namespace
-
-template <>
-struct MessageTraits<Bulk> {
-  static constexpr const char* name = "tests/Bulk";
-  static void for_each_pointer(const Bulk& bulk, PointerVisitor& visit) noexcept {
-    visit("data", bulk.data);
-  }
-};
-
-namespace {
-
 using Clock = std::chrono::steady_clock;
+using test::Bulk;
 using test::eventually;
 using test::in_own_process;
 using test::PlainNode;

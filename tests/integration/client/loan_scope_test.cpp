@@ -8,6 +8,7 @@
 #include <agnocast/agnocast.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/plain_node.hpp>
+#include <tests/support/suite_daemon.hpp>
 
 #include <sensor_msgs/msg/point_cloud2.hpp>
 
@@ -33,13 +34,8 @@ bool allocates_shared() {
   return agnocast_heaphook()->owns(block->data()) != 0;
 }
 
-class LoanScopes : public testing::Test {
+class LoanScopes : public test::SuiteDaemon {
  protected:
-  // The library connects once per process.
-  static void SetUpTestSuite() {
-    daemon = new test::DaemonProcess;
-    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
-  }
   void SetUp() override {
     subscription = create_subscription<Cloud>(test::PlainNode(), "points", QoS(5));
     publisher = create_publisher<Cloud>(test::PlainNode(), "points", 5);
@@ -51,11 +47,9 @@ class LoanScopes : public testing::Test {
     agnocast_heaphook()->usage(&usage);
     EXPECT_EQ(usage.internal_error_count, 0u);
   }
-  static test::DaemonProcess* daemon;
   Publisher<Cloud>::SharedPtr publisher;
   Subscription<Cloud>::SharedPtr subscription;
 };
-test::DaemonProcess* LoanScopes::daemon = nullptr;
 
 void fill_field(Cloud& cloud, std::size_t i) {
   cloud.fields[i].name.assign(1000, static_cast<char>('a' + i));

@@ -8,6 +8,8 @@
 #include <agnocast/agnocast.hpp>
 #include <tests/integration/client/second_process.hpp>
 #include <tests/support/daemon_process.hpp>
+#include <tests/support/error_of.hpp>
+#include <tests/support/suite_daemon.hpp>
 
 #include <gmock/gmock.h>
 
@@ -20,6 +22,7 @@
 namespace agnocast {
 namespace {
 
+using test::error_of;
 using test::eventually;
 using test::Number;
 
@@ -41,31 +44,13 @@ static_assert(!is_taken<void()> && !is_taken<void(const Number&)> && !is_taken<v
               !is_taken<void(Const, MessageInfo&)> &&
               !is_taken<void(ipc_shared_ptr<const MessageInfo>)>);
 
-class Nodes : public testing::Test {
+class Nodes : public test::SuiteDaemon {
  protected:
-  // The library connects once per process, so all tests here share one daemon.
-  static void SetUpTestSuite() {
-    daemon = new test::DaemonProcess;
-    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
-  }
-  static void TearDownTestSuite() { delete daemon; }
   void TearDown() override {
     const char* const none[] = {"program"};
     init(1, none);
   }
-  static test::DaemonProcess* daemon;
 };
-test::DaemonProcess* Nodes::daemon = nullptr;
-
-template <class Function>
-std::string error_of(Function function) {
-  try {
-    function();
-  } catch (const Error& error) {
-    return error.what();
-  }
-  return "(no error)";
-}
 
 TEST_F(Nodes, HaveNamesAndResolveThoseOfTopics) {
   Node plain("talker"), inside("talker", "/robot/arm"), relative("talker", "robot");

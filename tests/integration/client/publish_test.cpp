@@ -9,6 +9,7 @@
 #include <agnocast/agnocast.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/plain_node.hpp>
+#include <tests/support/suite_daemon.hpp>
 
 #include <gmock/gmock.h>
 
@@ -93,23 +94,18 @@ bool allocates_shared() {
   return agnocast_heaphook()->owns(block->data()) != 0;
 }
 
-class Publishing : public testing::Test {
+class Publishing : public test::SuiteDaemon {
  protected:
-  // The library connects once per process.
   static void SetUpTestSuite() {
-    daemon =
-        new test::DaemonProcess({.config = "[heap]\nwindow_bytes = \"64MiB\"\n"
-                                           "arena_bytes = \"1GiB\"\nwindows_per_process = 1\n"});
-    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
+    start({.config = "[heap]\nwindow_bytes = \"64MiB\"\n"
+                     "arena_bytes = \"1GiB\"\nwindows_per_process = 1\n"});
   }
   void TearDown() override {
     constructing = copying = Mood::good;
     EXPECT_FALSE(allocates_shared()) << "a scope was left open";
   }
-  static test::DaemonProcess* daemon;
   PlainNode node;
 };
-test::DaemonProcess* Publishing::daemon = nullptr;
 
 bool all_are(const std::vector<std::uint8_t>& data, std::uint8_t value) {
   return std::all_of(data.begin(), data.end(), [&](std::uint8_t byte) { return byte == value; });

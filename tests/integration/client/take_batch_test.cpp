@@ -11,6 +11,7 @@
 #include <tests/integration/client/second_process.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/plain_node.hpp>
+#include <tests/support/suite_daemon.hpp>
 
 #include <gmock/gmock.h>
 
@@ -66,18 +67,11 @@ Values in_batches(Subscription<Block>& subscription, std::size_t size) {
   return values;
 }
 
-class TakeBatch : public testing::Test {
+class TakeBatch : public test::SuiteDaemon {
  protected:
-  // The library connects once per process.
-  static void SetUpTestSuite() {
-    daemon = new test::DaemonProcess;
-    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
-  }
-  static test::DaemonProcess* daemon;
-
   /// A topic of this test's own.
   void begin(std::size_t publisher_count, const QoS& qos, const SubscriptionOptions& options = {}) {
-    topic_ = testing::UnitTest::GetInstance()->current_test_info()->name();
+    topic_ = test_name();
     singly = create_subscription<Block>(node, topic_, qos, options);
     batched = create_subscription<Block>(node, topic_, qos, options);
     while (publishers.size() < publisher_count)
@@ -99,7 +93,6 @@ class TakeBatch : public testing::Test {
   std::string topic_;
   std::mt19937 random_{1};
 };
-test::DaemonProcess* TakeBatch::daemon = nullptr;
 
 /// A thread publishes `count` messages by eight publishers in turn, while this one takes `size` at once:
 /// how many come behind one that was published later.

@@ -7,6 +7,7 @@
 // window makes room. Each in a process of its own, because a process has one heap.
 
 #include <agnocast/agnocast.hpp>
+#include <tests/support/bulk.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/own_process.hpp>
 #include <tests/support/plain_node.hpp>
@@ -23,23 +24,8 @@ namespace agnocast {
 namespace {
 
 namespace wire = abi::wire;
+using test::Bulk;
 using test::PlainNode;
-
-struct Bulk : SharedMessage {
-  SharedVector<std::uint8_t> data;
-};
-
-}  // namespace
-
-template <>
-struct MessageTraits<Bulk> {
-  static constexpr const char* name = "tests/Bulk";
-  static void for_each_pointer(const Bulk& bulk, PointerVisitor& visit) noexcept {
-    visit("data", bulk.data);
-  }
-};
-
-namespace {
 
 void grow_after_a_refusal() {
   test::DaemonProcess daemon(

@@ -8,6 +8,7 @@
 #include <tests/support/ctl.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/steered_process.hpp>
+#include <tests/support/suite_daemon.hpp>
 #include <tests/support/temporary_directory.hpp>
 
 #include <example_interfaces/srv/add_two_ints.hpp>
@@ -37,13 +38,8 @@ using testing::HasSubstr;
 
 const std::string add_type = "example_interfaces/srv/AddTwoInts";
 
-class CtlCall : public testing::Test {
+class CtlCall : public test::SuiteDaemon {
  protected:
-  // The library connects once per process.
-  static void SetUpTestSuite() {
-    daemon = new test::DaemonProcess;
-    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
-  }
   static CtlResult call(std::vector<std::string> words) {
     words.insert(words.begin(), {"service", "call"});
     return test::run_ctl(daemon->socket_path(), std::move(words));
@@ -60,10 +56,8 @@ class CtlCall : public testing::Test {
           response->sum = request->a + request->b;
         });
   }
-  static test::DaemonProcess* daemon;
   Node node{"server"};
 };
-test::DaemonProcess* CtlCall::daemon = nullptr;
 
 TEST_F(CtlCall, PrintsWhatATypedServiceAnswers) {
   const auto service = serve_sums("/add");

@@ -8,6 +8,7 @@
 #include <agnocast/agnocast.hpp>
 #include <agnocast/generic_service.hpp>
 #include <tests/support/daemon_process.hpp>
+#include <tests/support/suite_daemon.hpp>
 
 #include <example_interfaces/srv/add_two_ints.hpp>
 #include <std_srvs/srv/empty.hpp>
@@ -35,19 +36,14 @@ using Arrays = test_msgs::srv::Arrays;
 
 constexpr auto patience = 20s;
 
-class GenericServices : public testing::Test {
+class GenericServices : public test::SuiteDaemon {
  protected:
-  // The library connects once per process, so all tests here share one daemon.
   static void SetUpTestSuite() {
     test::DaemonOptions options;
     options.config = "[heap]\nwindow_bytes = \"64MiB\"\n";
-    daemon = new test::DaemonProcess(options);
-    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
+    start(options);
   }
-  static void TearDownTestSuite() { delete daemon; }
-  static test::DaemonProcess* daemon;
 };
-test::DaemonProcess* GenericServices::daemon = nullptr;
 
 void add(const ipc_shared_ptr<const AddTwoInts::Request>& request,
          ipc_shared_ptr<AddTwoInts::Response>& response) {
@@ -192,9 +188,8 @@ TEST_F(GenericServices, AdoptWhatWasBuiltElsewhere) {
 TEST_F(GenericServices, ARequestThatOutlivesItsClientIsOfNoOtherType) {
   Node node("node");
   std::atomic<int> asked{0};
-  auto service = create_generic_service(
-      node, "stale_requests", "test_msgs/srv/Arrays",
-      [&](const GenericMessage&, GenericLoan&) { ++asked; });
+  auto service = create_generic_service(node, "stale_requests", "test_msgs/srv/Arrays",
+                                        [&](const GenericMessage&, GenericLoan&) { ++asked; });
   std::vector<GenericLoan> stale;
   for (int round = 0; round < 20; ++round) {
     {
