@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// QueueScenario: what the daemon does: take a request, redo what the record holds, answer.
+// QueueScenario, the daemon: takes a request, redoes the record, answers.
 #pragma once
 
 #include <tests/model/queue_scenario.hpp>
@@ -14,8 +14,7 @@ inline void QueueScenario::take_request(W& world) {
   while (request_number(world, waiting).request != none) ++waiting;
   waiting = machine.remember(waiting);
   const std::uint64_t chosen = waiting > 1 ? machine.choose(waiting) : 0;
-  // The journal record is committed by one store; the request is gone from the door from here
-  // on.
+  // One store commits the redo log record; from here on the request no longer waits.
   state.journal = request_number(world, chosen);
   switch (state.journal.request) {
     case joining:
@@ -60,7 +59,7 @@ inline void QueueScenario::apply_record(W& world) {
   journal::BoardSteps<MM> steps(topic());
   switch (record.request) {
     case joining:
-      // Before it is a member: the publisher that sees it sees its slots.
+      // Before it joins: a publisher that sees it also sees its slots.
       if (plan_.slots_before != 0)
         topic()
             .publisher(0, offsetof(abi::PublisherEntry, slot_count))
@@ -112,7 +111,7 @@ inline void QueueScenario::answer_record(W& world) {
   switch (record.request) {
     case joining:
       state.joined[record.index] = state.linked_to[record.index] != 0 ? 1 : 3;
-      // The announcement brings all windows that there are.
+      // The announcement brings all existing windows.
       if (state.second_window == 2) state.window_announced[record.index] = 2;
       if (publisher_alive && matches(static_cast<std::uint32_t>(record.index)))
         state.announce[record.index] = record.generation;
@@ -124,7 +123,7 @@ inline void QueueScenario::answer_record(W& world) {
     case unlinked:
       break;
     case window_wanted:
-      // The announcement is in the subscribers' sockets before the answer.
+      // The announcement reaches the subscribers' sockets before the answer.
       for (std::uint32_t s = 0; s < 2; ++s) state.window_announced[s] = state.linked_to[s];
       state.second_window = 2;
       break;
@@ -167,7 +166,7 @@ inline void QueueScenario::run_daemon(W& world) {
       take_request(world);
       break;
     case down:
-      // Restart: redo what the journal holds, kick everybody, ring everybody.
+      // Restart: redo the record of the redo log, kick and ring all.
       thread.pc = state.journal.request != none ? std::uint64_t{apply} : std::uint64_t{idle};
       state.kick = state.publisher_dead == 0;
       for (std::uint32_t s = 0; s < 2; ++s) state.bell[s] = 1;

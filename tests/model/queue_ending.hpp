@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// QueueScenario: what must be true where nothing can move.
+// QueueScenario: the invariants when no move is left.
 #pragma once
 
 #include <tests/model/queue_scenario.hpp>

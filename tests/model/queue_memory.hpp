@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// QueueScenario: the words of shared memory that take part, and what is in them at the start.
+// QueueScenario: the modelled words of shared memory and their initial values.
 #pragma once
 
 #include <tests/model/queue_scenario.hpp>
@@ -33,8 +33,8 @@ inline QueueScenario::W QueueScenario::start() {
     } else if (sub.late) {
       world.threads[sub0 + s].pc = join;
     } else {
-      // Subscribed before the publisher came: on the board, and announced to it; it links at any
-      // time.
+      // Subscribed before the publisher came: on the board, and announced to it; it may link at
+      // any time.
       world.state.generation[s] = 1;
       world.state.withdrawal[s] = sub.withdrawn;
       poke(world, board, offsetof(abi::TopicHeader, subscription_high), s + 1);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// QueueScenario: which thread may move, what a death leaves, and which loads are no scheduling points.
+// QueueScenario: which thread may move, what a death leaves, and which loads are no scheduling
+// points.
 #pragma once
 
 #include <tests/model/queue_scenario.hpp>
@@ -59,11 +60,11 @@ inline bool QueueScenario::perform(W& world, std::uint8_t t, std::uint16_t argum
   if (argument == 2000) {
     state.window_announced[t - sub0] = 2;
     state.bell[t - sub0] = 1;
-    state.timer_runs = 0;  // what it takes now is to be freed by a later one
+    state.timer_runs = 0;  // a later timer run must free what it takes now
     return true;
   }
   Thread& thread = world.threads[t];
-  // What a SIGKILL leaves of the victim's stores is a prefix; the rest was never executed.
+  // A SIGKILL leaves a prefix of the victim's stores; the rest was never executed.
   Machine::clear_buffer(thread, argument);
   auto stop = [&](std::uint8_t which) {
     world.threads[which].log_count = 0;

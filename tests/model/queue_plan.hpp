@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What a run of the queue scenario is about: who takes part, with which quality of service, who may
-// die, and what the plan breaks on purpose. The plans themselves are in plans.hpp.
+// A run of the queue scenario: the participants, their quality of service, which of them may die,
+// and what the plan breaks on purpose. plans.hpp has the plans themselves.
 #pragma once
 
 #include <cstdint>
@@ -10,34 +10,34 @@ namespace agnocast::model {
 
 struct SubscriptionPlan {
   bool present = false;
-  bool late = false;    // joins while the publisher runs; otherwise it was there before
-  bool linked = false;  // and is linked and mapped when the publisher begins
+  bool late = false;    // joins while the publisher runs; otherwise it exists before
+  bool linked = false;  // and is linked and mapped when the publisher starts
   std::uint32_t depth = 1;
   bool transient_local = false;
   bool keep_all = false;
   std::uint32_t quota = 1;     // messages held at once
-  bool sleep_holding = false;  // may go to sleep with messages held
+  bool sleep_holding = false;  // may sleep while it holds messages
   bool other_thread_releases = false;
   bool leaves = false;  // may leave after any take
   bool rejoins = false;
-  // Another process with this depth takes its place after it was woken twice, or when there is
-  // something to take; 0 = none. What its executor's number was rung for must not stick to it.
+  // Another process with this depth takes its place after it was woken twice, or when there is a
+  // message to take; 0 = none. A ring meant for the first process must not affect the second.
   std::uint32_t rejoin_depth = 0;
   bool hangs = false;            // links and then never takes, as if stopped
   std::uint32_t cannot_map = 0;  // window of the publisher, from 1; 0 = it can map all
   // The publisher withdraws it at any time, for good.
   bool withdrawn = false;
-  // The publisher cannot map it before it is withdrawn and holds nothing: then it is disregarded, or, with
-  // served_again, mapped and served.
+  // The publisher cannot map it before it is withdrawn and holds no message: then it is
+  // disregarded, or, with served_again, mapped and served.
   bool unmapped = false;
   bool served_again = false;
 };
 
-/// What a plan breaks on purpose, where no named step stands for it.
+/// Deliberate faults of a plan for which no named step exists.
 enum class QueueFault : std::uint8_t {
   none,
-  one_number_for_two_sleepers,  // two processes; the number has the bell of the first
-  looks_at_last_link,           // before it sleeps, the executor looks at its second link only
+  one_number_for_two_sleepers,  // two processes; the number has the doorbell of the first
+  looks_at_last_link,           // before it sleeps, the executor checks only its second link
   links_without_waking,         // a link made while the executor sleeps does not wake it
 };
 
@@ -55,7 +55,7 @@ struct QueuePlan {
   std::uint32_t grow_before = 0;         // the heap grows before this message (1-based); 0 = never
   std::uint32_t second_window_from = 0;  // messages from this one on lie there; 0 = never
   bool second_has_members = false;  // they only point there: the objects lie in the first window
-  bool second_is_fresh = false;  // it begins a group: the first one is not allocated from any more
+  bool second_is_fresh = false;     // it begins a window set
   SubscriptionPlan sub[2];
   std::uint32_t publisher_deaths = 0;
   std::uint32_t subscriber_deaths = 0;
@@ -64,8 +64,8 @@ struct QueuePlan {
   bool may_run_out_of_slots = false;
   bool publisher_leaves = false;  // after its last message; its process stays
   // Both subscriptions belong to one process and one executor: one sleep word, one number, one
-  // bell. sub0 is the executor's thread and takes for both; sub1 is the thread that joins and links
-  // the second one. Nobody dies or leaves in such a plan.
+  // doorbell. sub0 is the executor's thread and takes for both; sub1 is the thread that joins and
+  // links the second one. No process dies or leaves in such a plan.
   bool one_executor = false;
   QueueFault fault = QueueFault::none;
 };

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// QueueScenario: what the publisher and its control thread do, and the bound of keep-all.
+// QueueScenario: the publisher, its control thread, and the bound of keep-all.
 #pragma once
 
 #include <tests/model/queue_scenario.hpp>
@@ -52,7 +52,7 @@ inline void QueueScenario::run_publisher(W& world, std::uint8_t t) {
     std::memcpy(state.publisher, scratch, sizeof scratch);
     return;
   }
-  // What others have done until here; a retry makes sense once there is more.
+  // What others have done until here; a retry makes sense once they have done more.
   const std::uint64_t room = machine.remember(room_digest(world));
   const std::uint64_t number = own.published + 1;
   const std::uint64_t frontier =

@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Queue scenario: one topic, one publisher with its control thread, two subscriptions, the daemon.
-// Anything may die.
+// Any process may die.
 //
-// What runs is the shipped code: PublisherCore, LinkCore, SleepCore, BoardSteps, recover_queue,
-// store_frontier/load_frontier. Modelled around it are only scripts (who calls what next), messages
-// between the daemon and clients as flags, and ghosts that remember what was promised. Checked at
-// every step: no message is read or held after it was freed, none is freed twice, order per
-// publisher, every loss happens with D newer messages committed, a late joiner starts where it may,
-// the opened mapping covers what the message needs. Checked where nothing can move: nobody sleeps
-// beside a message, nothing is leaked, nobody is stuck, recovery left a consistent queue.
+// The scenario runs the shipped code: PublisherCore, LinkCore, SleepCore, BoardSteps,
+// recover_queue, store_frontier/load_frontier. It models only scripts (the order of calls),
+// messages between daemon and clients as flags, and ghosts that remember what was promised.
+// Checked at every step: no message is read or held after it was freed, none is freed twice, order
+// per publisher, every loss happens with D newer messages committed, a late joiner starts where it
+// may, the opened mapping covers the message. Checked when no move is left: no subscription sleeps
+// beside a message, no memory leaks, no thread is stuck, recovery left a consistent queue.
 #pragma once
 
 #include <dataplane/frontier.hpp>
@@ -66,7 +66,7 @@ class QueueScenario {
     left,
     hung,
     take_other,
-    served,  // subscription; the last two where one executor takes for both
+    served,  // subscription; the last two if one executor takes for both
     redo_check,
     apply,
     reply,  // daemon
@@ -114,14 +114,14 @@ class QueueScenario {
   struct State {
     alignas(8) unsigned char publisher[sizeof(PublisherPrivate)] = {};
     alignas(8) unsigned char sub[2][sizeof(SubscriptionPrivate)] = {};
-    // on their way
+    // messages in transit
     std::uint64_t bell[2] = {};
     std::uint64_t request[2] = {};   // client → daemon
     std::uint64_t joined[2] = {};    // daemon → client, for join and leave
     std::uint64_t announce[2] = {};  // daemon → publisher: generation to map
     std::uint64_t forget[2] = {};    // daemon → publisher: generation to unmap
     std::uint64_t announced[2] =
-        {};  // rule RU: generation the publisher was told about and has not unlinked
+        {};  // rule RU: generation the publisher was notified of and has not unlinked
     std::uint64_t kick = 0;
     Journal journal;
     std::uint64_t generation[2] = {};  // of the subscription index, daemon's table
@@ -131,11 +131,11 @@ class QueueScenario {
     std::uint64_t publisher_deaths = 0, subscriber_deaths = 0, daemon_deaths = 0;
     std::uint64_t publisher_request = 0;
     std::uint64_t publisher_state =
-        0;  // daemon's table: 0 active, 1 orphan by its own wish, 2 free again
+        0;  // daemon's table: 0 active, 1 orphan by its own request, 2 free again
     std::uint64_t linked_to[2] =
-        {};  // rule RU: the publisher was announced to this subscription, which has not unlinked
-    std::uint64_t second_window = 0;  // of the publisher: 1 asked for, 2 there
-    // The announcement of it: 1 in the subscriber's socket, 2 read.
+        {};  // rule RU: this subscription was notified of the publisher and has not unlinked it
+    std::uint64_t second_window = 0;  // of the publisher: 1 requested, 2 open
+    // Its announcement: 1 in the subscriber's socket, 2 read.
     std::uint64_t window_announced[2] = {};
     std::uint64_t timer_runs = 0;
     std::uint64_t room_snapshot = 0;
@@ -145,9 +145,9 @@ class QueueScenario {
     std::uint64_t held_count[2] = {};
     Held held[2][3] = {};
     std::uint64_t cursor_before[2] = {};
-    std::uint64_t need_open[16] = {};  // per message: frontier it was built under
-    std::uint64_t rung[2] = {};        // sleep that was rung last
-    std::uint64_t withdrawal[2] = {};  // 1 to come, 2 said, 3 over: disregarded or served again
+    std::uint64_t need_open[16] = {};  // per message: frontier when it was built
+    std::uint64_t rung[2] = {};        // the last sleep that was rung
+    std::uint64_t withdrawal[2] = {};  // 1 planned, 2 reported, 3 disregarded or served again
   };
 
   using W = World<QueueScenario>;
@@ -161,7 +161,7 @@ class QueueScenario {
 
   W start();
 
-  // --- what may move
+  // --- possible moves
 
   bool runnable(const W& world, std::uint8_t t) const;
 
@@ -191,15 +191,15 @@ class QueueScenario {
     }
   }
 
-  /// Deaths; the publisher's timer where nothing else moves; and a subscriber's control thread that
-  /// reads the announcement of a window. True if the move is not a death: then the state was no
-  /// ending.
+  /// Deaths; the publisher's timer when no other move is left; and a subscriber's control thread
+  /// that reads the announcement of a window. Returns whether the move is not a death: then the
+  /// state was no ending.
   bool perform(W& world, std::uint8_t t, std::uint16_t argument);
 
-  /// Loads that nobody else alive can influence are no scheduling points.
+  /// Loads that no other living process can influence are no scheduling points.
   void quiet(const W& world, std::uint8_t t, std::uint8_t* quiet_words) const;
 
-  // --- what they do
+  // --- what the threads do
 
   void run(W& world, std::uint8_t t) {
     switch (t) {
@@ -260,8 +260,8 @@ class QueueScenario {
   bool needs_second(std::uint64_t number) const {
     return plan_.second_window_from != 0 && number >= plan_.second_window_from;
   }
-  /// May the subscription lose this message because of where it lies? It may point anywhere in the
-  /// windows of its group.
+  /// Returns whether the subscription may lose this message because of its place: it may point
+  /// anywhere in the windows of its window set.
   bool may_be_unreachable(const W& world, std::uint32_t s, std::uint64_t number) const {
     const std::uint32_t closed = plan_.sub[s].cannot_map;
     if (closed == 0) return false;
@@ -290,7 +290,7 @@ class QueueScenario {
   std::uint64_t extent(std::uint32_t s) const {
     return plan_.one_executor && s == 1 ? second_se : se;
   }
-  /// As the publisher numbers it.
+  /// The publisher's number for it.
   std::uint64_t executor(std::uint32_t s) const {
     const bool one = plan_.one_executor || plan_.fault == QueueFault::one_number_for_two_sleepers;
     return one ? 0 : s;
@@ -305,7 +305,7 @@ class QueueScenario {
   abi::Qos offered() const {
     return {plan_.depth, plan_.transient_local, true, plan_.keep_all, false};
   }
-  /// `subscription_generation`: 1, or 2 for who joined again.
+  /// `subscription_generation`: 1, or 2 after a rejoin.
   abi::Qos requested(std::uint32_t s, std::uint64_t subscription_generation) const {
     const SubscriptionPlan& plan = plan_.sub[s];
     const bool again = subscription_generation > 1 && plan.rejoin_depth != 0;
@@ -335,7 +335,7 @@ class QueueScenario {
 
   // --- helpers
 
-  /// The publisher's mutex is held by a thread in the middle of an operation; it is handed over
+  /// A thread in the middle of an operation holds the publisher's mutex; it releases it together
   /// with its stores.
   static bool busy(const W& world, std::uint8_t t) {
     return world.threads[t].log_count != 0 || world.threads[t].buffer_count != 0;
@@ -344,8 +344,8 @@ class QueueScenario {
   static bool is_withdrawn(const State& state, std::uint32_t s) {
     return state.withdrawal[s] == 2 || state.withdrawal[s] == 3;
   }
-  /// The publisher's control thread has something to do about it. What it may do without knowing what is
-  /// held, it does when nothing is.
+  /// Returns whether the publisher's control thread must act on a withdrawal. Steps that it may
+  /// take without knowing the holds, it takes when there are none.
   bool withdrawal_is_due(const W& world, std::uint32_t s) const {
     const State& state = world.state;
     if (state.sub_dead[s] != 0) return false;
@@ -395,7 +395,7 @@ class QueueScenario {
     }
     return false;
   }
-  /// The n-th request that waits at the daemon's door.
+  /// Returns the n-th request that waits at the daemon.
   Journal request_number(const W& world, std::uint64_t n) const {
     const State& state = world.state;
     for (std::uint64_t s = 0; s < 2; ++s) {
@@ -425,7 +425,7 @@ class QueueScenario {
     void ring(std::uint64_t executor, std::uint64_t armed) {
       if (!machine.live) return;
       world.state.bell[executor] = 1;
-      if (armed == 0) return;  // newly mapped: rung whatever it does
+      if (armed == 0) return;  // newly mapped: rung in any state
       if ((armed & 1) == 0) machine.fail("somebody awake was rung");
       if (world.state.rung[executor] == armed) machine.fail("one sleep was rung twice");
       world.state.rung[executor] = armed;
@@ -465,15 +465,15 @@ class QueueScenario {
     own.core.pass(environment);
   }
 
-  /// How far the keep-all subscription is that is farthest behind, of those that were there first:
-  /// who joins late may have one more message (see abi::window_of). One that the publisher has not
-  /// mapped yet counts as having read nothing.
+  /// Returns the lowest cursor of the keep-all subscriptions that joined first: a late joiner may
+  /// have one more message (see abi::window_of). A subscription that the publisher has not mapped
+  /// yet counts as having read nothing.
   std::uint64_t lowest_keep_all_cursor(const W& world) const;
-  /// Exactly the bound: never one unread message more, and no waiting while there is room for one.
+  /// Checks the exact bound: no unread message beyond it, and no waiting while there is room.
   void check_bound(const W& world, std::uint64_t head, std::uint64_t cursor_before,
                    dataplane::PublishOutcome outcome) const;
 
-  /// As PeerHeap.
+  /// Like PeerHeap.
   struct ModelWindows {
     const W& world;
     std::uint64_t (&opened)[2];
@@ -491,7 +491,7 @@ class QueueScenario {
     region::Place place_of(std::uint64_t address, std::uint64_t size) const {
       using region::Place;
       const std::uint64_t window = address >= second_heap ? 1 : 0;
-      // The owner's header shows it before anything lies there.
+      // The owner's header shows the window before a message lies there.
       if (count == 1 && machine.remember(world.state.second_window) == 2) return Place::awaited;
       if (window >= count) return Place::outside;
       const bool one_group = count == 2 && !second_is_fresh;
@@ -506,16 +506,16 @@ class QueueScenario {
     return pc == take || pc == take_other || pc == sleep || pc == blocked;
   }
 
-  /// The executor of both: takes from one, then from the other, sleeps when neither has anything.
+  /// The executor of both: takes from one, then from the other, sleeps when neither has a message.
   void run_executor(W& world);
 
-  /// What J6 and J7 leave when nothing is published meanwhile.
+  /// What J6 and J7 leave if nothing is published in between.
   void start_linked(W& world, std::uint32_t s);
 
   static std::uint64_t windows_of(const W& world, std::uint32_t s) {
     return world.state.window_announced[s] == 2 ? 2 : 1;
   }
-  /// As Link::is_ready: asking again makes sense once there is another window.
+  /// Like Link::is_ready: asking again makes sense once there is another window.
   static bool awaits_window(const W& world, std::uint32_t s, const SubscriptionPrivate& own) {
     return own.link.is_awaiting_window() &&
            machine.remember(windows_of(world, s)) == own.windows_seen;
@@ -533,7 +533,7 @@ class QueueScenario {
   bool is_to_be_replaced(const W& world, std::uint32_t s) const {
     return plan_.sub[s].rejoin_depth != 0 && machine.remember(world.state.generation[s]) == 1;
   }
-  /// Its region is a new one: the line is zero already, the sleep word begins anew.
+  /// Its region is new: the line is already zero, the sleep word starts from zero.
   void become_another_process(W& world, std::uint32_t s, SubscriptionPrivate& own);
 
   void run_releaser(W& world, std::uint32_t s);
@@ -548,7 +548,7 @@ class QueueScenario {
 
 }  // namespace agnocast::model
 
-// The bodies of what each of them does.
+// The bodies for each participant.
 #include <tests/model/queue_daemon.hpp>
 #include <tests/model/queue_ending.hpp>
 #include <tests/model/queue_memory.hpp>

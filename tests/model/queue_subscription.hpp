@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// QueueScenario: what subscriptions, the executor of both and the releasing thread do, and what they may see.
+// QueueScenario: subscriptions, their common executor, the releasing thread, and what
+// subscriptions may see.
 #pragma once
 
 #include <tests/model/queue_scenario.hpp>
@@ -155,7 +156,7 @@ inline void QueueScenario::run_executor(W& world) {
       thread.pc = take;
       break;
   }
-  // The second one is another thread's until it is linked.
+  // The second subscription belongs to another thread until it is linked.
   std::memcpy(world.state.sub[0], scratch[0], sizeof scratch[0]);
   if (s == 1) std::memcpy(world.state.sub[1], scratch[1], sizeof scratch[1]);
 }
@@ -231,7 +232,8 @@ inline void QueueScenario::check_start(const W& world, std::uint32_t s, std::uin
                                  : 0;
   const std::uint64_t earliest =
       std::max(first + 1, state.join_head[s] + 1 - std::min(back, state.join_head[s]));
-  // The head is monotone, so the one that the link was made with is at most the present one and at least the one of the request.
+  // The head is monotone, so the head at the link lies between the one at the request and the
+  // present one.
   const std::uint64_t head_now = abi::sequence_of(peek(world, publisher_region, pe));
   if (cursor > std::max(first + 1, head_now + 1 - std::min(back, head_now))) {
     machine.fail("a late joiner does not get its history");
@@ -248,7 +250,7 @@ inline void QueueScenario::release_oldest(W& world, std::uint32_t s, Subscriptio
 
 inline void QueueScenario::forget_oldest(State& state, std::uint32_t s) {
   if (!machine.live) return;
-  // Reading ends here; the ghost lets go before the bit does.
+  // Reading ends here; the ghost releases before the bit does.
   for (std::uint64_t i = 1; i < state.held_count[s]; ++i) state.held[s][i - 1] = state.held[s][i];
   state.held[s][--state.held_count[s]] = {};
 }

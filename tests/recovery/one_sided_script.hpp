@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What a sweep of one side is about: a name, the qualities of service, and the commands one by one.
+// A script for the sweep of one side: name, quality of service, one letter per command.
 #pragma once
 
 #include <tests/recovery/stage.hpp>

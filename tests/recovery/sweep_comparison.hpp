@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Performance: how a run with a death is compared with the rehearsal.
+// Performance: compares a run with a death with the rehearsal.
 #pragma once
 
 #include <tests/recovery/sweep_script.hpp>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A script of the sweeps as its commands, and what one run of it ended with.
+// A script of the sweeps as commands, and the result of one run of it.
 #pragma once
 
 #include <tests/recovery/sweep_stage.hpp>
@@ -56,7 +56,7 @@ inline std::vector<Command> parse(const char* text) {
   return commands;
 }
 
-/// What happened in one run, as far as it shall be the same in another.
+/// The results of one run that must be equal in another.
 struct Run {
   using Names = std::vector<std::uint64_t>;
 
@@ -65,9 +65,9 @@ struct Run {
       got;                                      // subscription → publisher → numbers
   std::map<std::uint64_t, std::size_t> joined;  // subscription → command
   std::map<std::uint64_t, std::uint64_t>
-      interrupted;  // publisher → numbers V was asked for when it died
+      interrupted;  // publisher → numbers requested from V when it died
   std::map<std::uint64_t, std::uint64_t> acknowledged;  // publisher → numbers
-  std::uint64_t committed = 0;                          // of what V was asked for when it died
+  std::uint64_t committed = 0;                          // of V's requests at its death
   std::optional<std::size_t> noticed_dead;              // before or at this command
   std::size_t last_answer = 0;                          // of V
   std::string wrong;

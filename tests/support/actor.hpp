@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What steered actors of the tests share: a node as the public interface wants one, and a quality of
+// Shared by the steered actors of the tests: a node for the public interface, and a quality of
 // service as text: depth and letters, e.g. 10tba (t transient local, b best effort, a keep-all).
 #pragma once
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Bulk: a message of any size that lies in the shared heap by its own allocator.
+// Bulk: a message of any size whose data its own allocator puts into the shared heap.
 #pragma once
 
 #include <agnocast/agnocast.hpp>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The text of the error that a call throws.
+// error_of: returns the text of the error that a call throws.
 #pragma once
 
 #include <agnocast/error.hpp>

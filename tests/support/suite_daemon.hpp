@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// SuiteDaemon: the fixture for tests of the public interface. It starts one daemon for all tests of a
-// suite, because the library connects once per process.
+// SuiteDaemon: the fixture for tests of the public interface. It starts one daemon for all tests
+// of a suite, because the library connects once per process.
 #pragma once
 
 #include <tests/support/daemon_process.hpp>
@@ -20,7 +20,7 @@ class SuiteDaemon : public testing::Test {
     delete daemon;
     daemon = nullptr;
   }
-  /// Starts the daemon and points the library to it. A suite that needs options hides SetUpTestSuite().
+  /// Starts the daemon and points the library to it. Suites with options hide SetUpTestSuite().
   static void start(const DaemonOptions& options = {}) {
     daemon = new DaemonProcess(options);
     ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Pair: a publisher and subscriptions over plain memory, and what the tests of the data plane share.
+// Pair: a publisher and subscriptions over plain memory; shared by the tests of the data plane.
 #pragma once
 
 #include <dataplane/publisher_core.hpp>
@@ -31,7 +31,7 @@ inline constexpr std::uint64_t generation = 9;
 
 using Region = test::AlignedRegion;
 
-/// A window of 1 MiB that exists only as numbers.
+/// A heap window of 1 MiB that exists only as numbers.
 struct NumberWindow {
   std::uint64_t base = 0x100000;
   std::uint64_t bytes = 1 << 20;
@@ -86,7 +86,7 @@ struct Freed {
   std::set<std::uint64_t> live;
   void ring(std::uint64_t, std::uint64_t) {}
   void freed(std::uint64_t, std::uint64_t address) {
-    EXPECT_EQ(live.erase(address), 1u) << "freed what was not allocated";
+    EXPECT_EQ(live.erase(address), 1u) << "freed an address that was not allocated";
   }
 };
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a publisher withdraws a reader that keeps too much, and serves the next one as before.
-// Method: as dataplane_test.cpp.
+// Goal: a publisher withdraws a reader that keeps too much, and serves the next reader as before.
+// Method: as in dataplane_test.cpp.
 
 #include <tests/unit/client/dataplane_pair.hpp>
 
@@ -39,7 +39,7 @@ struct Withdrawing : Pair {
   std::uint64_t number = 0;
 };
 
-TEST(DataplaneWithdrawing, KeepsWhatIsHeldUntilItIsLetGoOfAndGivesNothingMore) {
+TEST(DataplaneWithdrawing, KeepsHeldMessagesUntilReleaseAndDeliversNothingMore) {
   Withdrawing pair;
   pair.attach(1);
   LinkCore<M> reader = pair.link(0);
@@ -48,14 +48,14 @@ TEST(DataplaneWithdrawing, KeepsWhatIsHeldUntilItIsLetGoOfAndGivesNothingMore) {
   const auto held = reader.take(pair.window);
   ASSERT_TRUE(held);
   const PublisherCore<M>::MemberId ids[] = {{0, 1}, {0, 1}};
-  EXPECT_EQ(pair.core->kept_bytes(ids), 100u) << "once";
+  EXPECT_EQ(pair.core->kept_bytes(ids), 100u) << "a duplicate id counts once";
   ASSERT_TRUE(pair.publish());
   EXPECT_EQ(pair.core->kept_bytes(ids), 200u) << "one is held, one unread";
   ASSERT_TRUE(pair.core->withdraw(0, 1, abi::Withdrawal::over_share));
   for (int i = 0; i < 8; ++i) ASSERT_TRUE(pair.publish());
   EXPECT_TRUE(pair.environment.live.count(held->address));
   EXPECT_FALSE(reader.take(pair.window));
-  EXPECT_FALSE(reader.has_news()) << "an executor would turn in circles";
+  EXPECT_FALSE(reader.has_news()) << "has_news() would make an executor spin";
   EXPECT_EQ(reader.unread(), 0u);
   EXPECT_EQ(pair.core->withdrawal(0, 1), abi::Withdrawal::over_share);
   EXPECT_FALSE(pair.core->is_disregarded(0));
@@ -65,8 +65,8 @@ TEST(DataplaneWithdrawing, KeepsWhatIsHeldUntilItIsLetGoOfAndGivesNothingMore) {
   EXPECT_FALSE(pair.environment.live.count(held->address));
 }
 
-// A map for late joiners stays without the one who looks at it.
-TEST(DataplaneWithdrawing, DoesNotCountTheHistoryAmongWhatAReaderKeeps) {
+// A map for late joiners is kept even without this reader.
+TEST(DataplaneWithdrawing, DoesNotCountTheHistoryAsKeptByAReader) {
   Withdrawing pair(2, {1, true, true, false, false});
   pair.attach(1);
   LinkCore<M> reader = pair.link(0);
@@ -77,12 +77,12 @@ TEST(DataplaneWithdrawing, DoesNotCountTheHistoryAmongWhatAReaderKeeps) {
   ASSERT_TRUE(reader.take(pair.window));
   EXPECT_EQ(pair.core->kept_bytes(ids), 0u) << "held";
   ASSERT_TRUE(pair.publish());
-  EXPECT_EQ(pair.core->kept_bytes(ids), 100u) << "the map before";
+  EXPECT_EQ(pair.core->kept_bytes(ids), 100u) << "the previous map";
   pair.core->keep_no_history();
   EXPECT_EQ(pair.core->kept_bytes(ids), 200u);
 }
 
-TEST(DataplaneWithdrawing, DisregardsWhoDoesNotLetGo) {
+TEST(DataplaneWithdrawing, DisregardsAReaderThatDoesNotRelease) {
   Withdrawing pair;
   pair.attach(1);
   LinkCore<M> reader = pair.link(0);
@@ -92,14 +92,14 @@ TEST(DataplaneWithdrawing, DisregardsWhoDoesNotLetGo) {
     ASSERT_TRUE(reader.take(pair.window));
   }
   ASSERT_TRUE(pair.publish());
-  ASSERT_FALSE(pair.publish()) << "all slots are held or the newest";
+  ASSERT_FALSE(pair.publish()) << "every slot is held or the newest";
   ASSERT_TRUE(pair.core->withdraw(0, 1, abi::Withdrawal::over_share));
   ASSERT_FALSE(pair.core->is_disregarded(0));
   pair.core->disregard(0, 1);
   for (int i = 0; i < 8; ++i) EXPECT_TRUE(pair.publish());
 }
 
-TEST(DataplaneWithdrawing, BelievesNoHoldOfWhatCameLater) {
+TEST(DataplaneWithdrawing, IgnoresHoldsOfLaterMessages) {
   Withdrawing pair(3);
   pair.attach(1);
   LinkCore<M> reader = pair.link(0);
@@ -113,11 +113,11 @@ TEST(DataplaneWithdrawing, BelievesNoHoldOfWhatCameLater) {
   EXPECT_TRUE(pair.environment.live.count(held->address));
 }
 
-TEST(DataplaneWithdrawing, BoundsWhatIsKeptForWhoIsNeverMapped) {
+TEST(DataplaneWithdrawing, BoundsMemoryKeptForAReaderThatIsNeverMapped) {
   Withdrawing pair;
   pair.core->pass(pair.environment);
   for (int i = 0; i < 3; ++i) ASSERT_TRUE(pair.publish());
-  ASSERT_FALSE(pair.publish()) << "it may hold anything";
+  ASSERT_FALSE(pair.publish()) << "the unmapped reader may hold any message";
   std::uint64_t unmapped = 0;
   pair.core->for_each_unmapped([&](std::uint64_t index, std::uint64_t of) {
     EXPECT_EQ(index, 0u);
@@ -128,7 +128,7 @@ TEST(DataplaneWithdrawing, BoundsWhatIsKeptForWhoIsNeverMapped) {
   ASSERT_TRUE(pair.core->withdraw(0, 1, abi::Withdrawal::not_attached));
   pair.core->disregard(0, 1);
   for (int i = 0; i < 8; ++i) ASSERT_TRUE(pair.publish());
-  // Mapped at last, and served again.
+  // Finally mapped and served again.
   LinkCore<M> reader = pair.link(0);
   ASSERT_TRUE(reader.link(false));
   ASSERT_TRUE(pair.publish());
@@ -143,7 +143,7 @@ TEST(DataplaneWithdrawing, BoundsWhatIsKeptForWhoIsNeverMapped) {
   EXPECT_TRUE(pair.environment.live.count(taken->address));
 }
 
-TEST(DataplaneWithdrawing, ServesTheNextOneInItsPlace) {
+TEST(DataplaneWithdrawing, ServesTheNextReaderInItsPlace) {
   Withdrawing pair;
   pair.attach(1);
   ASSERT_TRUE(pair.core->withdraw(0, 1, abi::Withdrawal::over_share));
@@ -156,7 +156,7 @@ TEST(DataplaneWithdrawing, ServesTheNextOneInItsPlace) {
   EXPECT_TRUE(next.take(pair.window));
 }
 
-TEST(DataplaneWithdrawing, TellsWhoHoldsMoreThanItsQuota) {
+TEST(DataplaneWithdrawing, WithdrawsAReaderThatHoldsMoreThanItsQuota) {
   Withdrawing pair(1);
   pair.attach(1);
   LinkCore<M> reader = pair.link(0);
@@ -174,7 +174,7 @@ TEST(DataplaneWithdrawing, GivesNoSlotBeyondTheQuota) {
   ASSERT_TRUE(reader.link(true));
   pair.line(0).hold(0).store(7);
   for (int i = 0; i < 8; ++i)
-    ASSERT_TRUE(pair.publish()) << "all slots are held, one above the quota";
+    ASSERT_TRUE(pair.publish()) << "all slots are held, one more than the quota";
   EXPECT_EQ(pair.core->withdrawal(0, 1), abi::Withdrawal::over_quota);
 }
 

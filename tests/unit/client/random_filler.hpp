@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// RandomFiller builds random messages with random allocations outside the arena; half of all scalars
-// stay default.
+// RandomFiller builds random messages with random allocations outside the arena; half of all
+// scalars keep their defaults.
 #pragma once
 
 #include <tests/unit/client/residency_messages.hpp>
@@ -28,7 +28,7 @@ class RandomFiller {
   }
 
  private:
-  // Each message has its own share of foreign allocations, from none to most, so that all-resident ones occur.
+  // Each message has its own share of foreign allocations, none to most, so some are resident.
   template <class Do>
   auto somewhere(Do&& what) {
     const SharedHeap heap = shared_heap();
@@ -102,7 +102,7 @@ class RandomFiller {
       return 0;
     });
     for (E& element : elements) fill(element);
-    // Growth after the elements were filled moves them with their memory into another buffer.
+    // Growing after the elements were filled moves them, with their memory, into another buffer.
     if (number(3) == 0)
       somewhere([&] {
         elements.resize(elements.capacity() + 1);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Messages whose single allocations lie inside or outside the arena, for residency_test.cpp, and what the
-// oracle says of them.
+// Messages with single allocations inside or outside the arena, for residency_test.cpp, and their
+// check against the oracle.
 #pragma once
 
 #include "client/api/message_plan.hpp"
@@ -58,10 +58,10 @@ using sensor_msgs::msg::PointCloud2;
 using testing::ElementsAre;
 using testing::Not;
 
-// Longer than any string object holds in itself, also as UTF-16.
+// Longer than any string object holds inline, also as UTF-16.
 inline const std::string long_text(40, 'x');
 inline const std::u16string long_wide(40, u'x');
-// libc++ and libstdc++ hold at least these in the object.
+// libc++ and libstdc++ hold at least this much inline.
 inline const std::string short_text = "short";
 
 struct Map {
@@ -124,7 +124,7 @@ inline std::string path_of(const Residency& found) { return found.first_path.dat
 // Compares the library with the oracle; returns the oracle's list.
 template <class T>
 std::vector<ForeignRange> expect_agreement(const T* message) {
-  type_of<T>();  // made on first use, with allocations of its own
+  type_of<T>();  // made on first use, which allocates
   const std::vector<ForeignRange> expected = Oracle::foreign_ranges(message);
   const HeapCounters before = heap_counters();
   const Residency found = check(message);
@@ -199,8 +199,9 @@ inline Forest* make_forest() {
   return message.release();
 }
 
-// Makes the message again and again with one more of its allocations diverted to libc. Returns the paths that were found
-// alone, in the order of the allocations; growing sequences leave some diverted allocations unused.
+// Makes the message again and again with one more allocation diverted to libc. Returns the paths
+// that were found alone, in the order of the allocations; growing sequences leave some diverted
+// allocations unused.
 template <class Make>
 std::vector<std::string> divert_each_allocation(Make&& make) {
   std::vector<std::string> paths;

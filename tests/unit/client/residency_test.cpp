@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: publish never lets out a message with a byte in it that readers do not have, names what is wrong, and repairs it.
-// Method: operator new of this program plays the heap hook (tests/support/tagging_heap.hpp). Messages are built with every
-// single allocation in turn outside the arena, then with random ones; an oracle that knows the origin of each allocation
-// says what must be found. --seed=N repeats one random run, --runs=N makes more of them.
+// Goal: publish sends no message with a byte that readers cannot see, names the foreign memory,
+// and repairs it. Method: this program's operator new plays the heap hook
+// (tests/support/tagging_heap.hpp). Messages are built with each single allocation in turn outside
+// the arena, then with random ones; an oracle that knows the origin of each allocation gives the
+// expected result. --seed=N repeats one random run, --runs=N makes more of them.
 
 #include "tests/unit/client/random_filler.hpp"
 #include "tests/unit/client/residency_messages.hpp"
@@ -108,7 +109,7 @@ TEST(Residency, FindsEachForeignAllocationThroughFourLevels) {
 
 TEST(Residency, CountsEveryForeignRangeAndNamesTheFirst) {
   const std::unique_ptr<Everything> message(make_everything());
-  EXPECT_GT(expect_agreement(message.get()).size(), 60U) << "all of it was made outside";
+  EXPECT_GT(expect_agreement(message.get()).size(), 60U) << "all of it was allocated outside";
   EXPECT_EQ(path_of(check(message.get())), "(message)");
   EXPECT_EQ(check(message.get()).first_address, message.get());
 }
@@ -138,7 +139,7 @@ TEST(Residency, AShortTextIsResidentWithTheObjectThatHoldsIt) {
   const std::unique_ptr<std_msgs::msg::String> foreign(new std_msgs::msg::String);
   foreign->data = short_text;
   EXPECT_EQ(check(foreign.get()).foreign_bytes, sizeof(std_msgs::msg::String))
-      << "the text does not count twice";
+      << "the text must not count twice";
 }
 
 TEST(Residency, AnEmptyTextInForeignMemoryIsForeignBecauseItsTerminatorIsRead) {
@@ -199,7 +200,7 @@ TEST(Residency, APathThatDoesNotFitIsShortened) {
             path.substr(0, Residency::path_bytes_max - 1));
 }
 
-// Bits whose storage is not where their iterator says.
+// Bits whose storage is not where their iterator points.
 struct LyingBits {
   std::vector<bool> bits;
   std::vector<bool> others;
@@ -224,7 +225,7 @@ TEST(BitsReader, HoldsForTheStandardLibraryAndNotForImpostors) {
   EXPECT_FALSE(detail::bits_reader_holds<SilentBits>());
 }
 
-// What happens where the reader does not hold, as with libc++.
+// The fallback where the reader does not hold, as with libc++.
 TEST(BitsReader, WithoutItBitsAreUnseenAndAlwaysAdopted) {
   detail::MessagePlan plan(type_of<Inner>().plan());
   plan.bits_are_seen = false;
@@ -232,7 +233,7 @@ TEST(BitsReader, WithoutItBitsAreUnseenAndAlwaysAdopted) {
       new detail::MessagePlan(std::move(plan)))};
   std::unique_ptr<Inner> message(in_shared_heap([] { return new Inner; }));
   EXPECT_TRUE(check_residency(type, message.get(), windows()).is_resident())
-      << "no bits, nothing unseen";
+      << "without bits nothing is unseen";
 
   in_shared_heap([&] {
     message->flags.assign(100, true);
@@ -252,7 +253,7 @@ TEST(BitsReader, WithoutItBitsAreUnseenAndAlwaysAdopted) {
   EXPECT_NE(message.get(), original);
   EXPECT_EQ(message->flags, std::vector<bool>(100, true));
 
-  // Not visible to the check, so only the count of spilled allocations can tell.
+  // The check cannot see it; only the count of spilled allocations shows it.
   limit_shared_heap(sizeof(Inner) + 32);
   const Result<Adoption> refused = make_resident(message, type, shared_heap());
   unlimit_shared_heap();
@@ -284,8 +285,7 @@ TEST(Adoption, ReportsExactlyTheBytesOfAMovedInVector) {
   const std::int64_t live = heap_counters().live;
   const Result<Adoption> adopted = make_resident(message, type_of<PointCloud2>(), shared_heap());
   ASSERT_TRUE(adopted.has_value()) << adopted.error().what;
-  EXPECT_EQ(adopted->adopted_bytes, 12345U)
-      << "elements, not capacity, and nothing of what was resident";
+  EXPECT_EQ(adopted->adopted_bytes, 12345U) << "elements, not capacity, and no resident memory";
   EXPECT_TRUE(Oracle::foreign_ranges(message.get()).empty());
   EXPECT_EQ(message->data, expected);
   EXPECT_EQ(message->fields[2].name, long_text);
@@ -302,7 +302,7 @@ TEST(Adoption, CountsTextsWithTheirTerminator) {
   EXPECT_EQ(adopted->adopted_bytes, long_text.size() + 1);
 }
 
-TEST(Adoption, TakesAMessageThatWasMadeEntirelyOutside) {
+TEST(Adoption, AdoptsAMessageThatWasMadeEntirelyOutside) {
   std::unique_ptr<Everything> message(make_everything());
   const Everything copy(*message);
   std::uint64_t bytes = 0;
@@ -314,7 +314,8 @@ TEST(Adoption, TakesAMessageThatWasMadeEntirelyOutside) {
   EXPECT_EQ(*message, copy);
 }
 
-// Room for n bytes more, for every n that is too little by whole allocations: the message must stay as it was.
+// Room for n more bytes, for every n too small by whole allocations: the message must stay as it
+// was.
 TEST(Adoption, ReportsAnExhaustedHeapAndKeepsTheMessageAtEveryPointOfExhaustion) {
   std::unique_ptr<PointCloud2> message(make_cloud());
   const PointCloud2* before = message.get();
@@ -369,11 +370,11 @@ TEST(Adoption, CopiesAnOpaqueMessageEvenIfItIsInTheSharedHeap) {
   message->numbers = std::vector<int>(20, 6);
   const Result<Adoption> adopted = make_resident(message, type_of<Opaque>(), shared_heap());
   ASSERT_TRUE(adopted.has_value());
-  EXPECT_EQ(adopted->adopted_bytes, sizeof(Opaque)) << "the object; the rest is unknown";
+  EXPECT_EQ(adopted->adopted_bytes, sizeof(Opaque)) << "only the object: the rest is unknown";
   EXPECT_EQ(origin_of(message->numbers.data()), Origin::shared);
   EXPECT_EQ(message->numbers, std::vector<int>(20, 6));
 
-  // A loan that is open around it may have spilled before; that says nothing about the copy.
+  // An enclosing open loan may have spilled before; that says nothing about the copy.
   limit_shared_heap(0);
   const SharedHeap heap = shared_heap();
   SharedScope loan(heap);
@@ -382,7 +383,7 @@ TEST(Adoption, CopiesAnOpaqueMessageEvenIfItIsInTheSharedHeap) {
   unlimit_shared_heap();
   EXPECT_TRUE(make_resident(message, type_of<Opaque>(), shared_heap()).has_value());
   EXPECT_EQ(loan.close(), 1U);
-  EXPECT_EQ(loan.close(), 0U) << "only once";
+  EXPECT_EQ(loan.close(), 0U) << "the count is reported only once";
 
   limit_shared_heap(64);  // the object fits, its vector does not
   const Result<Adoption> refused = make_resident(message, type_of<Opaque>(), shared_heap());
@@ -391,7 +392,7 @@ TEST(Adoption, CopiesAnOpaqueMessageEvenIfItIsInTheSharedHeap) {
   EXPECT_EQ(refused.error().code, Errc::heap_exhausted);
 }
 
-TEST(Adoption, AsksTheVisitorOfATraitForWhatItShows) {
+TEST(Adoption, ChecksTheMembersThatATraitsVisitorShows) {
   std::unique_ptr<Map> message(in_shared_heap([] {
     return new Map{long_text, std::vector<std::uint16_t>(100, 1), std::vector<bool>(100, true)};
   }));
@@ -413,7 +414,7 @@ TEST(Adoption, AsksTheVisitorOfATraitForWhatItShows) {
   EXPECT_EQ(check(message.get()).foreign_bytes, 101U);
 }
 
-TEST(Adoption, LooksAtNothingButTheObjectOfAFlatMessage) {
+TEST(Adoption, ChecksOnlyTheObjectOfAFlatMessage) {
   std::unique_ptr<geometry_msgs::msg::Point> described(new geometry_msgs::msg::Point);
   EXPECT_EQ(check(described.get()).foreign_bytes, sizeof(geometry_msgs::msg::Point));
   const Result<Adoption> adopted =
@@ -455,13 +456,13 @@ TEST(Residency, AgreesWithTheOracleOnRandomMessages) {
   for (std::uint64_t i = 0; i < random_runs.count; ++i) {
     const std::uint64_t seed = random_runs.first_seed + i;
     SCOPED_TRACE("--runs=1 --seed=" + std::to_string(seed));
-    // After SCOPED_TRACE, whose first use keeps memory.
+    // After SCOPED_TRACE, whose first use allocates.
     const std::int64_t live = heap_counters().live;
     RandomFiller filler(seed);
     one_random_message<PointCloud2>(filler, tally);
     one_random_message<Forest>(filler, tally);
     one_random_message<Everything>(filler, tally);
-    ASSERT_EQ(heap_counters().live, live) << "something leaked";
+    ASSERT_EQ(heap_counters().live, live) << "memory leaked";
     if (HasFailure()) {
       ADD_FAILURE() << "first failing run: --runs=1 --seed=" << seed;
       break;

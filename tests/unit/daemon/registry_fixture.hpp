@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// RegistryTest: a registry in memory of its own, and what it may be asked.
+// RegistryTest: a registry in its own memory, with queries for tests.
 #pragma once
 
 #include <agnocast/abi/fingerprint.hpp>

@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the registry's tables, boards and counts agree with a trivial model over many lives.
-// Method: random operations with a seed; the boards are read as clients read them.
+// Goal: the registry's tables, boards and counts agree with a trivial model over many
+// incarnations. Method: seeded random operations; the boards are read as clients read them.
 
 #include <tests/unit/daemon/registry_fixture.hpp>
 
 namespace agnocast::daemon {
 namespace {
 
-TEST_F(RegistryTest, MakesTheBoardSayWhatTheTablesSay) {
+TEST_F(RegistryTest, MakesTheBoardAgreeWithTheTables) {
   const ClientIndex a = client();
   const TopicIndex t = topic();
   const auto p = publisher(a, t);
@@ -17,7 +17,7 @@ TEST_F(RegistryTest, MakesTheBoardSayWhatTheTablesSay) {
   ASSERT_TRUE(later.open());
   const std::uint64_t epoch = words.epoch().load(std::memory_order_relaxed);
   EXPECT_EQ(later.repair_board(), 0u);
-  EXPECT_GT(words.epoch().load(std::memory_order_relaxed), epoch) << "everybody looks again";
+  EXPECT_GT(words.epoch().load(std::memory_order_relaxed), epoch) << "every client must look again";
   const std::size_t fields[] = {
       offsetof(abi::PublisherEntry, word),       offsetof(abi::PublisherEntry, qos),
       offsetof(abi::PublisherEntry, client),     offsetof(abi::PublisherEntry, extent),
@@ -32,7 +32,7 @@ TEST_F(RegistryTest, MakesTheBoardSayWhatTheTablesSay) {
   }
 }
 
-/// As the tables say it, counted from the beginning.
+/// Returns the usage counted anew from the tables.
 Usage counted(const Registry& registry, std::uint32_t uid) {
   Usage usage;
   std::set<TopicIndex> topics;
@@ -55,8 +55,8 @@ Usage counted(const Registry& registry, std::uint32_t uid) {
   return usage;
 }
 
-// Places of processes are given to other users, and changes are completed by another life.
-TEST_F(RegistryTest, KeepsTheUsageThatACountWouldFind) {
+// Places of processes are reused by other users, and a later daemon completes changes.
+TEST_F(RegistryTest, KeepsTheUsageEqualToACount) {
   std::mt19937 random(7);
   auto life = std::make_unique<Registry>(memory.parts());
   ASSERT_TRUE(life->open());
@@ -143,10 +143,10 @@ TEST_F(RegistryTest, KeepsTheUsageThatACountWouldFind) {
   EXPECT_GT(ended, 20u);
 }
 
-// A trivial model of what the tables must say, kept by hand beside random operations. Every now and
-// then the last record is made pending again, as a death between commit and applied would leave it,
-// and a new registry takes over: redoing it must change nothing but the epoch.
-TEST_F(RegistryTest, AgreesWithAModelOverManyLives) {
+// A trivial model of the tables, maintained beside random operations. Now and then the last record
+// is made pending again, as a death between commit and applied would leave it, and a new registry
+// takes over: redoing the record must change nothing but the epoch.
+TEST_F(RegistryTest, AgreesWithAModelOverManyRestarts) {
   struct Member {
     std::uint32_t owner, index;
     std::uint64_t generation, extent;
@@ -172,7 +172,7 @@ TEST_F(RegistryTest, AgreesWithAModelOverManyLives) {
                          [&](const Member& m) { return m.index == lowest; }))
         ++lowest;
       ASSERT_EQ(plan.index, lowest);
-      ASSERT_TRUE(generations.insert(plan.generation).second) << "a generation came twice";
+      ASSERT_TRUE(generations.insert(plan.generation).second) << "a generation was used twice";
       for (const Member& m : members) {
         if (m.owner != number(owner)) continue;
         ASSERT_TRUE(plan.extent + abi::publisher_extent_bytes <= m.extent ||
@@ -205,7 +205,7 @@ TEST_F(RegistryTest, AgreesWithAModelOverManyLives) {
       }
     }
     if (random() % 20 == 0) {
-      // applied is the word at 128 of the log (journal/redo_log.hpp).
+      // The word at 128 of the log is `applied` (journal/redo_log.hpp).
       auto& applied = SharedMemory::word(memory.parts().log, 128);
       applied.store(applied.load() - 1);
       life = std::make_unique<Registry>(memory.parts());

@@ -1,17 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: indexes, extents and generations are given out by the rules (lowest free; never one that
-// somebody may still know), the board says what the tables say, and a second life of the daemon
-// finds everything in the memory of the first, whatever it died in.
-// Method: the registry over anonymous memory; seeded random operations against a trivial reference
-// model; a death simulated at every record by leaving it committed and not applied.
+// Goal: indexes, extents and generations are assigned by the rules (lowest free; never one that a
+// process may still know), the board agrees with the tables, and a restarted daemon finds
+// everything in the memory of the previous one, whatever it was doing when it died. Method: the
+// registry over anonymous memory; seeded random operations against a trivial reference model; a
+// death simulated at every record by leaving it committed and not applied.
 
 #include <tests/unit/daemon/registry_fixture.hpp>
 
 namespace agnocast::daemon {
 namespace {
 
-TEST_F(RegistryTest, GivesOutLowestIndexesAndFreshGenerations) {
+TEST_F(RegistryTest, AssignsLowestIndexesAndFreshGenerations) {
   const ClientIndex a = client(), b = client();
   EXPECT_EQ(number(a), 0u);
   EXPECT_EQ(number(b), 1u);
@@ -21,24 +21,24 @@ TEST_F(RegistryTest, GivesOutLowestIndexesAndFreshGenerations) {
   EXPECT_EQ(q.index, 1u);
   EXPECT_GT(q.generation, p.generation);
   EXPECT_EQ(p.extent, abi::page_bytes);
-  EXPECT_EQ(q.extent, abi::page_bytes) << "every process has a region of its own";
+  EXPECT_EQ(q.extent, abi::page_bytes) << "every process has its own region";
   EXPECT_EQ(abi::generation_of(publisher_word(t, 0)), p.generation);
   EXPECT_EQ(abi::state_of(publisher_word(t, 1)), abi::MemberState::active);
 }
 
-TEST_F(RegistryTest, UsesAnIndexAgainOnlyWhenNobodyKnowsTheOldOne) {
+TEST_F(RegistryTest, ReusesAnIndexOnlyWhenNoProcessKnowsTheOldOne) {
   const ClientIndex a = client(), b = client();
   const TopicIndex t = topic();
   const auto p = publisher(a, t);
   const EndpointRef ref{Kind::publisher, t, p.index};
   registry.tell(ref, b);
-  EXPECT_TRUE(registry.client(a).told.contains(number(b))) << "its region is known with it";
+  EXPECT_TRUE(registry.client(a).told.contains(number(b))) << "b knows its region as well";
   registry.orphan_publisher(t, p.index, abi::pack_entry(p.first_sequence, 0));
   EXPECT_EQ(publisher(a, t).index, 1u);
   registry.let_go(ref, b);
   registry.end_publisher(t, p.index, EndpointState::over);
   EXPECT_EQ(abi::state_of(publisher_word(t, 0)), abi::MemberState::free);
-  EXPECT_EQ(publisher(a, t).index, 2u) << "its own process has not let go of the extent";
+  EXPECT_EQ(publisher(a, t).index, 2u) << "its own process still uses the extent";
   registry.end_publisher(t, p.index, EndpointState::free);
   const auto again = publisher(a, t);
   EXPECT_EQ(again.index, 0u);
@@ -57,11 +57,11 @@ TEST_F(RegistryTest, KeepsExtentsApart) {
   registry.change_subscription(t, s.index, EndpointState::over);
   registry.free_subscription(t, s.index);
   EXPECT_EQ(publisher(a, t).extent, q.extent + abi::publisher_extent_bytes)
-      << "a publisher does not fit where a subscription was";
+      << "a publisher does not fit into a subscription's extent";
   EXPECT_EQ(subscription(a, t).extent, s.extent);
 }
 
-TEST_F(RegistryTest, RaisesSlotsBeforeADeepSubscriptionIsAMember) {
+TEST_F(RegistryTest, RaisesSlotsBeforeADeepSubscriptionJoins) {
   const ClientIndex a = client();
   const TopicIndex t = topic();
   const auto p = publisher(a, t, 1);
@@ -107,7 +107,7 @@ TEST_F(RegistryTest, CountsPerUser) {
   EXPECT_EQ(registry.usage_of(3).clients, 0u);
 }
 
-TEST_F(RegistryTest, EndsAProcessOnlyWhenNothingOfItIsKnown) {
+TEST_F(RegistryTest, EndsAProcessOnlyWhenNoOtherProcessKnowsPartOfIt) {
   const ClientIndex a = client(), b = client();
   const TopicIndex t = topic();
   const auto p = publisher(a, t);
@@ -120,7 +120,7 @@ TEST_F(RegistryTest, EndsAProcessOnlyWhenNothingOfItIsKnown) {
   registry.end_publisher(t, p.index, EndpointState::free);
   EXPECT_FALSE(registry.can_end(a)) << "b still maps its region";
   registry.let_go_of_region(a, b);
-  EXPECT_FALSE(registry.can_end(a)) << "it counts as told of what others have";
+  EXPECT_FALSE(registry.can_end(a)) << "it still counts as notified of others' endpoints";
   registry.client_forgotten(a);
   EXPECT_TRUE(registry.can_end(a));
   const std::uint64_t generation = registry.client(a).generation;
@@ -142,14 +142,14 @@ TEST_F(RegistryTest, ForgetsADeadProcessEverywhere) {
   EXPECT_EQ(registry.known_topic_of(b), u);
   registry.forget_in_topic(b, u);
   EXPECT_FALSE(registry.known_topic_of(b));
-  EXPECT_TRUE(registry.client(a).told.contains(number(b))) << "its region is let go of last";
+  EXPECT_TRUE(registry.client(a).told.contains(number(b))) << "its region is forgotten last";
   registry.client_forgotten(b);
   EXPECT_TRUE(registry.told_of({Kind::publisher, t, p.index}).reusable());
   EXPECT_TRUE(registry.told_of({Kind::subscription, u, s.index}).reusable());
   EXPECT_TRUE(registry.client(a).told.reusable());
 }
 
-TEST_F(RegistryTest, FreesATopicWithItsLastEndpointAndFixesTheTypeAnew) {
+TEST_F(RegistryTest, FreesATopicWithItsLastEndpointAndThenAcceptsAnotherType) {
   const ClientIndex a = client();
   const TopicIndex t = topic();
   const auto s = subscription(a, t);
@@ -163,7 +163,7 @@ TEST_F(RegistryTest, FreesATopicWithItsLastEndpointAndFixesTheTypeAnew) {
   const TopicIndex again = registry.add_topic({0, "/topic", "pkg/msg/Other", 6}).value();
   EXPECT_EQ(again, t);
   EXPECT_STREQ(registry.topic(again).type, "pkg/msg/Other");
-  EXPECT_GE(board_word(t, offsetof(abi::TopicHeader, epoch)), epoch) << "an epoch never goes back";
+  EXPECT_GE(board_word(t, offsetof(abi::TopicHeader, epoch)), epoch) << "an epoch never decreases";
 }
 
 TEST_F(RegistryTest, KeepsDomainsApart) {
@@ -174,7 +174,7 @@ TEST_F(RegistryTest, KeepsDomainsApart) {
   EXPECT_EQ(registry.find_topic(1, "/topic"), other);
 }
 
-TEST_F(RegistryTest, SaysWhenATableIsFull) {
+TEST_F(RegistryTest, ReportsAFullTable) {
   const ClientIndex a = client();
   const TopicIndex t = topic();
   for (std::uint32_t i = 0; i < abi::publisher_count_max; ++i) publisher(a, t);
@@ -187,7 +187,7 @@ TEST_F(RegistryTest, SaysWhenATableIsFull) {
   EXPECT_EQ(no_client.error().code, Errc::limit_reached);
 }
 
-TEST_F(RegistryTest, IsFoundAgainByALaterLife) {
+TEST_F(RegistryTest, IsFoundAgainAfterARestart) {
   const ClientIndex a = client(), b = client();
   const TopicIndex t = topic();
   const auto p = publisher(a, t);
@@ -203,7 +203,7 @@ TEST_F(RegistryTest, IsFoundAgainByALaterLife) {
   EXPECT_GT(q.generation, p.generation);
 }
 
-TEST_F(RegistryTest, RefusesMemoryOfAnotherLayoutAndSaysBoth) {
+TEST_F(RegistryTest, RefusesMemoryOfAnotherLayoutAndNamesBoth) {
   client();
   auto& fingerprint = SharedMemory::word(memory.parts().log, 8);
   fingerprint.store(0x1234);
@@ -215,7 +215,7 @@ TEST_F(RegistryTest, RefusesMemoryOfAnotherLayoutAndSaysBoth) {
   char own[32];
   std::snprintf(own, sizeof own, "0x%016llx", static_cast<unsigned long long>(abi::fingerprint()));
   EXPECT_NE(text.find(own), std::string::npos) << text;
-  // The tables may differ where the regions do not.
+  // The layout of the tables may differ although that of the regions is equal.
   fingerprint.store(abi::fingerprint());
   ASSERT_TRUE(Registry(memory.parts()).open());
   SharedMemory::word(memory.parts().tables, offsetof(TableHeader, layout)).store(7);
@@ -224,7 +224,7 @@ TEST_F(RegistryTest, RefusesMemoryOfAnotherLayoutAndSaysBoth) {
   EXPECT_EQ(tables.error().code, Errc::layout_mismatch);
 }
 
-TEST_F(RegistryTest, RefusesDamageAndSaysWhich) {
+TEST_F(RegistryTest, RefusesDamageAndDescribesIt) {
   const ClientIndex a = client();
   const TopicIndex t = topic();
   publisher(a, t);
@@ -278,7 +278,7 @@ TEST_F(RegistryTest, RefusesDamageAndSaysWhich) {
   refused_with([&] { log_word(16).store(2); }, "not of one incarnation");
 }
 
-TEST_F(RegistryTest, GivesOutNoFreePlaceThatSomebodyIsStillToldOf) {
+TEST_F(RegistryTest, AssignsNoFreePlaceThatAProcessIsStillNotifiedOf) {
   const ClientIndex a = client();
   const TopicIndex t = topic();
   const abi::Qos qos{1, false, true, false, false};
@@ -293,7 +293,7 @@ TEST_F(RegistryTest, GivesOutNoFreePlaceThatSomebodyIsStillToldOf) {
   const auto of_subscription = registry.plan_subscription(a, t, qos, {1, 1});
   ASSERT_FALSE(of_subscription);
   EXPECT_EQ(of_subscription.error().code, Errc::store_damaged);
-  // One that was used before is passed over.
+  // A place that was used before is skipped.
   const EndpointRef ref{Kind::subscription, t, 0};
   registry.change_subscription(t, 0, EndpointState::over);
   registry.free_subscription(t, 0);
@@ -303,7 +303,7 @@ TEST_F(RegistryTest, GivesOutNoFreePlaceThatSomebodyIsStillToldOf) {
   EXPECT_EQ(registry.plan_subscription(a, t, qos, {1, 1}).value().index, 1u);
 }
 
-/// Pages of the tables that have memory.
+/// Returns the number of pages of the tables that have memory.
 std::uint64_t pages_of(const Registry::Memory& memory) {
   const auto page = static_cast<std::uint64_t>(::sysconf(_SC_PAGESIZE));
   std::vector<unsigned char> there(tables_bytes / page);
@@ -312,8 +312,8 @@ std::uint64_t pages_of(const Registry::Memory& memory) {
       std::count_if(there.begin(), there.end(), [](unsigned char one) { return (one & 1) != 0; }));
 }
 
-// Places that were used once cost nothing, whoever took them and however high they were.
-TEST_F(RegistryTest, GivesTheMemoryOfFreePlacesBack) {
+// Places that were used once cost nothing, whichever process had them and wherever they lie.
+TEST_F(RegistryTest, ReturnsTheMemoryOfFreePlaces) {
   const ClientIndex a = client();
   std::vector<TopicIndex> topics;
   for (int i = 0; i < 3; ++i) topics.push_back(topic("/topic" + std::to_string(i)));
@@ -336,7 +336,7 @@ TEST_F(RegistryTest, GivesTheMemoryOfFreePlacesBack) {
       registry.free_subscription(ref.topic, ref.index);
     }
   };
-  // The first topic keeps its first and its last places: what lies between them goes all the same.
+  // The first topic keeps its first and last places: the memory between them is returned too.
   const auto is_kept = [&](const EndpointRef& ref) {
     const std::uint32_t last = ref.kind == Kind::publisher ? abi::publisher_count_max - 1
                                                            : abi::subscription_count_max - 1;
@@ -346,9 +346,9 @@ TEST_F(RegistryTest, GivesTheMemoryOfFreePlacesBack) {
     if (!is_kept(ref)) end(ref);
   }
   for (const std::size_t i : {1u, 2u}) registry.free_topic(topics[i]);
-  // A page for each of two places, and two for one that lies in both.
+  // A page for each of two places, and two for a place that lies in both.
   EXPECT_LE(pages_of(memory.parts()), before + 6);
-  // Nobody looks at what is not there: not to walk, not to answer who names a place, not at a start.
+  // No code reads missing places: no walk, no answer to a request that names one, no start.
   const std::uint64_t after = pages_of(memory.parts());
   EXPECT_FALSE(registry.is_used({Kind::subscription, topics[0], 300}));
   EXPECT_FALSE(registry.is_used({Kind::subscription, topics[0], 1u << 31}));
@@ -362,13 +362,13 @@ TEST_F(RegistryTest, GivesTheMemoryOfFreePlacesBack) {
   EXPECT_EQ(later.repair_board(), 0u);
   EXPECT_EQ(later.endpoints_of(a).size(), 4u);
   EXPECT_EQ(pages_of(memory.parts()), after);
-  // And what is given out again is as if it were new.
+  // A place that is assigned again is as if new.
   const auto again =
       later.plan_subscription(a, topics[0], {1, false, true, false, false}, {1, 1}).value();
   EXPECT_EQ(again.index, 1u);
 }
 
-TEST_F(RegistryTest, VisitsWhatIsThereThoughItEndsMeanwhile) {
+TEST_F(RegistryTest, VisitsEndpointsEvenIfTheyEndMeanwhile) {
   const ClientIndex a = client();
   const TopicIndex t = topic();
   for (int i = 0; i < 130; ++i) subscription(a, t);
