@@ -1,4 +1,4 @@
-// What both nodes agree on.
+// Messages and contents that both nodes agree on.
 #pragma once
 
 #include <agnocast/agnocast.hpp>
