@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: agnocast-ctl verify finds every kind of broken word and nothing else. Method: as ctl_test.cpp.
+// Goal: agnocast-ctl verify finds every kind of broken word and nothing else.
+// Method: as ctl_test.cpp.
 
 #include <tests/integration/ctl_node.hpp>
 #include <tests/support/ctl.hpp>

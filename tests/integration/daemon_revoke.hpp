@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Children and the observer of the tests about revoking (daemon_revoke_test.cpp, daemon_put_out_test.cpp).
+// Children and the observer of the revocation tests (daemon_revoke_test.cpp,
+// daemon_put_out_test.cpp).
 #pragma once
 
 #include <agnocast/abi/observe.hpp>
