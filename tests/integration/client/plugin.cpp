@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A component as containers load them: brings its message type, and so the code that destroys
-// messages, with it.
+// A component as containers load them: contains its message type, and so the code that destroys
+// its messages.
 
 #include "plugin.hpp"
 
