@@ -6,13 +6,13 @@
 //   hostile_peer DOMAIN
 //
 //   malform TOPIC TYPE               one of each malformed payload → sent COUNT
-//   flood TOPIC TYPE QOS BYTES N     N strings of BYTES letters; QOS as qos_of() reads it → sent COUNT
+//   flood TOPIC TYPE QOS BYTES N     N strings of BYTES letters; QOS as in qos_of() → sent COUNT
 //   endpoints N                      N writers of topics that nobody else has → made
 //   others TOPIC TYPE N              N writers and N readers of that topic → made
 //   forget                           deletes all of these → forgotten
 //   churn TOPIC TYPE N               a writer that writes and a reader, made and deleted → done
 //   nodes                            malformed and huge ros_discovery_info → sent COUNT
-//   ask SERVICE N BYTES              N requests of that size, of clients without readers → sent COUNT
+//   ask SERVICE N BYTES              N requests of that size, of readerless clients → sent COUNT
 //   serve SERVICE                    until the end: a server that answers each request twice,
 //                                    and requests of others
 //   answered                         how many requests it has answered → COUNT
