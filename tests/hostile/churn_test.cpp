@@ -25,8 +25,8 @@ nlohmann::json counts_of(Stage& stage) {
   return run_ctl(stage.socket_path(), {"status", "-j"}).json()["in_use"];
 }
 
-/// Checks that the honest pair continues and is served during the attack, and that nothing of the
-/// attacker is left after it has ended.
+/// The honest pair goes on and is served during the attack; then the attacker ends and leaves
+/// nothing.
 void nothing_is_left_of(Stage& stage, Attacker& attacker, const char* what) {
   if (!attacker.wait_until_ready()) return;
   const auto end = std::chrono::steady_clock::now() + attack_time();

@@ -379,8 +379,7 @@ class LockedFile {
 
   bool made() const { return silent_->made(); }
   bool is_kept() const { return silent_->unanswered() > 0; }
-  /// Called in the attacker. A child without a session holds the lock, and continues when the
-  /// attacker has died.
+  /// Called in the attacker: a child without a session locks, and outlives the attacker.
   pid_t keep(int file) const {
     const pid_t keeper = ::fork();
     if (keeper != 0) return keeper;

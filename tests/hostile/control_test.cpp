@@ -131,8 +131,7 @@ TEST(HostileControl, EndlessRequestsOfManyProcessesDelayNoOtherUser) {
       4);
 }
 
-/// Returns an observer's connection that the daemon has accepted, for asking for the counters
-/// later.
+/// Connects an accepted observer, to ask for counters later.
 std::unique_ptr<WireClient> observer_of(const std::string& path) {
   auto client = std::make_unique<WireClient>(path);
   wire::Observe observe{};
@@ -316,7 +315,7 @@ wire::WindowOpened place_in_arena(HostileNode& node) {
   return window;
 }
 
-/// Returns the daemon's answer to bring_window.
+/// Returns the daemon's answer.
 Errc bring(HostileNode& node, const wire::WindowOpened& window, std::span<const int> fds) {
   wire::BringWindow request{};
   request.header = {Opcode::bring_window, sizeof request, 98};
@@ -365,8 +364,7 @@ TEST(HostileControl, DescriptorsOfUnexpectedKindsAreClosedUnused) {
           HostileNode other(path);
           wire::WindowRequest request{};
           request.header = {Opcode::open_window, sizeof request, 99};
-          // The kernel itself passes no io_uring, and no socket that carries sockets too deeply
-          // nested.
+          // The kernel passes no io_uring, and no sockets nested too deeply.
           const auto sent = other.wire().socket().send(std::as_bytes(std::span(&request, 1)),
                                                        std::span(fds).first(count));
           if (!sent || *sent != Sent::sent) continue;
@@ -374,8 +372,7 @@ TEST(HostileControl, DescriptorsOfUnexpectedKindsAreClosedUnused) {
           EXPECT_TRUE(other.wire().is_hung_up())
               << "the descriptors go together with the connection";
         }
-        // Where the request may carry a descriptor the daemon checks it, and none of these is a
-        // window.
+        // Where a descriptor is allowed the daemon checks it: none is a window.
         const auto window = place_in_arena(node);
         EXPECT_EQ(bring(node, window, std::span(fds).first(1)), Errc::permission_denied);
         EXPECT_EQ(bring(node, window, std::span(fds).first(4)), Errc::protocol_violation);
@@ -488,8 +485,7 @@ TEST(HostileControl, ClaimsAboutOthersEndpointsChangeNothing) {
                                    endpoint.generation)
                         .refused_code(),
                     Errc::protocol_violation);
-        // It may acknowledge the endpoints announced to it, and loses them; other acknowledgements
-        // have no effect.
+        // It may acknowledge what it was sent, and loses it; the rest has no effect.
         node.wire().unlinked(endpoint.kind, endpoint.topic, endpoint.index, endpoint.generation);
       }
       for (const auto& process : processes) {

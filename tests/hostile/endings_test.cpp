@@ -179,7 +179,7 @@ void subscribe_in_masses(const std::string& path, Attack& attack) {
   static_assert(subscriptions_per_topic % row == 0);
   for (std::uint64_t topic = 0; topic < topic_count; ++topic) {
     auto body = WireClient::endpoint(crowded(topic), {});
-    body.quota = 1;  // the number of other users' messages that any process may hold
+    body.quota = 1;  // any process may hold that many of others
     for (std::uint64_t made = 0; made < subscriptions_per_topic;) {
       for (std::uint64_t i = 0; i < row; ++i) node.wire().send(Opcode::create_subscription, body);
       for (const std::uint64_t end = made + row; made < end;) {

@@ -90,7 +90,7 @@ class HostileNode {
     body.type = types[topic].first;
     body.layout_hash = types[topic].second;
     body.executor = executor;
-    body.quota = 1;  // the number of other users' messages that any process may hold
+    body.quota = 1;  // any process may hold that many of others
     return wire_.ask(wire::Opcode::create_subscription, body).opcode() ==
            wire::Opcode::endpoint_created;
   }

@@ -239,8 +239,7 @@ TEST(HostileLies, AddressesOutsideTheWindowAreHandedToNobody) {
     attack.word(0).store(liar.base);
     attack.word(1).store(liar.bytes);
     attack.ready();
-    // A valid one comes first and last: when the last one arrives, the reader has checked those
-    // between.
+    // A valid one comes first and last: the reader has checked all between.
     const std::uint64_t frontier = 1 << 20;
     const std::uint64_t wrong[][2] = {
         {0, flat_bytes},

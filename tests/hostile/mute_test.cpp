@@ -88,9 +88,8 @@ Reader read_state(SteeredProcess& node) {
   return state;
 }
 
-/// Returns whether a hundred messages came one by one, not many at once every second. On a busy
-/// machine that may take more than one look; for a subscription that nobody rings it never
-/// happens.
+/// Returns whether a hundred messages came one by one, not many at once every second. A busy
+/// machine may need more than one look; a subscription that nobody rings never gets there.
 bool is_rung(SteeredProcess& node) {
   return eventually([&] {
     EXPECT_EQ(node.ask("forget-gap"), "ok");

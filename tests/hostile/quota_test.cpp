@@ -25,7 +25,7 @@ const char* const small_quotas =
     "clients = 6\npublishers = 4\nsubscriptions = 4\nexecutors = 4\nheap_bytes = \"128MiB\"\n"
     "held_messages = 300\n";
 
-/// Returns how often `ask` succeeds until the daemon refuses with `code`, naming `limit`.
+/// Returns how often `ask` succeeds before `code`, naming `limit`.
 template <class Ask>
 std::uint64_t takes_all(Ask ask, const char* limit, Errc code = Errc::quota_exceeded) {
   for (std::uint64_t got = 0; got < 5000; ++got) {

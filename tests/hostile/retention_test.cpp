@@ -60,8 +60,7 @@ class Holder {
     return true;
   }
 
-  /// Subscribes for the largest quota, as the refusal of a larger one states it, and holds as many
-  /// messages.
+  /// Subscribes for the largest quota, which the refusal of a larger one states.
   std::uint64_t subscribe_for_most() {
     EXPECT_FALSE(subscribe(every_slot));
     const std::size_t at = refusal_.find(" have ");

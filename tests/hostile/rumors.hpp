@@ -91,7 +91,7 @@ inline void spread_rumors(const std::string& path, Attack& attack, std::uint64_t
       static_cast<void>(::send(bell.get(), "", 1, MSG_DONTWAIT | MSG_NOSIGNAL));
     ++attack.word(number % places.size() == 0 ? honest_texts : lies);
     ++number;
-    // While a reader reads it, the text alternates between its own memory and another's.
+    // During the read: alternately its own memory and another's.
     const auto end = std::chrono::steady_clock::now() + std::chrono::milliseconds(2);
     while (std::chrono::steady_clock::now() < end) {
       auto* const words = reinterpret_cast<volatile std::uint64_t*>(node.heap() + object);

@@ -71,8 +71,7 @@ TEST(HostileSecrets, AProcessKeepsOneSetOfReaders) {
   EXPECT_EQ(open->ask("create /else"), "ok");
 }
 
-// The process opens a window after the daemon has announced its region to the publisher, because
-// it subscribes.
+// A window opened after the daemon has announced the region, because it subscribes.
 TEST(HostileSecrets, APublisherToAProcessReceivesNoWindowOfIt) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage(with(secret_rules));

@@ -57,7 +57,7 @@ Progress progress_of(SteeredProcess& publisher) {
   return progress;
 }
 
-/// The publisher is patient for ten seconds, and the log line may then take as long as any other.
+/// Waits for the ten seconds of patience, and for the log line.
 bool is_logged(Stage& stage, const char* text) {
   return stage.daemon().wait_for_log(text) || stage.daemon().wait_for_log(text) ||
          stage.daemon().wait_for_log(text);

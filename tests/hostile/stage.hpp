@@ -63,7 +63,7 @@ class Stage {
   const std::string& socket_path() const noexcept { return daemon_.socket_path(); }
   SteeredProcess& publisher() noexcept { return *publisher_; }
   SteeredProcess& subscriber() noexcept { return *subscriber_; }
-  /// Starts one more process of the honest user, or of another one, without commands so far.
+  /// Starts another process of the honest user, or of `uid`.
   std::unique_ptr<SteeredProcess> another_honest_process(uid_t uid = honest_uid) const;
 
   /// Waits until another 100 messages have been published and have arrived. That is what "is not

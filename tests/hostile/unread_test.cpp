@@ -23,8 +23,7 @@ std::size_t private_bytes(const DaemonProcess& daemon) {
   return daemon.resident_bytes() - daemon.shared_bytes();
 }
 
-/// Sends a small request that the daemon always refuses with a text; returns false when the
-/// connection is over.
+/// Sends a request that is refused at length; false when the connection is over.
 bool ask_nonsense(WireClient& client) {
   wire::WindowRequest nonsense{};
   nonsense.header = {Opcode::open_window, sizeof nonsense, 1};

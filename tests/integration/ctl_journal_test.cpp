@@ -27,8 +27,7 @@ using wire::Opcode;
 using M = SharedMemory;
 using Node = CtlNode;
 
-// Starts a publisher's process, which dies with a message that is begun and not committed; returns
-// its pid.
+// Starts a publisher that dies between begin and commit; returns its pid.
 pid_t die_while_publishing(const std::string& socket) {
   const pid_t pid = ::fork();
   if (pid == 0) {
@@ -188,7 +187,7 @@ TEST(CtlJournal, ShowsWithdrawnReadersAndIsNotFloodedByThem) {
                              HasSubstr(serves + "again\n")));
   EXPECT_THAT(daemon.log(), HasSubstr("reader served again"));
 
-  // Of a reader that does not exist, or for another client's publisher: nothing is recorded.
+  // The daemon records no reader that does not exist, and none of another client's publisher.
   said.subscription_generation = s.generation + 1;
   say(abi::Withdrawal::over_share);
   said.subscription_generation = s.generation;

@@ -16,7 +16,7 @@ dir=$(mktemp -d)
 for page in "$@"; do
   # mandoc looks for other pages where they are installed, and these are not yet.
   complaints=$(mandoc -Tlint "$page" 2>&1 | grep -v 'referenced manual not found: Xr agnocast') || true
-  [ -z "$complaints" ] || fail "mandoc has something to say: $complaints"
+  [ -z "$complaints" ] || fail "mandoc complains: $complaints"
 done
 
 export AGNOCAST_SOCKET=$dir/agnocastd.sock
@@ -40,7 +40,7 @@ for shell in bash zsh; do
   [ "$(${shell}_offers topic ty | tr '\n' ' ')" = "type " ] || fail "$shell does not know the verbs"
   [ "$(${shell}_offers explain hook_m | tr '\n' ' ')" = "hook_missing " ] || fail "$shell does not know the codes"
   said=$(${shell}_offers topic info / 2>&1 | tr -d '\n')
-  [ -z "$said" ] || fail "$shell says something although there is no daemon: $said"
+  [ -z "$said" ] || fail "$shell offers words without a daemon: $said"
 done
 
 "$agnocastd" --socket "$AGNOCAST_SOCKET" 2>"$dir/log" &
@@ -49,6 +49,6 @@ for _ in $(seq 200); do "$ctl" status >/dev/null 2>&1 && break; sleep 0.05; done
 "$ctl" status >/dev/null || { cat "$dir/log"; fail "no daemon"; }
 for shell in bash zsh; do
   said=$(${shell}_offers topic info / 2>&1 | tr -d '\n')
-  [ -z "$said" ] || fail "$shell offers topics that are not there: $said"
+  [ -z "$said" ] || fail "$shell offers topics that do not exist: $said"
 done
 exit $failed

@@ -307,8 +307,7 @@ TEST(DaemonLimits, CountsDeadProcessesWhileAPeerHoldsTheirMemory) {
   EXPECT_TRUE(daemon.is_running());
 }
 
-// Makes so many publishers of one user die, kept by that user, that the daemon makes room: at that
-// user's cost.
+// So many dead of one user, kept by that user, that the daemon makes room: that user's.
 TEST(DaemonLimits, DeadPublishersOfAnotherUserCostNobodyUnreadMessages) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root and a second uid";
   DaemonProcess daemon({.config = "[daemon]\nsocket_mode = \"0666\"\n[limits]\nclients = 16\n",

@@ -207,7 +207,7 @@ TEST(DaemonObserver, ReadsTheLogLevelAndSetsItIfItMay) {
   EXPECT_EQ(ask(observer->wire, 0).as<wire::LogLevelIs>().level, 7u);
 }
 
-TEST(DaemonObserver, AsksWhoMayPublishAndSubscribe) {
+TEST(DaemonObserver, GetsTheUsersThatMayPublishAndSubscribe) {
   DaemonProcess daemon({.config = R"(
 [[access]]
 topic = "/lidar/**"

@@ -39,7 +39,7 @@ const Case cases[] = {
     {"clients", "[quota]\nclients = 1\n",
      [](const DaemonProcess& daemon, Clients& clients) {
        greeted(daemon, clients);
-       // It may still observe, so the daemon accepts it and waits for its first request.
+       // It may still observe, so the daemon waits for its first request.
        clients.push_back(std::make_unique<WireClient>(daemon.socket_path()));
        return clients.back()->hello();
      },

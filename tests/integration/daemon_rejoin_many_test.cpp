@@ -126,7 +126,7 @@ TEST(DaemonRejoinMany, DeadPeersAreAnnouncedAsTheProcessReads) {
   EXPECT_TRUE(sender.wire.drain().empty());
 }
 
-/// Runs in a process of its own; returns whether the daemon admitted it.
+/// In its own process; returns whether it was admitted.
 bool publishes_and_ends(const DaemonProcess& daemon) {
   const pid_t pid = ::fork();
   if (pid == 0) {

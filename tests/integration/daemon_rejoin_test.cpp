@@ -177,7 +177,7 @@ TEST(DaemonRejoin, DoorbellsWhoseNamesWereRemovedAreRecreated) {
   EXPECT_EQ(packets[0].as<wire::BellsRenewed>().executor, 0u);
   ASSERT_EQ(packets[0].fds.size(), 2u);
   DoorbellReceiver bells(std::move(packets[0].fds[0]), std::move(packets[0].fds[1]));
-  // The daemon announces it to its publishers once more, and they ring the new socket.
+  // The daemon repeats it to its publishers, which ring the new socket.
   std::vector<UniqueFd> fds;
   const auto again = sender.wire.expect<wire::Announcement>(Opcode::announce, &fds);
   EXPECT_EQ(again.generation, first[0].generation);
@@ -220,7 +220,7 @@ TEST(DaemonRejoin, TheNewConnectionTakesThePlaceOfTheOldOne) {
   DaemonProcess daemon({.config = "[quota]\nclients = 2\n[heap]\nwindow_bytes = \"64MiB\"\n"});
   Node node(daemon), other(daemon);
   node.subscription("/t");
-  // both loops together: the number of reconnections that a process may make at once
+  // both loops together: a process's reconnections at once
   constexpr int times = 9;
   for (int i = 0; i < times; ++i) {
     PacketSocket before(node.wire.socket().release());
@@ -242,7 +242,7 @@ TEST(DaemonRejoin, TheNewConnectionTakesThePlaceOfTheOldOne) {
   EXPECT_EQ(third.hello().refused_code(), Errc::quota_exceeded);
 }
 
-TEST(DaemonRejoin, AProcessThatSaysHelloAgainHasOnePlace) {
+TEST(DaemonRejoin, AProcessThatSendsHelloAgainHasOnePlace) {
   DaemonProcess daemon({.config = "[quota]\nclients = 1\n[heap]\nwindow_bytes = \"64MiB\"\n",
                         .arguments = {"--log-level", "debug"}});
   Node first(daemon);
@@ -366,7 +366,7 @@ TEST(DaemonRejoin, TheLastMessagesOfTheDeadAreAnnounced) {
   node.come_back();
   EXPECT_EQ(of_kind<wire::Announcement>(node.wire.drain(), Opcode::announce).size(), 2u);
 
-  // The daemon reuses its places and descriptors when the process has acknowledged the unmap.
+  // Its places and descriptors are reused after the acknowledged unmap.
   const std::size_t descriptors = daemon.descriptor_count();
   for (const auto& made : {known, unknown})
     node.wire.unlinked(Kind::publisher, made.topic, made.index, made.generation);

@@ -168,9 +168,9 @@ TEST(DaemonRestart, MayDieAtAnyStepOfTheFirstStart) {
   EXPECT_GT(deaths, 7u);
 }
 
-// A sleeping subscription must look once more: the redo log says that the publisher is gone, and
-// no daemon has rung for it yet. Nobody has a connection then, and the publisher's own doorbell
-// descriptor is gone with it.
+// A sleeping subscription must look again: the redo log says that the publisher is gone, and no
+// daemon has rung for it yet. Nobody has a connection then, and the publisher's doorbell went with
+// it.
 TEST(DaemonRestart, TheNextDaemonRingsForAPredecessorThatDiedBeforeItsRing) {
   const TemporaryDirectory directory;
   CrashControl control(directory.path() + "/control");

@@ -143,8 +143,8 @@ TEST(DaemonRestart, RepairsProcessesThatEndedMeanwhileAndDeliversTheirCommittedM
   EXPECT_EQ(subscriber.take(), std::nullopt);
   pollfd bell{subscriber.bells().datagram_fd(), POLLIN, 0};
   EXPECT_EQ(::poll(&bell, 1, 10'000), 1) << "the daemon did not ring it";
-  // Of the subscriber region, pidfd and eventfd; of the publisher region and window, because the
-  // daemon may have to announce them again to its peers; of the bystander nothing.
+  // The subscriber's region, pidfd and eventfd; the publisher's region and window, which the
+  // daemon may have to announce again to its peers; nothing of the bystander.
   EXPECT_TRUE(eventually([&] { return daemon.kept_count() == kept + 5; }))
       << daemon.kept_count() << " of " << kept;
   // The daemon gives its place to no process as long as the subscriber has it.

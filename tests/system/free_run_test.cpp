@@ -147,7 +147,7 @@ class FreeRun {
         EXPECT_GE(last[i], progress.committed.load()) << "the newest message; seed " << seed_;
       }
     }
-    // Equal, except where a publisher was killed between the commit and its record in `Progress`.
+    // Equal, except where a publisher was killed between commit and record.
     EXPECT_GE(taken + lost, committed) << "neither taken nor counted; seed " << seed_;
     EXPECT_LE(taken + lost, attempted) << "never published; seed " << seed_;
   }

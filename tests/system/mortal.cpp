@@ -163,7 +163,7 @@ class Mortal {
     // The daemon of these tests gives windows of 64 MiB.
     return std::to_string(reinterpret_cast<std::uint64_t>(loan.get()) >> 26);
   }
-  // The names are the daemon's memfds; a read-only mapping belongs to another process.
+  // The names are the daemon's memfds; others' are read-only.
   static std::size_t foreign_mappings() {
     std::size_t count = 0;
     std::ifstream maps("/proc/self/maps");

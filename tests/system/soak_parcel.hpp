@@ -21,7 +21,7 @@
 
 namespace agnocast::test {
 
-/// A memset that the compiler keeps although nothing reads the memory any more.
+/// A memset that stays although nothing reads it any more.
 inline void poison(void* memory, std::size_t bytes) noexcept {
   std::memset(memory, 0xDD, bytes);
   asm volatile("" : : "r"(memory) : "memory");

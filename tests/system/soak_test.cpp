@@ -67,7 +67,7 @@ struct Deaths {
   std::bitset<step_bound> steps;
 };
 
-/// Keeps the places filled, and kills.
+/// Keeps the places filled with processes, and kills them.
 class Herd {
  public:
   Herd(SoakBoard& board, std::uint64_t seed, std::size_t count)
@@ -100,8 +100,7 @@ class Herd {
   void kill_mayflies() {
     for (std::size_t i = resident_count; i < flies_.size(); ++i) end(i);
   }
-  /// Waits until all residents are ready for `phase` and starts it; returns false if one does not
-  /// get there.
+  /// Starts `phase` when all residents wait for it; false if one does not get there.
   [[nodiscard]] bool lead_to(SoakBoard::Phase phase) {
     const std::uint64_t end = now_ns() + 4 * watchdog_ns;
     for (std::size_t i = 0; i < resident_count; ++i) {

@@ -268,7 +268,7 @@ class Reader {
     let_go(now_ns(), held_max);
   }
 
-  /// Returns the held messages, which outlive the subscription.
+  /// Returns the held messages.
   std::deque<Held> end() {
     Subscription<Parcel>::SharedPtr called;
     {

@@ -48,8 +48,7 @@ class SpecimenMaker {
     if (!message.numbers.empty()) name.bytes = static_cast<std::uint64_t>(message.numbers.back());
     return name;
   }
-  /// Returns whether `message` equals, member by member and by value, the one that its name
-  /// determines.
+  /// Returns whether `message` equals, member by member, what its name determines.
   static bool is_intact(const Specimen& message, std::uint64_t seed, const SpecimenName& name) {
     Specimen expected;
     fill(expected, seed, name);

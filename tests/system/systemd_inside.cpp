@@ -108,8 +108,7 @@ TEST(Systemd, GoesOnWithAReplacedProgramAndHarmsNothingWithOneOfAnotherLayout) {
   is_whole();
   goes_on();
 
-  // The other program stays, so that the unit is not restarted over and over, and logs why it
-  // serves nobody.
+  // It stays, so that the unit is not restarted repeatedly, and logs why it serves nobody.
   install("/opt/agnocast/agnocastd_of_another_layout");
   ASSERT_TRUE(systemctl("restart"));
   for (int life = 0; life < 2; ++life) {

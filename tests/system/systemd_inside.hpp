@@ -80,7 +80,7 @@ inline bool is_next(pid_t old) {
          property("SubState") == "running";
 }
 
-/// Returns how many lines of the unit's systemd journal contain this text.
+/// Returns how many lines of the unit's log have this text.
 inline std::size_t said(const std::string& text) {
   return std::strtoul(
       output_of("journalctl -u agnocastd -o cat --no-pager | grep -c -F -- '" + text + "'").c_str(),

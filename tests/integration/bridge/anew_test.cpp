@@ -63,7 +63,7 @@ TEST_F(Anew, NeverMixesTopics) {
     text_readers.push_back(&other_.reads<String>("rt" + name("text", i), qos));
     cloud_readers.push_back(&other_.reads<Cloud>("rt" + name("cloud", i), qos));
   }
-  // Every publisher publishes its topic's name until every reader has received its own.
+  // Every publisher publishes its topic until all readers hear theirs.
   const auto all_flow = [&] {
     std::vector<bool> heard(2 * pairs);
     return other_.eventually([&] {

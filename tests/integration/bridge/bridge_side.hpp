@@ -87,7 +87,7 @@ class Other {
         time_ns);
     return written && *written == bridge::WriteOutcome::sent;
   }
-  /// Returns the reader's next message, or one that arrives within the time.
+  /// Returns the next message, waiting up to `wait`.
   template <class T>
   std::shared_ptr<T> take(DdsReader& reader, std::chrono::milliseconds wait = patience) {
     const auto end = std::chrono::steady_clock::now() + wait;

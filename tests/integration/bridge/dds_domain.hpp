@@ -38,8 +38,7 @@ class Domain {
   std::unique_ptr<DdsParticipant> participant() const {
     return std::move(DdsParticipant::create({.domain = id_}).value());
   }
-  /// Starts the other process; participants consider it gone when they have not heard of it for
-  /// `lease`.
+  /// Starts the other side; others think it gone after `lease` without news.
   std::unique_ptr<SteeredProcess> peer(const std::string& lease = "10 s") const {
     return std::make_unique<SteeredProcess>(
         std::vector<std::string>{AGNOCAST_TEST_DDS_PEER, std::to_string(id_)},

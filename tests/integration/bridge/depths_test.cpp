@@ -145,8 +145,7 @@ TEST_F(Depths, OfANewPublisherAreNotThoseOfAShallowerLocalReader) {
       create_publisher<String>(PlainNode(), topic(), 1)};
   ASSERT_TRUE(other_.eventually([&] { return is_out(reader, *all.front()); }));
   for (std::size_t round = 0; round < 20; ++round) {
-    // For the first publisher of a depth the bridge makes the local reader, the second one finds
-    // it.
+    // The first one of a depth makes a local reader, the second one finds it.
     all.push_back(create_publisher<String>(PlainNode(), topic(), 10 + round / 2));
     const Publisher<String>& next = *all.back();
     ASSERT_TRUE(other_.eventually([&] { return next.get_subscription_count() == 2 + round / 2; }));

@@ -27,7 +27,7 @@ class Flat : public BridgeTest {
   std::string name(const char* way, std::size_t i) const {
     return topic() + "/" + way + std::to_string(i);
   }
-  /// Returns how many endpoints the bridge has on topics of this test.
+  /// Returns the bridge's endpoints on this test's topics.
   std::size_t count(Remote::Kind kind) {
     std::size_t found = 0;
     for (const auto& [guid, remote] : other_.participant().remotes())
@@ -99,8 +99,7 @@ TEST_F(Flat, TenThousandEndpointsOfBothSidesComeAndGoAndLeaveNothing) {
                          << before.resident_kib;
 }
 
-/// Returns how often each thread except Cyclone DDS's went to sleep, which equals its wake-ups; by
-/// name and id.
+/// Returns how often each thread but Cyclone DDS's slept, and so woke; by name and id.
 std::map<std::string, std::uint64_t> switches_of(pid_t pid) {
   static const std::set<std::string> of_cyclone = {"gc",     "tev",     "recv",        "recvMC",
                                                    "recvUC", "dq.user", "dq.builtins", "xmit.user"};

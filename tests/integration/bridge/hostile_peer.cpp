@@ -205,7 +205,7 @@ class Attacker {
     all.push_back(million);
     // One node with an impossible number of endpoints.
     all.push_back(head(1).text("/").text("n").u32(0x10000000));
-    // Of another participant.
+    // Claims a node of another participant.
     Cdr impostor;
     Bytes other(16, std::byte{9});
     impostor.raw(other.data(), other.size());

@@ -127,7 +127,7 @@ struct Heard {
         if (list[i - 1] >= list[i]) return false;
     return true;
   }
-  /// Returns whether every number between the first and the last has arrived.
+  /// Returns whether no number between is missing.
   bool is_complete(const std::string& name) const {
     const auto found = numbers.find(name);
     return found != numbers.end() && !found->second.empty() &&

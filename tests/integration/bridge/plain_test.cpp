@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the bridge's endpoints in DDS, and here for DDS, have the QoS of the endpoints that they
-// stand for, as participants of Cyclone DDS announce and see it. Method: plain_peer; peer_test.cpp
-// checks that messages follow these QoS.
+// Goal: the bridge's endpoints, in DDS and here, have the QoS of those that they stand for, as
+// participants of Cyclone DDS announce and see it. Method: plain_peer; peer_test.cpp checks that
+// messages follow these QoS.
 
 #include <tests/integration/bridge/peer_side.hpp>
 

@@ -218,7 +218,7 @@ struct SeeMarkers {
   }
 };
 
-/// Fills `message`, which is default-constructed, with the values of that number.
+/// Fills a new `message` with that number's values.
 template <class SeeType, class Message>
 void set_values(std::uint64_t number, Message& message) {
   Values values(number);

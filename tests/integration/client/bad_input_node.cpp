@@ -9,7 +9,7 @@
 //   pub sub try_pub insist        keep an endpoint; try_: by its Result; insist: a try_pub that
 //                                 may fail
 //   publish=BYTES take=BYTES                                one message
-//   full=BYTES                                             keep loans of BYTES until one is refused
+//   full=BYTES                                            keep loans of BYTES until one is refused
 //   foreign moved twice empty                               misuse of loans
 //   fork                                                    with an open loan
 

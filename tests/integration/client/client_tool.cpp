@@ -130,7 +130,7 @@ class Tool {
     }
     return "island " + std::to_string(static_cast<int>(island_reason()));
   }
-  // Creates an endpoint that matches no other, and destroys it at once.
+  // Makes an unmatched endpoint, gone at once.
   static std::string connect() {
     const std::string topic = "/client_tool_" + std::to_string(::getpid());
     EndpointRequest request;

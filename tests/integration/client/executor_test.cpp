@@ -196,8 +196,8 @@ TEST_F(Executors, NothingIsLostOrDoubledOrOvertakenWhileANodeMoves) {
   EXPECT_GT(moves, 10u);
 }
 
-// The executor sleeps when the node is taken, and when it is given back: the last message before
-// and the first one after a move must wake the right executor.
+// It sleeps when the node is taken and when it is given back: the last message before and the
+// first one after a move must wake the right executor.
 TEST_F(Executors, ANewExecutorIsWokenByMessagesAfterTheMove) {
   Node node(own("node"));
   Seen seen;

@@ -272,8 +272,7 @@ TEST_F(Generic, AMessageOutlivesItsEndpoints) {
             std::string(100, 'f'));
 }
 
-// All readers interpret a message by the publisher's type, so a message of another type must not
-// pass.
+// All readers use the publisher's type, so a loan of another type must not pass.
 TEST_F(Generic, ALoanThatOutlivesItsPublisherIsRefusedByOtherTypes) {
   auto subscription = create_generic_subscription(node, "headers", "std_msgs/Header", QoS(1));
   std::vector<GenericLoan> strings;

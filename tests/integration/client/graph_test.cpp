@@ -45,7 +45,7 @@ class GraphTest : public testing::Test {
     EXPECT_TRUE(*snapshot) << "the graph reported no change";
     return snapshot->value_or(GraphSnapshot{});
   }
-  /// Returns the snapshot for which the condition is true. One change may arrive in two parts.
+  /// Returns the snapshot that fits. A change may come in two parts.
   template <class Condition>
   GraphSnapshot changed_until(Condition condition) {
     const auto deadline = std::chrono::steady_clock::now() + patience;

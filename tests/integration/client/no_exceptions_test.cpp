@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: a program without exceptions can use the library, gets failures as results, or ends with
-// the reason of the exception. Method: no_exceptions_node, which is compiled without them.
+// the reason. Method: no_exceptions_node, compiled without them.
 
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/steered_process.hpp>

@@ -125,7 +125,7 @@ std::string of_status(const std::filesystem::path& status, const std::string& ke
 }
 std::string blocked_here() { return of_status("/proc/thread-self/status", "SigBlk"); }
 
-/// Returns the blocked signals of a process started from here.
+/// Those of a process started from here.
 std::string blocked_in_child() {
   int pipe_[2];
   if (::pipe(pipe_) != 0) return "(no pipe)";

@@ -86,7 +86,7 @@ struct MessageTraits<Parts> {
 
 namespace {
 
-/// Returns whether the heap is full: before or after the daemon has refused another window.
+/// Full, before or after the daemon has refused another window.
 bool is_full(Errc code) { return code == Errc::heap_exhausted || code == Errc::window_exhausted; }
 
 bool allocates_shared() {

@@ -259,8 +259,8 @@ TEST(Rejoin, ARequestWhoseAnswerIsLostIsCarriedOutOnce) {
   DaemonProcess daemon({.config = "[heap]\nwindow_bytes = \"64MiB\"\n[limits]\n"
                                   "publishers_per_topic = 1\nsubscriptions_per_topic = 1\n"});
   ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
-  // Sent while the daemon is stopped; the connection ends before it can answer. The daemon reads
-  // and carries out the request, and the client gets no answer.
+  // Sent while the daemon is stopped; the connection ends before it can answer. The daemon carries
+  // out the request, and nobody gets the answer.
   const auto ask_unanswered = [&](ClientTool& client, const std::string& line) {
     {
       const Stopped away(daemon.pid());
@@ -410,9 +410,8 @@ TEST(Rejoin, ADaemonThatDiesRepeatedlyDisturbsNobody) {
   EXPECT_TRUE(publisher.eventually("allocated", "0"));
 }
 
-// The daemon dies at the n-th step of serving a request, for n = 1, 2, 3 … until it survives: the
-// request of a process that joins, or of one that asks for a publisher on a topic that it has
-// subscribed to.
+// The daemon dies at the n-th step of a request, for n = 1, 2, 3 … until it survives: of a process
+// that joins, and of one that asks for a publisher on a topic it subscribes to.
 void die_while_asked(bool comes) {
   const std::string directory = test::make_directory();
   test::CrashControl control(directory + "/control");

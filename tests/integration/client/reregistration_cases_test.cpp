@@ -215,8 +215,7 @@ TEST_F(ReregistrationCases, ARefusedEndpointKeepsNoOtherFromMoving) {
   each(1);
   lose("[limits]\ndepth_max = 20\n");
   each(2);
-  // A new subscription receives from endpoints that have moved; refused ones go on among their old
-  // peers.
+  // New subscriptions hear moved publishers; refused ones go on among their old peers.
   const auto newcomer = node.create_subscription<Number>("/first", 10);
   const auto of_refused = node.create_subscription<Number>("/deep", 10);
   const auto other = node.create_subscription<Number>("/last", 10);

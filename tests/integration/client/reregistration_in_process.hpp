@@ -44,7 +44,7 @@ class ReregistrationInProcess : public testing::Test {
   static void end() {
     daemon->kill();
     daemon.reset();
-    // Waits before there is another daemon: the library may reconnect faster than a look.
+    // Before the next daemon: reconnecting may be faster than a look.
     ASSERT_TRUE(eventually([] { return connection_state() != ConnectionState::connected; }));
   }
   static void await_connection() {

@@ -367,8 +367,7 @@ class Refusing {
 };
 
 TEST_F(Reregistration, ADamagedStoreLeavesAnOrphanedSessionUntilAnotherDaemonBegins) {
-  // Our daemon refuses a rejoin like this only later; a process that is refused at once fares no
-  // worse.
+  // Our daemon refuses a rejoin so only later; an earlier refusal does no harm.
   for (const Errc to_rejoin : {Errc::started_anew, Errc::store_damaged}) {
     ClientTool publisher(socket()), subscriber(socket());
     ASSERT_TRUE(meet(subscriber, "sub /t 100", publisher, "pub /t 10"));

@@ -49,8 +49,7 @@ TEST_F(Services, ReportAFailedRequestEitherToTheCallerOrToTheCallback) {
   std::promise<void> called;
   auto call = called.get_future();
   int calls = 0;
-  // While the request is being sent, the server ends and the library abandons the request; and
-  // then the send fails.
+  // The server ends, and the library abandons the request, during the send, which then fails.
   Trap::on_copy = [&] {
     service.reset();
     EXPECT_TRUE(is_ready_soon(call));

@@ -1,4 +1,4 @@
-// Messages and contents that both nodes agree on.
+// The contract of both nodes.
 #pragma once
 
 #include <agnocast/agnocast.hpp>
