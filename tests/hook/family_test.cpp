@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: every function of the malloc family works in and out of scope, in any thread and across
-// the two heaps, with libc's errors. Method: addresses and contents; for odd arguments the result
-// and errno of libc's own function.
+// the two heaps, with libc's errors.
+// Method: addresses and contents; for odd arguments the result and errno of libc's own function.
 
 #include "support.hpp"
 

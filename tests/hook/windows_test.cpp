@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: windows open by frontier, in the promised order; a full window falls back to libc; more
-// windows; refusals of attach. Method: memfds of this test; the callback's record compared with
-// every address that malloc returns.
+// windows; refusals of attach.
+// Method: memfds of this test; the callback's record compared with every address that malloc
+// returns.
 
 #include "support.hpp"
 

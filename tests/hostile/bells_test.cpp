@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: doorbells that are flooded, full, shut, closed, or belong to a stopped process neither
-// stop the publisher that rings them nor the subscriber that is rung. Method: attackers of another
-// user with the doorbells that the daemon gives them. hostile_memory checks that they get no
-// eventfd; unit_doorbell checks what a process of the same user can do with one.
+// stop the publisher that rings them nor the subscriber that is rung.
+// Method: attackers of another user with the doorbells that the daemon gives them. hostile_memory
+// checks that they get no eventfd; unit_doorbell checks what a process of the same user can do
+// with one.
 
 #include <tests/hostile/hostile_node.hpp>
 

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: processes that come and go, endpoints of other types, and names full of control characters
-// cost the honest pair nothing, and leave nothing behind. Method: for each, an attacker of another
-// user runs for seconds beside the honest pair; in the end the daemon's tables hold as many
-// processes and endpoints as before, and `verify` finds every invariant.
+// cost the honest pair nothing, and leave nothing behind.
+// Method: for each, an attacker of another user runs for seconds beside the honest pair; in the
+// end the daemon's tables hold as many processes and endpoints as before, and `verify` finds every
+// invariant.
 
 #include <tests/hostile/hostile_node.hpp>
 #include <tests/support/ctl.hpp>

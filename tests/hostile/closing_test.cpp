@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: a descriptor from another user may take for ever to close; no other process waits for
-// that, and the daemon does not run out of descriptors. Method: an attacker sends TCP sockets that
-// linger for years over a peer that reads nothing, in every place where the daemon closes a
-// client's descriptors; meanwhile the daemon answers the honest pair. Once on the kernel as it is,
-// and once as before Linux 6.16, where nothing keeps descriptors from being sent. The same with a
-// file of a FUSE server that never answers, whose close not even a signal ends.
+// that, and the daemon does not run out of descriptors.
+// Method: an attacker sends TCP sockets that linger for years over a peer that reads nothing, in
+// every place where the daemon closes a client's descriptors; meanwhile the daemon answers the
+// honest pair. Once on the kernel as it is, and once as before Linux 6.16, where nothing keeps
+// descriptors from being sent. The same with a file of a FUSE server that never answers, whose
+// close not even a signal ends.
 
 #include <tests/hostile/hostile_node.hpp>
 #include <tests/support/deaf_peer.hpp>

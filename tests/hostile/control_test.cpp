@@ -2,9 +2,10 @@
 //
 // Goal: whatever another user sends or does not send to the daemon, it answers the honest pair's
 // own requests and the stream goes on; the daemon has its descriptors back when the attacker is
-// gone. Method: for each abuse of the control protocol, an attacker of another user runs for
-// seconds. The parser's part is in integration_daemon_protocol and fuzz_protocol; this file covers
-// what one user can do to another.
+// gone.
+// Method: for each abuse of the control protocol, an attacker of another user runs for seconds.
+// The parser's part is in integration_daemon_protocol and fuzz_protocol; this file covers what one
+// user can do to another.
 
 #include <tests/hostile/hostile_node.hpp>
 

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: the death of a process that had as much as it could get delays no other process, and all
-// its resources come back. Method: an attacker of another user fills its memory, or subscribes a
-// few thousand times to topics with many publishers; it is killed, and the honest pair continues
-// and makes requests until nothing of the attacker is left. The attack table (largest gap) has the
-// honest pair's waiting times: they depend on the machine, so no test judges them.
+// its resources come back.
+// Method: an attacker of another user fills its memory, or subscribes a few thousand times to
+// topics with many publishers; it is killed, and the honest pair continues and makes requests
+// until nothing of the attacker is left. The attack table (largest gap) has the honest pair's
+// waiting times: they depend on the machine, so no test judges them.
 
 #include <base/memfd.hpp>
 #include <base/populate.hpp>

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: whatever another user does with the descriptors that the daemon gives to every observer,
-// new processes join and the others go on. Method: an observer of another user asks for dumps
-// without end and puts every lock, seal, lease and flag that exists on each descriptor that it
-// receives; processes of the honest user join meanwhile. The same once more after the daemon has
-// been killed and restarted.
+// new processes join and the others go on.
+// Method: an observer of another user asks for dumps without end and puts every lock, seal, lease
+// and flag that exists on each descriptor that it receives; processes of the honest user join
+// meanwhile. The same once more after the daemon has been killed and restarted.
 
 #include <tests/hostile/hostile_node.hpp>
 

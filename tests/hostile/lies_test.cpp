@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: whatever a client writes into all memory that it may write, its peers lose nothing, wait
-// for nobody, and receive nothing that lies outside the liar's own windows. Method: an attacker of
-// another user joins as any process does and then lies about one thing after the other, or writes
-// random bytes over everything, for seconds; then it is killed in the middle. The attacker
-// subscribes to the honest publisher's stream; the process of the honest subscriber takes the
-// messages that the attacker publishes on another topic.
+// for nobody, and receive nothing that lies outside the liar's own windows.
+// Method: an attacker of another user joins as any process does and then lies about one thing
+// after the other, or writes random bytes over everything, for seconds; then it is killed in the
+// middle. The attacker subscribes to the honest publisher's stream; the process of the honest
+// subscriber takes the messages that the attacker publishes on another topic.
 
 #include <tests/hostile/hostile_node.hpp>
 

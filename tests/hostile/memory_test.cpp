@@ -2,10 +2,10 @@
 //
 // Goal: with the descriptors and mappings that a client really gets, another user can write only
 // its own memory, resize nothing at all, and cause no SIGBUS in another process, whatever the
-// kernel offers. Method: a list of attempts, each with the errno that it must end with, on every
-// kind of shared memory, with the daemon as root and as a user of its own, while an honest pair
-// runs. When a kernel or one of our changes opens a way, or closes it otherwise, an attempt fails
-// the test.
+// kernel offers.
+// Method: a list of attempts, each with the errno that it must end with, on every kind of shared
+// memory, with the daemon as root and as a user of its own, while an honest pair runs. When a
+// kernel or one of our changes opens a way, or closes it otherwise, an attempt fails the test.
 
 #include <tests/hostile/hostile_node.hpp>
 

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: a subscription that nobody can ring keeps no message of a publisher beyond its depth, and
-// its publisher goes on. Method: attackers of another user shut down their doorbells before the
-// daemon announces them.
+// its publisher goes on.
+// Method: attackers of another user shut down their doorbells before the daemon announces them.
 
 #include <tests/hostile/hostile_node.hpp>
 #include <tests/support/ctl.hpp>

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: the daemon refuses a user that has taken all it may have with the right code and the name
-// of the limit; no other user notices; and all of it comes back when its processes die. Method: an
-// attacker of another user goes to the end of each quota, beside the honest pair, which has its
-// own quotas; then it is killed, and the next attacker gets as much again.
+// of the limit; no other user notices; and all of it comes back when its processes die.
+// Method: an attacker of another user goes to the end of each quota, beside the honest pair, which
+// has its own quotas; then it is killed, and the next attacker gets as much again.
 // integration_daemon_limits checks the counting within one user.
 
 #include <tests/hostile/hostile_node.hpp>

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: messages that other users hold, together and for as long as they like, never keep a
-// publisher from publishing; and each of these users can hold some. Method: attackers of several
-// users take every subscription that they can get beside the honest pair, each with the largest
-// quota, and for ever hold as many messages as they may, all different ones. The honest publisher
-// goes through all its slots meanwhile. The topic is small, so that all its places and slots are
-// taken.
+// publisher from publishing; and each of these users can hold some.
+// Method: attackers of several users take every subscription that they can get beside the honest
+// pair, each with the largest quota, and for ever hold as many messages as they may, all different
+// ones. The honest publisher goes through all its slots meanwhile. The topic is small, so that all
+// its places and slots are taken.
 
 #include <tests/hostile/hostile_node.hpp>
 

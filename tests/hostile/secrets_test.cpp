@@ -2,10 +2,10 @@
 //
 // Goal: a process that may not subscribe to a topic receives no descriptor of its messages'
 // memory, whatever else the publishing process does, and however often the daemon is killed or its
-// rules change. Method: a rule lets only the honest user subscribe to /secret. Attackers of
-// another user subscribe to open topics, publish to topics that the process reads, call its
-// services, and look at each descriptor that they receive: the memfd's name tells whose window it
-// is.
+// rules change.
+// Method: a rule lets only the honest user subscribe to /secret. Attackers of another user
+// subscribe to open topics, publish to topics that the process reads, call its services, and look
+// at each descriptor that they receive: the memfd's name tells whose window it is.
 
 #include <tests/hostile/hostile_node.hpp>
 

@@ -2,8 +2,9 @@
 //
 // Goal: nobody sends a byte to a false daemon of another user: not a process that finds it at the
 // named path, not one that had the right daemon there before, not a program with raised rights
-// whose environment names it, and not the tool. Method: an attacker binds the path, as anybody may
-// in a directory like /tmp, and counts connections and received bytes.
+// whose environment names it, and not the tool.
+// Method: an attacker binds the path, as anybody may in a directory like /tmp, and counts
+// connections and received bytes.
 
 #include <tests/hostile/stage.hpp>
 #include <tests/support/ctl.hpp>

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: a reader of another user that releases none of its messages may fill a publisher's heap,
-// but not for long, and not again and again. Method: a publisher of large messages whose process
-// may have one window, and a subscriber that may hold as many of them as fit and releases none; or
-// a subscriber whose region the publisher's process cannot map, so that the publisher does not
-// know its holds.
+// but not for long, and not again and again.
+// Method: a publisher of large messages whose process may have one window, and a subscriber that
+// may hold as many of them as fit and releases none; or a subscriber whose region the publisher's
+// process cannot map, so that the publisher does not know its holds.
 
 #include <tests/hostile/hostile_node.hpp>
 #include <tests/support/ctl.hpp>

@@ -2,8 +2,9 @@
 //
 // Goal: a client that does not read the daemon's packets, or causes many of them, costs it no more
 // than one user may cost and is delayed or disconnected with a reason, and all other clients go
-// on. Method: an attacker of another user with small quotas asks without reading, stops reading,
-// and asks for dumps as fast as it can, beside the honest pair.
+// on.
+// Method: an attacker of another user with small quotas asks without reading, stops reading, and
+// asks for dumps as fast as it can, beside the honest pair.
 
 #include <tests/hostile/hostile_node.hpp>
 

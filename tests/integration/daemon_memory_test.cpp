@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: wherever an allocation of the daemon fails while it serves, it carries out or refuses the
-// request, or ends the connection; the daemon lives, and its state is whole. Method: the real
-// daemon with an operator new whose n-th call fails, or that one and every later one except from
-// the reserve: n = 1, 2, 3, … until the request needs no more. Each time the test checks the
-// daemon: a new process does everything that processes do. After each kind of request agnocast-ctl
-// verify finds nothing, and a daemon that starts from the store has nothing to repair.
+// request, or ends the connection; the daemon lives, and its state is whole.
+// Method: the real daemon with an operator new whose n-th call fails, or that one and every later
+// one except from the reserve: n = 1, 2, 3, … until the request needs no more. Each time the test
+// checks the daemon: a new process does everything that processes do. After each kind of request
+// agnocast-ctl verify finds nothing, and a daemon that starts from the store has nothing to
+// repair.
 
 #include <tests/integration/raw_node.hpp>
 #include <tests/support/ctl.hpp>

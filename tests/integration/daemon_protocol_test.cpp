@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: the daemon answers every request as docs/control-plane.md says, announcements come in its
-// order with descriptors that work and grant no more than they should. Method: raw clients against
-// the real daemon. "Nothing more came" is asked, not waited for: the answer to a harmless request
-// comes after all earlier packets.
+// order with descriptors that work and grant no more than they should.
+// Method: raw clients against the real daemon. "Nothing more came" is asked, not waited for: the
+// answer to a harmless request comes after all earlier packets.
 
 #include <agnocast/abi/board.hpp>
 #include <agnocast/abi/client_region.hpp>

@@ -2,8 +2,9 @@
 //
 // Goal: a rejoining process for which the daemon has more packets than a connection may have
 // waiting for a client that does not read gets all of them as it reads; while it reads nothing it
-// delays nobody. Method: a raw client whose publishers have tens of thousands of subscriptions,
-// those of living processes or of dead ones.
+// delays nobody.
+// Method: a raw client whose publishers have tens of thousands of subscriptions, those of living
+// processes or of dead ones.
 
 #include <daemon/transport/session.hpp>
 #include <tests/integration/raw_node.hpp>

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: a process that lost its connection rejoins as the same client, gets every event since
-// then, and each repeated request is carried out once. Method: raw clients against the real
-// daemon; connections are closed and opened again. "Nothing more came" is asked, not waited for.
+// then, and each repeated request is carried out once.
+// Method: raw clients against the real daemon; connections are closed and opened again. "Nothing
+// more came" is asked, not waited for.
 
 #include <agnocast/abi/board.hpp>
 #include <base/doorbell.hpp>

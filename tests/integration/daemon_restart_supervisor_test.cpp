@@ -2,8 +2,8 @@
 //
 // Goal: the supervisor starts the installed program, however often that fails, takes orders from
 // its worker alone, and keeps no more than it can hand on; a program of another layout is refused
-// and harms nothing. Method: as daemon_restart_test.cpp; the program is replaced as an
-// installation does it.
+// and harms nothing.
+// Method: as daemon_restart_test.cpp; the program is replaced as an installation does it.
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/mapping.hpp>

@@ -2,10 +2,10 @@
 //
 // Goal: the daemon may die or be restarted at any moment; the same incarnation continues, with
 // every place, window, address and count, data flows meanwhile, and the daemon repairs processes
-// that ended while it was away. It refuses damaged state and does not touch it. Method: the real
-// supervisor and its worker; SIGKILL and SIGHUP; real client processes. To keep the daemon away
-// for a while, the test stops its supervisor. Other programs, and the supervisor's part:
-// daemon_restart_supervisor_test.cpp. A death at each step: daemon_restart_steps_test.cpp.
+// that ended while it was away. It refuses damaged state and does not touch it.
+// Method: the real supervisor and its worker; SIGKILL and SIGHUP; real client processes. To keep
+// the daemon away for a while, the test stops its supervisor. Other programs, and the supervisor's
+// part: daemon_restart_supervisor_test.cpp. A death at each step: daemon_restart_steps_test.cpp.
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <tests/integration/daemon_restart.hpp>

@@ -3,9 +3,9 @@
 // Goal: the daemon can end the session of a living process: no other process is hurt, waits or
 // loses a committed message; the process is notified, may not rejoin, and its places are used
 // again only after its end. A process that lies about its holds, or keeps the places of the dead
-// from others, is revoked automatically. All this outlives the daemon. Method: raw clients in
-// processes of their own, SIGSTOP, and an observer that revokes; SIGKILL of the daemon, whose
-// supervisor starts the next one.
+// from others, is revoked automatically. All this outlives the daemon.
+// Method: raw clients in processes of their own, SIGSTOP, and an observer that revokes; SIGKILL of
+// the daemon, whose supervisor starts the next one.
 
 #include <tests/integration/daemon_revoke.hpp>
 

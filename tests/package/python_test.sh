@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 #
 # Goal: the CMake lines of the README work wherever another python3 is first in PATH, and CMake
-# uses the Python that the user names. Method: a python3 without ament's modules goes first in
-# PATH; configure the project by its preset and as for the benchmark, and a message package; check
-# which Python the cache has.
+# uses the Python that the user names.
+# Method: a python3 without ament's modules goes first in PATH; configure the project by its preset
+# and as for the benchmark, and a message package; check which Python the cache has.
 #
 #   python_test.sh SOURCES
 . "$(dirname "$0")/support.sh"

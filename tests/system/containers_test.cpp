@@ -3,9 +3,9 @@
 // Goal: containers of different users, which share nothing but the *directory* of the socket,
 // exchange messages without a copy as processes of the host do: at the same addresses, over a
 // restart of the daemon, with later containers; a death in one leaves nothing. agnocast-ctl works
-// outside and inside. Method: the daemon on the host; client tools as process 1 of their own
-// namespaces (mount with an empty root, IPC, PID, UTS, network, once also user); /proc shows the
-// kernel's mappings.
+// outside and inside.
+// Method: the daemon on the host; client tools as process 1 of their own namespaces (mount with an
+// empty root, IPC, PID, UTS, network, once also user); /proc shows the kernel's mappings.
 
 #include <agnocast/error.hpp>
 #include <tests/support/client_tool.hpp>

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: nothing grows: after 1,000,000 messages, 100,000 endpoints and 10,000 processes, daemon
-// and clients use as many resources as after a warm-up. Method: a sample after each tenth; of the
-// daemon and of two processes that stay: open descriptors, mappings, resident memory; of the
-// publisher's shared heap: mapped and live bytes; of the daemon: the place and the address of the
-// next process. The first and the last sample have to be equal, except for resident memory and
-// live bytes, which an allocator's caches and high-water marks move: their tolerance stands beside
-// them.
+// and clients use as many resources as after a warm-up.
+// Method: a sample after each tenth; of the daemon and of two processes that stay: open
+// descriptors, mappings, resident memory; of the publisher's shared heap: mapped and live bytes;
+// of the daemon: the place and the address of the next process. The first and the last sample have
+// to be equal, except for resident memory and live bytes, which an allocator's caches and
+// high-water marks move: their tolerance stands beside them.
 //   AGNOCAST_ENDURANCE=short   a tenth of these numbers.
 //   AGNOCAST_RESTARTS=100000   the restarts of a publisher beside a subscriber that lives.
 

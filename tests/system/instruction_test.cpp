@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: borrow, publish, take and release do not become slower unnoticed. Method: callgrind counts
-// the instructions of the calling thread (instruction_subject.cpp), which a busy machine does not
-// change. Each count may exceed its record in instruction_counts.txt by 5 % (or ten). An observer
-// (agnocast-ctl top, as fast as it can) changes none of them. Records belong to an architecture, a
-// compiler and a build type; for another one the test is skipped. To record the current counts
-// after a change that is worth it:
+// Goal: borrow, publish, take and release do not become slower unnoticed.
+// Method: callgrind counts the instructions of the calling thread (instruction_subject.cpp), which
+// a busy machine does not change. Each count may exceed its record in instruction_counts.txt by 5
+// % (or ten). An observer (agnocast-ctl top, as fast as it can) changes none of them. Records
+// belong to an architecture, a compiler and a build type; for another one the test is skipped. To
+// record the current counts after a change that is worth it:
 //
 //   AGNOCAST_RECORD=1 ctest … -R system_instructions
 

@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: no death of any process at any moment ever makes a message wrong, lost or late for ever,
-// or leaves anything behind. Method: processes with the real library, hook and daemon come and go
-// as fast as the machine allows. They are killed at random moments and at random crash points,
-// delayed at others, stopped and continued. Freed payload is poisoned; every message is compared
-// at take and at release. Two residents live through all of it and account for every committed
-// message (soak_client.cpp). In the end all processes leave, and the test counts the remains.
+// or leaves anything behind.
+// Method: processes with the real library, hook and daemon come and go as fast as the machine
+// allows. They are killed at random moments and at random crash points, delayed at others, stopped
+// and continued. Freed payload is poisoned; every message is compared at take and at release. Two
+// residents live through all of it and account for every committed message (soak_client.cpp). In
+// the end all processes leave, and the test counts the remains.
 //
 //   system_soak [--minutes=N] [--seed=N] [--processes=N] [--daemons=N]
 //                          one minute, a seed of its own, 12, 10 deaths of the daemon a minute at

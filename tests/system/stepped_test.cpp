@@ -2,11 +2,12 @@
 //
 // Goal: whatever publishers and subscriptions do in any order, every take gives exactly the
 // message that quality of service determines, intact to the last nested string, and every loss is
-// counted. Method: a schedule made from a seed steers real processes against the real daemon one
-// step at a time: join, leave, publish, take, hold, release, SIGKILL. Each answer is compared with
-// the reference (reference.hpp). A join is over when every process concerned has handled the
-// daemon's announcements before it answers another request ("sync"); a death, when the daemon's
-// log shows it. Then nothing is left to chance, and a schedule repeats exactly:
+// counted.
+// Method: a schedule made from a seed steers real processes against the real daemon one step at a
+// time: join, leave, publish, take, hold, release, SIGKILL. Each answer is compared with the
+// reference (reference.hpp). A join is over when every process concerned has handled the daemon's
+// announcements before it answers another request ("sync"); a death, when the daemon's log shows
+// it. Then nothing is left to chance, and a schedule repeats exactly:
 //   --seed=N or AGNOCAST_SEED=N runs that one schedule. AGNOCAST_STEPPED_SECONDS: how long to
 //   go on (60 if not set).
 

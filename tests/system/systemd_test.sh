@@ -6,8 +6,9 @@
 # meanwhile lose none, and a stop and a start take no message from them either: they rejoin the
 # daemon without a store by themselves. A daemon of another layout in place of ours logs why it
 # serves nobody and harms nothing. The units are as tight as their document says, and that is
-# enough for all this. Method: a systemd of its own, agnocast as cmake --install puts it, and
-# systemd_inside.cpp run in there.
+# enough for all this.
+# Method: a systemd of its own, agnocast as cmake --install puts it, and systemd_inside.cpp run in
+# there.
 #
 #   systemd_test.sh BUILD_DIRECTORY INSIDE_PROGRAM SUPPORT_DIRECTORY NODE
 #                   AGNOCASTD_OF_ANOTHER_LAYOUT [GTEST_OPTION…]

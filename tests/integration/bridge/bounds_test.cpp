@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: neither many endpoints, nor one that does not answer, nor a lack of memory keep the bridge
-// from its task. Method: more writers than places, a stopped reader in DDS, an allocation that
-// fails.
+// from its task.
+// Method: more writers than places, a stopped reader in DDS, an allocation that fails.
 
 #include <tests/integration/bridge/bridge_side.hpp>
 #include <tests/support/plain_node.hpp>

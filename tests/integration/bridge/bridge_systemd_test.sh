@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 #
 # Goal: under systemd a killed bridge is restarted at once, and messages flow both ways; its units
-# are valid and tight. Method: a systemd of its own, agnocast as cmake --install puts it, and
-# bridge_systemd_inside.cpp run in there.
+# are valid and tight.
+# Method: a systemd of its own, agnocast as cmake --install puts it, and bridge_systemd_inside.cpp
+# run in there.
 #
 #   bridge_systemd_test.sh BUILD_DIRECTORY INSIDE_PROGRAM SUPPORT_DIRECTORY [GTEST_OPTION…]
 set -euo pipefail

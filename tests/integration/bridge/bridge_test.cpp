@@ -2,9 +2,9 @@
 //
 // Goal: a message published on this host with agnocast arrives in DDS as a ROS 2 node would have
 // written it, and the other way round, once each, with its history and in the name of its node;
-// and the bridge may die. Method: the real agnocastd and agnocast-bridge; this process has the
-// agnocast endpoints, and is the other participant in DDS, on the loopback interface and in a
-// domain of its own.
+// and the bridge may die.
+// Method: the real agnocastd and agnocast-bridge; this process has the agnocast endpoints, and is
+// the other participant in DDS, on the loopback interface and in a domain of its own.
 
 #include <tests/integration/bridge/bridge_side.hpp>
 #include <tests/support/plain_node.hpp>

@@ -2,10 +2,11 @@
 //
 // Goal: a process with other memory in the arena gets its messages all the same: from the start
 // when its mapping came first, from then on when it joins later; no other process notices, and
-// messages that it cannot get are counted and reported. Method: the real daemon with an arena of a
-// few small windows at a known address; processes of client_tool, with the hook, that map a page
-// there before their first endpoint (a JIT's, say). For a message begun before the heap moved,
-// this program publishes through the public interface and bad_input_node reads.
+// messages that it cannot get are counted and reported.
+// Method: the real daemon with an arena of a few small windows at a known address; processes of
+// client_tool, with the hook, that map a page there before their first endpoint (a JIT's, say).
+// For a message begun before the heap moved, this program publishes through the public interface
+// and bad_input_node reads.
 
 #include <agnocast/abi/limits.hpp>
 #include <agnocast/agnocast.hpp>

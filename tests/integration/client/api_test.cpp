@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: the public interface does what its comments say, with a real message type, the real daemon
-// and the real heap hook. Method: publisher and subscriptions in this process (the hook is
-// linked); the daemon in a private directory. client_test.cpp and the tests of the examples cover
-// several processes.
+// and the real heap hook.
+// Method: publisher and subscriptions in this process (the hook is linked); the daemon in a
+// private directory. client_test.cpp and the tests of the examples cover several processes.
 
 #include <agnocast/agnocast.hpp>
 #include <tests/support/daemon_process.hpp>

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: whatever is wrong, the user reads one sentence that names it (path, name and position,
-// limit with key and value, types, library) and one that helps. Method: a program with a few lines
-// (bad_input_node) against the real daemon, with the configuration or the environment that
-// provokes each case. The test compares its whole output, with paths, process numbers and hashes
-// replaced by words.
+// limit with key and value, types, library) and one that helps.
+// Method: a program with a few lines (bad_input_node) against the real daemon, with the
+// configuration or the environment that provokes each case. The test compares its whole output,
+// with paths, process numbers and hashes replaced by words.
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <tests/support/daemon_process.hpp>

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: an endpoint learns which peers matched it, left or died, and which could not match and
-// why, whichever side came first. Method: the public interface with the real daemon; the other
-// side is a second process that ends or is killed. The test polls statuses; the library's thread
-// or an executor runs callbacks.
+// why, whichever side came first.
+// Method: the public interface with the real daemon; the other side is a second process that ends
+// or is killed. The test polls statuses; the library's thread or an executor runs callbacks.
 
 #include <agnocast/agnocast.hpp>
 #include <tests/integration/client/second_process.hpp>

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: the examples do what their help says, as separate programs with the preloaded hook, and
-// report errors clearly. Method: run them as a user would, against the real daemon; check exit
-// status and text.
+// report errors clearly.
+// Method: run them as a user would, against the real daemon; check exit status and text.
 
 #include <tests/support/daemon_process.hpp>
 

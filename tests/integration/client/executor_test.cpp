@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: executors run the callbacks of their nodes, all of them once, in a fair order and in the
-// thread that spins, while nodes move between executors and the library's thread. Method: the
-// public interface, the real daemon, publishers in this process and (where messages flow
-// meanwhile) in a second one. tests/threads/executor_threads_test.cpp covers the moves under
+// thread that spins, while nodes move between executors and the library's thread.
+// Method: the public interface, the real daemon, publishers in this process and (where messages
+// flow meanwhile) in a second one. tests/threads/executor_threads_test.cpp covers the moves under
 // ThreadSanitizer.
 
 #include <agnocast/agnocast.hpp>

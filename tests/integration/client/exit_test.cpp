@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: a process may call exit() at any time: no thread of the library runs user code that would
-// touch destroyed objects, and exit() ends. Method: real processes that exit, with the real
-// daemon. A static object gives the library every occasion while it is destroyed; late user code
-// writes into a pipe that this process reads.
+// touch destroyed objects, and exit() ends.
+// Method: real processes that exit, with the real daemon. A static object gives the library every
+// occasion while it is destroyed; late user code writes into a pipe that this process reads.
 
 #include <agnocast/agnocast.hpp>
 #include <tests/support/child.hpp>

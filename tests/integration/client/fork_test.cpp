@@ -2,8 +2,9 @@
 //
 // Goal: a program may fork, exec and spawn while loans are open, messages are held and callbacks
 // run: the child gets errors for forbidden calls and can do no harm, the parent goes on
-// undisturbed. Method: real processes with the real daemon and hook; one process per case, which
-// forks. A child that hangs or crashes fails its case.
+// undisturbed.
+// Method: real processes with the real daemon and hook; one process per case, which forks. A child
+// that hangs or crashes fails its case.
 
 #include <agnocast/agnocast.hpp>
 #include <tests/support/daemon_process.hpp>

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: generic endpoints match typed ones of the same type, in both directions and without a
-// copy, and are refused in the same cases; their messages are freed in the same way. Method: both
-// in this process, the real daemon, the real hook; every message type of interfaces/ with random
-// values, compared by the table, and where typed endpoints exist by the types' own operator==.
-// Under sanitizers, which bring another malloc, only the parts that need no publisher of rosidl
-// messages.
+// copy, and are refused in the same cases; their messages are freed in the same way.
+// Method: both in this process, the real daemon, the real hook; every message type of interfaces/
+// with random values, compared by the table, and where typed endpoints exist by the types' own
+// operator==. Under sanitizers, which bring another malloc, only the parts that need no publisher
+// of rosidl messages.
 
 #include <agnocast/abi/heaphook.h>
 #include <agnocast/generic.hpp>

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: a program chooses which of its allocations are shared: those of its loans, or all; and
-// messages in other memory are adopted and counted. Method: one process per case (the scope is
-// chosen once), publisher and subscription in it, the real daemon and hook, a message type of
-// rosidl.
+// messages in other memory are adopted and counted.
+// Method: one process per case (the scope is chosen once), publisher and subscription in it, the
+// real daemon and hook, a message type of rosidl.
 
 #include <agnocast/agnocast.hpp>
 #include <tests/support/daemon_process.hpp>

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: without the heap hook nothing can be published, whatever the message type; subscriptions
-// and the shared allocator work. Method: this program has no hook.
+// and the shared allocator work.
+// Method: this program has no hook.
 
 #include <agnocast/agnocast.hpp>
 #include <tests/support/daemon_process.hpp>

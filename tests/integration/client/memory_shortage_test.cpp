@@ -2,8 +2,9 @@
 //
 // Goal: a process that briefly has no memory goes on: while endpoints come and go, while the
 // daemon is restarted, while the process moves to another daemon. Nothing is lost, nothing arrives
-// twice, nothing is left behind. Method: operator new of this program fails once, at the n-th
-// allocation of a thread (the library's, or the user's) after such an event has begun, for each n.
+// twice, nothing is left behind.
+// Method: operator new of this program fails once, at the n-th allocation of a thread (the
+// library's, or the user's) after such an event has begun, for each n.
 
 #include <agnocast/agnocast.hpp>
 #include <client/session/reconnection.hpp>

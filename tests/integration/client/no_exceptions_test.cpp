@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: a program without exceptions can use the library, gets failures as results, or ends with
-// the reason. Method: no_exceptions_node, compiled without them.
+// the reason.
+// Method: no_exceptions_node, compiled without them.
 
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/steered_process.hpp>

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: agnocast::Node names itself and its topics as ROS 2 does, its endpoints are those of the
-// free functions, and callbacks of every promised signature compile and are called. Method: the
-// public interface with the real daemon; the test asserts questions of types at compile time. The
-// rules themselves: tests/unit/client/arguments_test.cpp.
+// free functions, and callbacks of every promised signature compile and are called.
+// Method: the public interface with the real daemon; the test asserts questions of types at
+// compile time. The rules themselves: tests/unit/client/arguments_test.cpp.
 
 #include <agnocast/agnocast.hpp>
 #include <tests/integration/client/second_process.hpp>

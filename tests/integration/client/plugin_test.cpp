@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a plugin that has published may be closed: its code destroys its messages later. Method: a
-// host program that uses the library only through the plugin; a subscriber in another process
-// keeps the message until the plugin is closed. Without the feature under test the library's own
-// thread jumps into unmapped code. The plugin is built so that nothing else pins it
+// Goal: a plugin that has published may be closed: its code destroys its messages later.
+// Method: a host program that uses the library only through the plugin; a subscriber in another
+// process keeps the message until the plugin is closed. Without the feature under test the
+// library's own thread jumps into unmapped code. The plugin is built so that nothing else pins it
 // (-fno-gnu-unique, plugin.map).
 
 #include "plugin.hpp"

@@ -2,8 +2,8 @@
 //
 // Goal: a program with endpoints may do anything to its own process: user code that the library
 // runs has the signal mask of the endpoint's creator, threads may end in any way, and the process
-// ends as without the library. Method: a program (process_node.cpp) that does it, with the real
-// daemon; its output and its end.
+// ends as without the library.
+// Method: a program (process_node.cpp) that does it, with the real daemon; its output and its end.
 
 #include <base/unique_fd.hpp>
 #include <base/unix_address.hpp>

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: every failure of borrow and publish has a clear code, the caller keeps the message, and
-// the publisher works again afterwards. Method: publisher and subscription in this process, the
-// real daemon with one small heap window, the real hook. Message types of the test throw on
-// request.
+// the publisher works again afterwards.
+// Method: publisher and subscription in this process, the real daemon with one small heap window,
+// the real hook. Message types of the test throw on request.
 
 #include <agnocast/abi/heaphook.h>
 #include <agnocast/agnocast.hpp>

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: whatever happens to a connection, no message is lost or arrives twice, every request is
-// carried out once, and the process receives the missed events afterwards. Method: real daemon,
-// real processes. The test ends connections from outside, during use by both sides; a stopped
-// process (SIGSTOP) is away for as long as the test wants.
+// carried out once, and the process receives the missed events afterwards.
+// Method: real daemon, real processes. The test ends connections from outside, during use by both
+// sides; a stopped process (SIGSTOP) is away for as long as the test wants.
 
 #include <agnocast/error.hpp>
 #include <tests/support/client_tool.hpp>

@@ -2,9 +2,9 @@
 //
 // Goal: no unusual state of a process keeps it from moving to a daemon without a store: several of
 // its endpoints on one topic, children of fork, readers that hold all they may, an endpoint that
-// the new daemon refuses, a store that is lost again before everything has moved. Method: the
-// public interface in this process and client_tool in others; real daemons that are killed with
-// their supervisors and restarted without a store at the same socket.
+// the new daemon refuses, a store that is lost again before everything has moved.
+// Method: the public interface in this process and client_tool in others; real daemons that are
+// killed with their supervisors and restarted without a store at the same socket.
 
 #include <tests/integration/client/reregistration_in_process.hpp>
 #include <tests/support/child.hpp>

@@ -2,9 +2,9 @@
 //
 // Goal: an ordinary program goes on when the daemon's store is lost: callbacks in the library's
 // thread and in executors are woken, loans and held messages stay valid, a stream from another
-// process arrives whole and in order. Method: the public interface, real daemons that are killed
-// with their supervisors and restarted without a store at the same socket, a second process that
-// publishes.
+// process arrives whole and in order.
+// Method: the public interface, real daemons that are killed with their supervisors and restarted
+// without a store at the same socket, a second process that publishes.
 
 #include <tests/integration/client/reregistration_in_process.hpp>
 

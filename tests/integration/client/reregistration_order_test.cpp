@@ -2,7 +2,8 @@
 //
 // Goal: when processes move to another daemon, no message arrives twice, out of order, or damaged:
 // unread messages come before new ones, histories once and to subscriptions that request them; and
-// no publisher holds back the messages of another. Method: as reregistration_test.cpp.
+// no publisher holds back the messages of another.
+// Method: as reregistration_test.cpp.
 
 #include <tests/integration/client/reregistration.hpp>
 

@@ -2,9 +2,9 @@
 //
 // Goal: when the daemon's store is lost and another daemon begins, processes move to it by
 // themselves, with all their endpoints, messages and heaps, without any action of their publishers
-// or subscriptions; and nothing is left behind. Method: real daemons at the same socket
-// (reregistration.hpp); real processes, some of them stopped (SIGSTOP) meanwhile.
-// reregistration_order_test.cpp covers the order of their messages.
+// or subscriptions; and nothing is left behind.
+// Method: real daemons at the same socket (reregistration.hpp); real processes, some of them
+// stopped (SIGSTOP) meanwhile. reregistration_order_test.cpp covers the order of their messages.
 
 #include <agnocast/abi/wire.hpp>
 #include <agnocast/error.hpp>

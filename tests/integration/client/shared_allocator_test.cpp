@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: a process whose malloc is not the heap hook's can publish a message on an explicit shared
-// allocator, so that publishers run under sanitizers. Method: the publisher in one process, a
-// subscriber in another, the real daemon; the same test in plain and sanitized builds. The
-// subscriber compares every member with its own computation.
+// allocator, so that publishers run under sanitizers.
+// Method: the publisher in one process, a subscriber in another, the real daemon; the same test in
+// plain and sanitized builds. The subscriber compares every member with its own computation.
 
 #include <agnocast/abi/heaphook.h>
 #include <agnocast/agnocast.hpp>

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: take_batch() gives the same messages as repeated take(), and each of them is as
-// independent as one of take(). Method: two equal subscriptions hear the same publishers; the test
-// calls take() on one and take_batch() on the other. Publishers and subscriptions are in this
-// process, with the real daemon and the real heap hook. A batch without memory:
-// memory_shortage_test.cpp; in a forked child: fork_test.cpp; amid deaths and lost daemons:
-// sweep_clients, whose `drain` uses batches.
+// independent as one of take().
+// Method: two equal subscriptions hear the same publishers; the test calls take() on one and
+// take_batch() on the other. Publishers and subscriptions are in this process, with the real
+// daemon and the real heap hook. A batch without memory: memory_shortage_test.cpp; in a forked
+// child: fork_test.cpp; amid deaths and lost daemons: sweep_clients, whose `drain` uses batches.
 
 #include <agnocast/agnocast.hpp>
 #include <tests/integration/client/second_process.hpp>

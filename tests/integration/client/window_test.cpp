@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: a heap whose growth was refused grows when the resources are there again, and the
-// process's own subscriptions read in a window that came after they had linked. Method: the real
-// daemon with small windows; in the first test with a quota of two, and another client has the
-// second one and gives it back. The publisher keeps all its messages, so that only another window
-// makes room. Each in a process of its own, because a process has one heap.
+// process's own subscriptions read in a window that came after they had linked.
+// Method: the real daemon with small windows; in the first test with a quota of two, and another
+// client has the second one and gives it back. The publisher keeps all its messages, so that only
+// another window makes room. Each in a process of its own, because a process has one heap.
 
 #include <agnocast/agnocast.hpp>
 #include <tests/support/bulk.hpp>

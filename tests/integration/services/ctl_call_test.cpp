@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: `agnocast-ctl service call` calls typed services and prints their responses, in ros2's
-// format and as JSON, and its exit status says why there is no response. Method: typed services in
-// this process, the real daemon, agnocast-ctl as a program of its own.
+// format and as JSON, and its exit status says why there is no response.
+// Method: typed services in this process, the real daemon, agnocast-ctl as a program of its own.
 
 #include <agnocast/agnocast.hpp>
 #include <tests/support/ctl.hpp>

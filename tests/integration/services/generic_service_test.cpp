@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: services of types that rosidl generated, typed and found at run time, match each other;
-// strings and sequences in their requests and responses arrive whole. Method: the public interface
-// with the real daemon, in one process; typed and generic sides check each other.
+// strings and sequences in their requests and responses arrive whole.
+// Method: the public interface with the real daemon, in one process; typed and generic sides check
+// each other.
 
 #include <agnocast/agnocast.hpp>
 #include <agnocast/generic_service.hpp>

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: a request is answered or fails exactly once, also when it is cancelled, when a side ends
-// in its own callback, and when a side does not read; bad types and names are refused. Method: as
-// service_test.cpp.
+// in its own callback, and when a side does not read; bad types and names are refused.
+// Method: as service_test.cpp.
 
 #include <tests/integration/services/service_fixture.hpp>
 

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: requests get their responses, at once or later, once; and a request that cannot be
-// answered ends with an error, at the right place, and soon. Method: the public interface with the
-// real daemon, all in this process. The library's threads run the nodes unless the test says
-// otherwise. More processes: service_processes_test.cpp.
+// answered ends with an error, at the right place, and soon.
+// Method: the public interface with the real daemon, all in this process. The library's threads
+// run the nodes unless the test says otherwise. More processes: service_processes_test.cpp.
 
 #include <tests/integration/services/service_fixture.hpp>
 
