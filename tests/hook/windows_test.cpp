@@ -203,7 +203,7 @@ HOOKED_TEST(HookWindows, ThreeQuartersUsedAsksForTheNextWindow) {
   EXPECT_TRUE(in_second);
 }
 
-HOOKED_TEST(HookWindows, AFreshWindowRetiresThoseBeforeIt) {
+HOOKED_TEST(HookWindows, AFreshWindowReplacesThoseBeforeIt) {
   WindowFile first(64 * MiB);
   WindowFile second(64 * MiB, window_address + (std::uintptr_t{1} << 30));
   attach(first);
@@ -249,7 +249,7 @@ HOOKED_TEST(HookWindows, AFreshWindowRetiresThoseBeforeIt) {
       << "idle memory of the first window goes back to the kernel as well";
 }
 
-HOOKED_TEST(HookWindows, ABlockOfARetiredWindowMovesWhenItGrows) {
+HOOKED_TEST(HookWindows, ABlockOfAReplacedWindowMovesWhenItGrows) {
   WindowFile first(64 * MiB);
   WindowFile second(64 * MiB, window_address + (std::uintptr_t{1} << 30));
   attach(first);

@@ -230,7 +230,7 @@ TEST(HostileControl, AClientThatNeverReadsItsAnswersIsDisconnected) {
       1, Ends::cut_off);
 }
 
-TEST(HostileControl, AProcessThatRejoinsRepeatedlyIsServedLaterAndItsPublishersHearNothing) {
+TEST(HostileControl, AProcessThatRejoinsTooOftenIsRefusedAndItsPublishersHearNothing) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   const std::string path = stage.socket_path();
@@ -238,8 +238,7 @@ TEST(HostileControl, AProcessThatRejoinsRepeatedlyIsServedLaterAndItsPublishersH
   Attacker attacker([&](Attack& attack) {
     HostileNode node(path);
     node.join(Kind::subscription, stream_topic);
-    // More collisions than count for others: the heap stays where it is, and each look finds a
-    // collision.
+    // More addresses than count for others: the heap stays, and collides at each look.
     wire::Blocked range{};
     range.base = node.welcome().arena_base;
     range.bytes = node.welcome().arena_bytes;

@@ -208,7 +208,7 @@ std::string read_one(const std::string& arguments) {
   return text;
 }
 
-// Either its object lies in the retired window, or the object lies in the new one and its target
+// Either its object lies in the previous window, or the object lies in the new one and its target
 // does not.
 TEST(Addresses, AMessageBegunBeforeTheHeapMovedIsCopied) {
   DaemonProcess daemon({.config = small_arena});
