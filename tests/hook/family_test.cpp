@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: every function of the malloc family, in and out of scope, in any thread and across the two heaps; errors as libc's.
-// Method: addresses and contents; for odd arguments the answer and errno of libc's own function, asked directly.
+// Goal: every function of the malloc family works in and out of scope, in any thread and across
+// the two heaps, with libc's errors.
+// Method: addresses and contents; for odd arguments the result and errno of libc's own function.
 
 #include "support.hpp"
 
@@ -137,7 +138,8 @@ HOOKED_TEST(HookFamily, FreeKeepsErrno) {
   EXPECT_EQ(errno, 4711);
 }
 
-// Content of realloc over all sizes, both ways, for a block made inside (shared) or outside of a scope.
+// Checks realloc's content over all sizes, growing and shrinking, for a block made inside (shared)
+// or outside a scope.
 void realloc_walk(bool made_in_scope, bool changed_in_scope, bool expect_shared_after) {
   for (std::size_t from : {1ul, 100ul, 5000ul, 2 * MiB}) {
     for (std::size_t to : {1ul, 90ul, 6000ul, 3 * MiB}) {
@@ -229,8 +231,8 @@ constexpr std::size_t largest = PTRDIFF_MAX;
 const std::size_t odd_sizes[] = {0, largest, largest + 1, SIZE_MAX - page, SIZE_MAX - 15, SIZE_MAX};
 const std::size_t odd_alignments[] = {0, 1, 2, 4, 8, 24, 48, largest, largest + 1};
 
-// Answers of our functions beside libc's for arguments that are errors or borders; in scope and out of it.
-HOOKED_TEST(HookFamily, OddArgumentsAnswerAsLibc) {
+// Compares our functions with libc's for invalid and boundary arguments, in scope and out of it.
+HOOKED_TEST(HookFamily, OddArgumentsGiveTheResultsOfLibc) {
   WindowFile file(64 * MiB);
   attach(file);
   const auto libc_malloc = libc_function<void* (*)(std::size_t)>("malloc");
@@ -309,7 +311,7 @@ HOOKED_TEST(HookFamily, OddArgumentsAnswerAsLibc) {
   EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
 }
 
-HOOKED_TEST(HookFamily, SizedFreeOfC23IsServed) {
+HOOKED_TEST(HookFamily, SizedFreeOfC23Works) {
   WindowFile file(64 * MiB);
   attach(file);
   const auto free_sized =

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a forked child sees the parent's messages, cannot change them, and goes on with libc; nothing deadlocks, whoever is
-// allocating while somebody forks; vfork, posix_spawn and exec are ordinary. Method: children that report by exit status, and
-// a second mapping of the memfd as the eyes of a reader.
+// Goal: a forked child reads the parent's messages, cannot change them, and allocates from libc;
+// fork never deadlocks, whichever threads allocate meanwhile; vfork, posix_spawn and exec are
+// unaffected. Method: children report by exit status, and a second mapping of the memfd acts as a
+// reader.
 
 #include "support.hpp"
 
@@ -118,7 +119,7 @@ HOOKED_TEST(HookFork, TheChildIsDetachedForGood) {
             0);
 }
 
-HOOKED_TEST(HookFork, AForkBeforeAttachIsNothingSpecial) {
+HOOKED_TEST(HookFork, AForkBeforeAttachHasNoEffect) {
   WindowFile file(64 * MiB);
   EXPECT_EQ(in_forked_child([&] {
               const agnocast_heaphook_options options = options_for(AGNOCAST_HEAPHOOK_SCOPE_LOAN);
@@ -149,7 +150,7 @@ HOOKED_TEST(HookFork, AChildOfAChildInheritsTheChildsView) {
   delete message;
 }
 
-HOOKED_TEST(HookFork, ScopeAllForksLikewise) {
+HOOKED_TEST(HookFork, ScopeAllForksTheSameWay) {
   WindowFile file(256 * MiB);
   attach(file, AGNOCAST_HEAPHOOK_SCOPE_ALL);
   const std::string before(500, 'b');
@@ -161,8 +162,8 @@ HOOKED_TEST(HookFork, ScopeAllForksLikewise) {
             0);
 }
 
-// The hook's fork handlers are registered at attach. These come before it, so their prepare half runs when the allocator is
-// already locked and their parent half before it is unlocked.
+// The hook registers its fork handlers at attach. These are registered before, so their prepare
+// half runs when the allocator is already locked and their parent half before it is unlocked.
 void* early_block = nullptr;
 int early_runs = 0;
 bool early_wrong = false;
@@ -189,7 +190,7 @@ HOOKED_TEST(HookFork, HandlersOfOthersMayAllocateAndFreeWhileTheHeapIsLocked) {
   }
   EXPECT_EQ(early_runs, 40);
   EXPECT_FALSE(early_wrong);
-  EXPECT_EQ(hook_test::usage().live_bytes, before) << "what the handlers freed was freed";
+  EXPECT_EQ(hook_test::usage().live_bytes, before) << "the handlers' frees took effect";
 }
 
 HOOKED_TEST(HookFork, ForkWhileOthersAllocateNeverDeadlocks) {
@@ -285,7 +286,7 @@ HOOKED_TEST(HookFork, AChildWhoseDescriptorsWereClosedStillRunsOnLibc) {
   Message* const message = make_message();
   for (int fd = 3; fd < 100; ++fd) close(fd);
   EXPECT_EQ(in_forked_child([&] {
-              free(message);  // ignored without looking at it
+              free(message);  // ignored without reading it
               return libc_block(1000) && hook_test::usage().mapping_refused_count == 1;
             }),
             0);
@@ -326,7 +327,7 @@ HOOKED_TEST(HookFork, ARawCloneOwnsNothing) {
   return child;
 }
 
-HOOKED_TEST(HookFork, VforkSpawnAndExecAreOrdinary) {
+HOOKED_TEST(HookFork, VforkSpawnAndExecAreUnaffected) {
   WindowFile file(64 * MiB);
   attach(file);
   Message* const message = make_message();
@@ -343,7 +344,7 @@ HOOKED_TEST(HookFork, VforkSpawnAndExecAreOrdinary) {
     ASSERT_EQ(posix_spawn(&spawned, path.c_str(), nullptr, nullptr, arguments, environ), 0);
     EXPECT_EQ(wait_for(spawned), 7);
     EXPECT_TRUE(is_shared(std::unique_ptr<char[]>(new char[100]).get()))
-        << "the scope is as it was";
+        << "the scope is unchanged";
     hook().leave();
 
     EXPECT_EQ(in_forked_child([] { return execl("/bin/true", "true", nullptr) == 0; }), 0);
@@ -358,7 +359,7 @@ HOOKED_TEST(HookFork, VforkSpawnAndExecAreOrdinary) {
   EXPECT_EQ(hook_test::usage().internal_error_count, errors);
 }
 
-HOOKED_TEST(HookFork, ExecFindsNoDescriptorsOfOurs) {
+HOOKED_TEST(HookFork, ExecInheritsNoDescriptorsOfTheHook) {
   WindowFile file(64 * MiB);
   attach(file);
   FILE* const pipe = popen("readlink /proc/self/fd/* | grep -c memfd", "r");

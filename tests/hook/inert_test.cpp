@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a process that merely has the hook is the process it would be without. Method: the same programs with and without
-// LD_PRELOAD, compared by what they print and by what /proc says; the library itself read with binutils.
+// Goal: a process that merely loads the hook behaves as without it. Method: the same programs with
+// and without LD_PRELOAD, compared by their output and /proc; binutils read the library itself.
 
 #include "support.hpp"
 
@@ -58,11 +58,11 @@ TEST(HookInert, AddsNoDescriptorNoThreadAndNoMappingButItself) {
       same.erase(name + 7, 7);
     rest += same + "\n";
   }
-  EXPECT_GE(own, 3) << "the hook was there";
+  EXPECT_GE(own, 3) << "the hook is not loaded";
   std::string expected;
   for (const std::string& line : lines_of(without.output)) {
     if (line.rfind("anonymous_kib ", 0) == 0) {
-      // The loader keeps thread-local storage of libraries in pages of its own: room for the hook's.
+      // The loader keeps thread-local storage of libraries in its own pages: room for the hook's.
       EXPECT_NEAR(static_cast<double>(anonymous_kib), std::stod(line.substr(14)), 16);
     } else {
       expected += line + "\n";
@@ -94,7 +94,7 @@ TEST(HookInert, LibraryCannotReadTheEnvironmentOrEndTheProcessPolitely) {
     std::istringstream words(line);
     for (std::string word; words >> word;) used.insert(word);
   }
-  EXPECT_EQ(used.count("mmap"), 1u) << "the list is one";
+  EXPECT_EQ(used.count("mmap"), 1u) << "the list of functions is incomplete";
   for (const char* name :
        {"getenv", "secure_getenv", "environ", "__environ", "exit", "printf", "fprintf", "stderr",
         "syslog", "__cxa_throw", "__gxx_personality_v0", "_Znwm"}) {
@@ -102,7 +102,7 @@ TEST(HookInert, LibraryCannotReadTheEnvironmentOrEndTheProcessPolitely) {
   }
 }
 
-TEST(HookInert, LibraryExportsTheFamilyAndItsTableOnly) {
+TEST(HookInert, LibraryExportsOnlyTheMallocFamilyAndItsTable) {
   const Outcome outcome =
       run({"nm", "-D", "--defined-only", "--without-symbol-versions", hook_path()});
   ASSERT_EQ(outcome.exit_status, 0) << outcome.error;
@@ -136,7 +136,7 @@ TEST(HookInert, ConfigurationOfAnotherJemallocIsNotOurs) {
   EXPECT_EQ(outcome.error, "") << "jemalloc would complain here";
 }
 
-// Body for the tests around it: attaches and shares something.
+// Body for the tests around it: attaches and shares a block.
 HOOKED_TEST(HookInert, AttachedBody) {
   hook_test::WindowFile file(64 * hook_test::MiB);
   hook_test::attach(file);
@@ -159,7 +159,7 @@ TEST(HookInert, TwoCopiesOfTheHookFormAChain) {
   EXPECT_NE(outcome.output.find("[  PASSED  ] 1 test"), std::string::npos) << outcome.output;
 }
 
-// Body of the setuid copy; nothing runs it otherwise.
+// Body of the setuid copy; nothing else runs it.
 HOOKED_TEST(HookInert, DISABLED_SecureBody) {
   ASSERT_NE(getauxval(AT_SECURE), 0u);
   hook_test::WindowFile file(64 * hook_test::MiB);

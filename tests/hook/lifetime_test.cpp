@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the hook works at every moment of a process and of a thread: before main, as a thread's first act, while libraries
-// come and go, at thread exit, after exit began. Method: bodies that end in exit handlers report through the exit status.
+// Goal: the hook works at every moment of a process and of a thread: before main, as a thread's
+// first call, while libraries are loaded and unloaded, at thread exit, after exit began. Method:
+// bodies that end in exit handlers report through the exit status.
 
 #include "support.hpp"
 
@@ -26,7 +27,7 @@ namespace {
 
 using namespace hook_test;
 
-// --- before main -----------------------------------------------------------------------------------------------------------
+// --- before main --------------------------------------------------------------------------------
 
 int early_thread_blocks = 0;
 
@@ -60,9 +61,9 @@ HOOKED_TEST(HookLifetime, ThreadsBeforeMainAllocate) {
   free(block);
 }
 
-// --- the first act of a thread -----------------------------------------------------------------------------------------------
+// --- the first call of a thread -----------------------------------------------------------------
 
-HOOKED_TEST(HookLifetime, EveryEntryPointWorksAsTheFirstActOfAThread) {
+HOOKED_TEST(HookLifetime, EveryEntryPointWorksAsTheFirstCallOfAThread) {
   WindowFile file(512 * MiB);
   attach(file);
   const std::function<void*(void*)> acts[] = {
@@ -134,7 +135,7 @@ HOOKED_TEST(HookLifetime, EveryEntryPointWorksAsTheFirstActOfAThread) {
   EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
 }
 
-// --- thread exit -------------------------------------------------------------------------------------------------------------
+// --- thread exit --------------------------------------------------------------------------------
 
 HOOKED_TEST(HookLifetime, AnEndingThreadGivesItsCacheBack) {
   WindowFile file(512 * MiB);
@@ -159,7 +160,8 @@ pthread_key_t late_key;
 HOOKED_TEST(HookLifetime, DestructorsOfThreadDataMayFreeAndAllocate) {
   WindowFile file(64 * MiB);
   attach(file);
-  // Runs at thread exit, after and between the allocator's own clean-up (glibc repeats up to four times).
+  // Runs at thread exit, after and between the allocator's own clean-up (glibc repeats up to four
+  // times).
   static int runs = 0;
   ASSERT_EQ(pthread_key_create(&late_key,
                                [](void* block) {
@@ -183,8 +185,9 @@ HOOKED_TEST(HookLifetime, DestructorsOfThreadDataMayFreeAndAllocate) {
   EXPECT_EQ(hook_test::usage().live_bytes, 0u);
 }
 
-HOOKED_TEST(HookLifetime, ManyThreadKeysOfTheProgramAreNoProblem) {
-  // From the 33rd key on glibc allocates when a thread first sets it, also for the allocator's own key.
+HOOKED_TEST(HookLifetime, ManyThreadKeysOfTheProgramDoNoHarm) {
+  // From the 33rd key on glibc allocates when a thread first sets it, also for the allocator's own
+  // key.
   for (int i = 0; i < 100; ++i) {
     pthread_key_t key;
     ASSERT_EQ(pthread_key_create(&key, nullptr), 0);
@@ -203,12 +206,11 @@ HOOKED_TEST(HookLifetime, ManyThreadKeysOfTheProgramAreNoProblem) {
   thread.join();
   hook().resume();
   EXPECT_TRUE(shared);
-  EXPECT_LE(live, 112u)
-      << "what libc allocates for its own needs inside the allocator is not shared";
+  EXPECT_LE(live, 112u) << "libc's own allocations inside the allocator are not shared";
   EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
 }
 
-// --- libraries that come and go ----------------------------------------------------------------------------------------------
+// --- libraries that are loaded and unloaded -----------------------------------------------------
 
 HOOKED_TEST(HookLifetime, LibrariesWithThreadLocalDataComeAndGo) {
   WindowFile file(256 * MiB);
@@ -245,7 +247,7 @@ HOOKED_TEST(HookLifetime, LoadingWhileThreadsAllocateNeverDeadlocks) {
   for (int t = 0; t < 2; ++t) {
     threads.emplace_back([&] {
       while (!stop) {
-        std::thread([] {  // new threads meet the loader's TLS bookkeeping
+        std::thread([] {  // new threads use the loader's TLS bookkeeping
           Scope scope;
           for (std::size_t i = 1; i < 100; ++i) free(opaque(malloc(i * 50)));
         })
@@ -262,7 +264,7 @@ HOOKED_TEST(HookLifetime, LoadingWhileThreadsAllocateNeverDeadlocks) {
   for (std::thread& thread : threads) thread.join();
 }
 
-// A block in the window, and before it memory of the caller's that is zero.
+// A block in the window, preceded by zeroed memory of the caller's.
 struct BehindZeros {
   static constexpr std::size_t bytes = 1024;
   char* blocks[8];
@@ -288,7 +290,7 @@ struct BehindZeros {
 sigjmp_buf after_abort;
 
 // docs/heaphook.md says which calls of such a library are safe, and how the others end.
-HOOKED_TEST(HookLifetime, ALibraryThatIsBoundDeeplyHasAMallocOfItsOwn) {
+HOOKED_TEST(HookLifetime, ALibraryWithDeepBindingUsesLibcsMalloc) {
   WindowFile file(256 * MiB);
   attach(file);
   const std::string path = std::string(AGNOCAST_TEST_PROGRAMS) + "/libhook_test_deep.so";
@@ -306,7 +308,8 @@ HOOKED_TEST(HookLifetime, ALibraryThatIsBoundDeeplyHasAMallocOfItsOwn) {
   free(its_own);
   release(malloc(1000));
 
-  // libc believes what lies before the block: with zeros there it sees that the block is not its own.
+  // libc trusts the bytes before the block: with zeros there it sees that the block is not its
+  // own.
   const BehindZeros shared;
   ASSERT_NE(shared.block, nullptr);
   ASSERT_TRUE(is_shared(shared.block));
@@ -314,7 +317,7 @@ HOOKED_TEST(HookLifetime, ALibraryThatIsBoundDeeplyHasAMallocOfItsOwn) {
   testing::internal::CaptureStderr();
   if (sigsetjmp(after_abort, 1) == 0) {
     release(shared.block);
-    ADD_FAILURE() << "libc takes it";
+    ADD_FAILURE() << "libc accepts the block";
   }
   signal(SIGABRT, SIG_DFL);
   EXPECT_NE(testing::internal::GetCapturedStderr().find("free(): invalid pointer"),
@@ -332,7 +335,7 @@ HOOKED_TEST(HookLifetime, TheHookItselfCannotBeUnloaded) {
   free(block);
 }
 
-// --- the end -----------------------------------------------------------------------------------------------------------------
+// --- the end ------------------------------------------------------------------------------------
 
 void check_at_exit(bool good, int code) {
   if (!good) _exit(code);

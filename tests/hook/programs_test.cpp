@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: ordinary programs do under the hook exactly what they do without it. Method: each script runs twice in an empty
-// directory, once with LD_PRELOAD; standard output, standard error and exit status are compared.
+// Goal: ordinary programs behave under the hook exactly as without it. Method: each script runs
+// twice in an empty directory, once with LD_PRELOAD; the test compares standard output, standard
+// error and exit status.
 
 #include "support.hpp"
 
@@ -112,7 +113,7 @@ TEST_P(OrdinaryPrograms, BehaveTheSame) {
   EXPECT_EQ(outcomes[1].output, outcomes[0].output);
   EXPECT_EQ(outcomes[1].error, outcomes[0].error);
   EXPECT_EQ(outcomes[1].exit_status, outcomes[0].exit_status);
-  EXPECT_NE(outcomes[0].output + outcomes[0].error, "") << "the script did something";
+  EXPECT_NE(outcomes[0].output + outcomes[0].error, "") << "the script printed nothing";
 }
 
 INSTANTIATE_TEST_SUITE_P(Hook, OrdinaryPrograms, testing::ValuesIn(ordinary),

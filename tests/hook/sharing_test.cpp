@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what the hook is for. A publisher builds a message of vectors and strings in a loan scope; another process maps the
-// memfd read-only at the same address up to the frontier and follows the publisher's own pointers to equal content, also
-// after growth and in a second window's absence. Method: reader.c as the other process, talked to through pipes.
+// Goal: the hook's purpose. A publisher builds a message of vectors and strings in a loan scope;
+// another process maps the memfd read-only at the same address up to the frontier and follows the
+// publisher's own pointers to equal content, also after growth and without a second window.
+// Method: reader.c as the other process, steered through pipes.
 
 #include "support.hpp"
 
@@ -59,7 +60,7 @@ class Reader {
     answers_ = fdopen(answers[0], "r");
   }
 
-  // What the reader sees at the address when it knows the frontier that was announced so far.
+  // Returns the reader's view of the address, given the frontier announced so far.
   std::string look_at(const PointCloud* message) {
     std::fprintf(commands_, "%" PRIu64 " %" PRIxPTR "\n",
                  announced.frontier[0].load(std::memory_order_acquire),

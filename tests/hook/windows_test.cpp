@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: windows open by frontier, in the promised order; a full window means libc; more windows; refusals of attach.
-// Method: memfds of this test; the callback's record compared with every address that malloc returns.
+// Goal: windows open by frontier, in the promised order; a full window falls back to libc; more
+// windows; refusals of attach.
+// Method: memfds of this test; the callback's record compared with every address that malloc
+// returns.
 
 #include "support.hpp"
 
@@ -21,13 +23,13 @@ namespace {
 
 using namespace hook_test;
 
-// Whether all of the block lies below the frontier that was announced by now.
+// Returns whether the whole block lies below the frontier announced so far.
 bool announced_covers(const void* block, std::size_t size) {
   const std::uintptr_t offset = reinterpret_cast<std::uintptr_t>(block) - window_address;
   return offset + size <= announced.frontier[0].load(std::memory_order_acquire);
 }
 
-// Bytes of addresses in [window, window + length) that are mapped.
+// Returns how many bytes of addresses in [window, window + length) are mapped.
 std::size_t mapped_bytes(std::uintptr_t base, std::size_t length) {
   std::ifstream maps("/proc/self/maps");
   std::string line;
@@ -65,7 +67,7 @@ HOOKED_TEST(HookWindows, TheFrontierIsAnnouncedBeforeAnAddressBeyondItIsReturned
   EXPECT_EQ(announced.frontier[0].load(), hook().frontier(0));
   hook().pause();
   EXPECT_EQ(mapped_bytes(window_address, file.window.length), hook().frontier(0))
-      << "mapped is exactly what is announced";
+      << "exactly the announced memory is mapped";
   hook().resume();
 }
 
@@ -97,7 +99,7 @@ HOOKED_TEST(HookWindows, AReservedRangeIsUsedInPlace) {
   ASSERT_EQ(reserved, file.window.base);
   const agnocast_heaphook_options options = options_for(AGNOCAST_HEAPHOOK_SCOPE_LOAN);
   EXPECT_EQ(hook().attach(&file.window, &options), AGNOCAST_HEAPHOOK_OCCUPIED)
-      << "not ours unless the caller says so";
+      << "occupied unless the caller reserved it";
   file.window.flags = AGNOCAST_HEAPHOOK_WINDOW_RESERVED;
   attach(file);
   Scope scope;
@@ -110,7 +112,7 @@ HOOKED_TEST(HookWindows, AReservedRangeIsUsedInPlace) {
   free(block);
 }
 
-HOOKED_TEST(HookWindows, AnExhaustedWindowMeansLibc) {
+HOOKED_TEST(HookWindows, AnExhaustedWindowFallsBackToLibc) {
   WindowFile file(8 * MiB);
   attach(file);
   Scope scope;
@@ -126,25 +128,25 @@ HOOKED_TEST(HookWindows, AnExhaustedWindowMeansLibc) {
     shared += is_shared(block) ? 1u : 0u;
     blocks.push_back(block);
   }
-  EXPECT_GE(shared, 20u) << "a good part of 8 MiB is payload";
+  EXPECT_GE(shared, 20u) << "payload fills most of 8 MiB";
   EXPECT_LE(shared, 41u);
   EXPECT_FALSE(is_shared(blocks.back()));
   const agnocast_heaphook_usage full = hook_test::usage();
   EXPECT_EQ(full.refused_count, 100 - shared);
-  EXPECT_EQ(hook().spilled(), 100 - shared) << "this thread knows what it did not get";
-  std::thread([] { EXPECT_EQ(hook().spilled(), 0u) << "of another thread"; }).join();
+  EXPECT_EQ(hook().spilled(), 100 - shared) << "this thread's spilled blocks";
+  std::thread([] { EXPECT_EQ(hook().spilled(), 0u) << "another thread's spilled blocks"; }).join();
   EXPECT_EQ(full.refused_bytes_max, 200000u);
   EXPECT_EQ(full.next_window_wanted, 1u);
   EXPECT_LE(full.used_bytes, full.frontier_bytes);
   EXPECT_LE(full.frontier_bytes, full.length_bytes);
   for (void* block : blocks) free(block);
   void* const again = opaque(malloc(200000));
-  EXPECT_TRUE(is_shared(again)) << "what was freed is used again";
+  EXPECT_TRUE(is_shared(again)) << "freed memory is used again";
   free(again);
   EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
 }
 
-HOOKED_TEST(HookWindows, IsNotFullBecauseMoreThanAWindowWasAskedFor) {
+HOOKED_TEST(HookWindows, ARequestLargerThanAWindowDoesNotMakeItFull) {
   WindowFile file(8 * MiB);
   attach(file);
   Scope scope;
@@ -184,7 +186,7 @@ HOOKED_TEST(HookWindows, ThreeQuartersUsedAsksForTheNextWindow) {
     ASSERT_LE(taken, 64 * MiB);
   }
   EXPECT_EQ(hook_test::usage().next_window_wanted, 1u);
-  EXPECT_GE(taken, 40 * MiB) << "used means payload, nearly";
+  EXPECT_GE(taken, 40 * MiB) << "used memory is nearly all payload";
 
   WindowFile second(64 * MiB, window_address + (std::uintptr_t{1} << 30));
   ASSERT_EQ(hook().add_window(&second.window), AGNOCAST_HEAPHOOK_OK);
@@ -201,7 +203,7 @@ HOOKED_TEST(HookWindows, ThreeQuartersUsedAsksForTheNextWindow) {
   EXPECT_TRUE(in_second);
 }
 
-HOOKED_TEST(HookWindows, AFreshWindowGivesUpThoseBeforeIt) {
+HOOKED_TEST(HookWindows, AFreshWindowReplacesThoseBeforeIt) {
   WindowFile first(64 * MiB);
   WindowFile second(64 * MiB, window_address + (std::uintptr_t{1} << 30));
   attach(first);
@@ -216,7 +218,7 @@ HOOKED_TEST(HookWindows, AFreshWindowGivesUpThoseBeforeIt) {
     before[i] = opaque(malloc(64u << i % 4));
     ASSERT_TRUE(in(first, before[i]));
   }
-  // Half of them into the cache of this thread, from where the next block of their size would come.
+  // Half of them go into the cache of this thread, which would serve the next block of their size.
   for (std::size_t i = 0; i < 32; ++i) free(before[i]);
   EXPECT_EQ(hook().first_window(), 0u);
   second.window.flags = AGNOCAST_HEAPHOOK_WINDOW_FRESH;
@@ -235,18 +237,19 @@ HOOKED_TEST(HookWindows, AFreshWindowGivesUpThoseBeforeIt) {
     for (void* block : blocks) free(block);
     return elsewhere == 0;
   };
-  EXPECT_TRUE(allocates_in_second()) << "a thread that had blocks of the first one in its cache";
+  EXPECT_TRUE(allocates_in_second()) << "a thread with blocks of the first window in its cache";
   for (std::size_t i = 48; i < 64; ++i) free(before[i]);
-  EXPECT_TRUE(allocates_in_second()) << "a thread that has freed blocks of the first one since";
+  EXPECT_TRUE(allocates_in_second()) << "a thread that has freed blocks of the first window since";
   bool elsewhere = false;
   std::thread([&] { elsewhere = !allocates_in_second(); }).join();
   EXPECT_FALSE(elsewhere) << "a new thread";
 
   EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
-  EXPECT_GT(hook().purge(), 0u) << "idle memory of the first one goes back to the kernel as well";
+  EXPECT_GT(hook().purge(), 0u)
+      << "idle memory of the first window goes back to the kernel as well";
 }
 
-HOOKED_TEST(HookWindows, ABlockOfAWindowThatWasGivenUpMovesWhenItGrows) {
+HOOKED_TEST(HookWindows, ABlockOfAReplacedWindowMovesWhenItGrows) {
   WindowFile first(64 * MiB);
   WindowFile second(64 * MiB, window_address + (std::uintptr_t{1} << 30));
   attach(first);
@@ -260,7 +263,7 @@ HOOKED_TEST(HookWindows, ABlockOfAWindowThatWasGivenUpMovesWhenItGrows) {
   ASSERT_EQ(hook().add_window(&second.window), AGNOCAST_HEAPHOOK_OK);
   EXPECT_EQ(hook_test::usage().live_bytes, MiB);
   Scope scope;
-  EXPECT_EQ(opaque(realloc(block, MiB / 2 + 1)), block) << "what shrinks may stay";
+  EXPECT_EQ(opaque(realloc(block, MiB / 2 + 1)), block) << "a shrinking block may stay";
   auto* const moved = static_cast<char*>(opaque(realloc(block, 2 * MiB)));
   EXPECT_GE(reinterpret_cast<std::uintptr_t>(moved),
             reinterpret_cast<std::uintptr_t>(second.window.base));
@@ -270,7 +273,7 @@ HOOKED_TEST(HookWindows, ABlockOfAWindowThatWasGivenUpMovesWhenItGrows) {
   EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
 }
 
-HOOKED_TEST(HookWindows, EightWindowsAndNoMore) {
+HOOKED_TEST(HookWindows, EightWindowsAreTheMaximum) {
   std::vector<std::unique_ptr<WindowFile>> files;
   for (std::uintptr_t i = 0; i < 9; ++i)
     files.push_back(std::make_unique<WindowFile>(4 * MiB, window_address + i * 4 * MiB));
@@ -299,7 +302,7 @@ HOOKED_TEST(HookWindows, EightWindowsAndNoMore) {
   free(wide);
 }
 
-HOOKED_TEST(HookWindows, AttachRefusesWhatItCannotUse) {
+HOOKED_TEST(HookWindows, AttachRefusesUnusableWindows) {
   const agnocast_heaphook_options good = options_for(AGNOCAST_HEAPHOOK_SCOPE_LOAN);
   WindowFile file(16 * MiB);
   const auto attach_with = [&](auto change) {
@@ -355,7 +358,7 @@ HOOKED_TEST(HookWindows, GrowthSurvivesAProgramThatClosesAllDescriptors) {
   WindowFile file(256 * MiB);
   attach(file);
   for (int fd = 3; fd < 100; ++fd) close(fd);
-  for (int i = 0; i < 20; ++i) open("/dev/zero", O_RDWR);  // the numbers now mean something else
+  for (int i = 0; i < 20; ++i) open("/dev/zero", O_RDWR);  // the numbers now name other files
   Scope scope;
   auto* const block = static_cast<char*>(malloc(50 * MiB));
   ASSERT_NE(block, nullptr);
@@ -363,11 +366,11 @@ HOOKED_TEST(HookWindows, GrowthSurvivesAProgramThatClosesAllDescriptors) {
   std::memset(block, 1, 50 * MiB);
   EXPECT_GE(hook_test::usage().mapping_refused_count, 1u);
   void* const small = opaque(malloc(100));
-  EXPECT_TRUE(is_shared(small)) << "what was mapped stays usable";
+  EXPECT_TRUE(is_shared(small)) << "mapped memory stays usable";
   std::memset(small, 1, 100);
 }
 
-HOOKED_TEST(HookWindows, SomethingMappedIntoTheWindowStopsGrowthOnly) {
+HOOKED_TEST(HookWindows, AMappingInsideTheWindowStopsOnlyItsGrowth) {
   WindowFile file(256 * MiB);
   attach(file);
   void* const intruder =

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the daemon revokes by itself a process that holds more than its quota, or keeps the places of the
-// dead from others; one that lost its connection has more time, and honest ones are spared.
+// Goal: the daemon by itself revokes a process that holds more than its quota, or keeps the places
+// of the dead from others; one that lost its connection has more time, and honest ones are spared.
 // Method: as daemon_revoke_test.cpp.
 
 #include <tests/integration/daemon_revoke.hpp>
@@ -9,7 +9,7 @@
 namespace agnocast::test {
 namespace {
 
-TEST(DaemonRevoke, PutsOutASubscriptionThatHoldsMoreThanItsQuota) {
+TEST(DaemonRevoke, RevokesASubscriptionThatHoldsMoreThanItsQuota) {
   DaemonProcess daemon(talkative);
   WireNode publisher(daemon.socket_path());
   ASSERT_TRUE(publisher.create_publisher(topic_name, deep));
@@ -35,7 +35,8 @@ std::size_t count_of(const std::string& what, const std::string& text) {
   return count;
 }
 
-// The next one in a place that has run short. It is refused until whoever keeps the places is put out.
+// Starts the next process in a place that has run short. The daemon refuses it until it has
+// revoked the keeper.
 std::unique_ptr<Child> next_of(Child (*kind)(const std::string&), const std::string& socket,
                                char what) {
   std::unique_ptr<Child> child;
@@ -47,7 +48,7 @@ std::unique_ptr<Child> next_of(Child (*kind)(const std::string&), const std::str
   return child;
 }
 
-TEST(DaemonRevoke, PutsOutWhoIsStoppedBeforePublishersThatDieLockTheTopic) {
+TEST(DaemonRevoke, RevokesAStoppedProcessBeforeDeadPublishersLockTheTopic) {
   DaemonProcess daemon(talkative);
   WireNode living(daemon.socket_path());
   ASSERT_TRUE(living.create_subscription(topic_name, deep));
@@ -68,7 +69,7 @@ TEST(DaemonRevoke, PutsOutWhoIsStoppedBeforePublishersThatDieLockTheTopic) {
   EXPECT_TRUE(daemon.wait_for_log("endpoints that are gone, the oldest a publisher of /revoked"));
   Observer observer(daemon.socket_path());
   EXPECT_TRUE(eventually([&] { return observer.processes().size() == 2; }))
-      << "those that are gone have places";
+      << "dead processes have places";
   const auto counters = wire_dump(daemon.socket_path()).daemon.counters;
   EXPECT_EQ(counters.clients_revoked, 1u);
   EXPECT_EQ(count_of("client revoked", daemon.log()), 1u);
@@ -76,7 +77,7 @@ TEST(DaemonRevoke, PutsOutWhoIsStoppedBeforePublishersThatDieLockTheTopic) {
   EXPECT_EQ(stopped.command('R'), '+');
 }
 
-TEST(DaemonRevoke, PutsOutWhoIsStoppedBeforeSubscriptionsOrProcessesRunShort) {
+TEST(DaemonRevoke, RevokesAStoppedProcessBeforeSubscriptionsOrProcessesRunShort) {
   struct Scarce {
     const char* config;
     Child (*stops)(const std::string&);
@@ -104,7 +105,7 @@ TEST(DaemonRevoke, PutsOutWhoIsStoppedBeforeSubscriptionsOrProcessesRunShort) {
   }
 }
 
-TEST(DaemonRevoke, GivesMoreTimeToWhoLostItsConnectionButNotForEver) {
+TEST(DaemonRevoke, GivesMoreTimeToAProcessWithoutAConnectionButNotForEver) {
   DaemonProcess daemon({.more_config = "[limits]\npublishers_per_topic = 6\n"
                                        "[quota]\npublishers_per_topic = \"unlimited\"\n",
                         .arguments = {"--log-level", "debug"}});
@@ -118,9 +119,9 @@ TEST(DaemonRevoke, GivesMoreTimeToWhoLostItsConnectionButNotForEver) {
   const pid_t before = daemon.pid();
   daemon.kill_worker();
   ASSERT_TRUE(daemon.wait_for_next(before));
-  // More looks than anybody gets who has a connection.
+  // More looks than any process with a connection gets.
   ::sleep(8);
-  // Nor is it spared for coming back, when it is told again and again and does not answer.
+  // Nor does rejoining spare it, when it gets the notices again and again and does not answer.
   int returns = 0;
   EXPECT_TRUE(eventually([&] {
     WireClient again(daemon.socket_path());
@@ -131,7 +132,7 @@ TEST(DaemonRevoke, GivesMoreTimeToWhoLostItsConnectionButNotForEver) {
   EXPECT_GT(returns, 3);
 }
 
-TEST(DaemonRevoke, SparesWhoHoldsMessagesOfPublishersThatAreGone) {
+TEST(DaemonRevoke, SparesAProcessThatHoldsMessagesOfDeadPublishers) {
   DaemonProcess daemon({.more_config = "[limits]\npublishers_per_topic = 6\n"
                                        "[quota]\npublishers_per_topic = \"unlimited\"\n",
                         .arguments = {"--log-level", "debug"}});
@@ -148,10 +149,10 @@ TEST(DaemonRevoke, SparesWhoHoldsMessagesOfPublishersThatAreGone) {
     publisher.end();
     ASSERT_TRUE(holder.wait_for([&] { return holder.orphaned().size() == life + 1; }));
   }
-  // The same publishers, as long: one of the two answers for itself by what it holds.
+  // The same publishers, for as long: one of the two is excused by the messages that it holds.
   ASSERT_TRUE(daemon.wait_for_log("endpoints that are gone"));
   WireNode next(daemon.socket_path());
-  EXPECT_FALSE(next.create_publisher(topic_name, deep)) << "what is held is not taken away";
+  EXPECT_FALSE(next.create_publisher(topic_name, deep)) << "held messages are not taken away";
   EXPECT_TRUE(daemon.wait_for_log("has not let go of 6"));
   holder.pump();
   EXPECT_EQ(holder.held_count(), 6u);

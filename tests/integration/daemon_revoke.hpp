@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Children and the observer of the tests about revoking (daemon_revoke_test.cpp, daemon_put_out_test.cpp).
+// Children and the observer of the revocation tests (daemon_revoke_test.cpp,
+// daemon_put_out_test.cpp).
 #pragma once
 
 #include <agnocast/abi/observe.hpp>
@@ -36,8 +37,8 @@ inline constexpr Qos deep{10, false, true, false, false};
 inline constexpr const char* topic_name = "/revoked";
 inline const DaemonOptions talkative{.arguments = {"--log-level", "debug"}};
 
-/// The answer to a hello on a new connection; none: the daemon hung up, since it had no time to look whether the process was
-/// revoked.
+/// Returns the answer to a hello on a new connection; none: the daemon hung up, since it had no
+/// time to check whether the process was revoked.
 inline std::optional<Incoming> greet(const std::string& socket) {
   auto connected = PacketSocket::connect(socket);
   if (!connected) return std::nullopt;
@@ -54,9 +55,9 @@ inline std::optional<Incoming> greet(const std::string& socket) {
                   {}};
 }
 
-// What every child can: R reads packets up to `revoked` and the end behind it · H says hello on a new
-// connection and is refused · J the same with rejoin · A hello, and is welcome · e executes another
-// program, and so does not answer.
+// Commands of every child: R reads packets up to `revoked` and the end after it · H says hello on
+// a new connection and is refused · J the same with rejoin · A hello, and is welcome · e executes
+// another program, and so does not answer.
 inline char execute_common(WireNode& node, const std::string& socket, char what) {
   if (what == 'R') {
     for (;;) {
@@ -79,7 +80,7 @@ inline char execute_common(WireNode& node, const std::string& socket, char what)
   return what == 'A' ? answer(said->opcode() == wire::Opcode::welcome) : '?';
 }
 
-// p publish · w until a subscription is attached · x packets, then a pass.
+// p publish · w until a subscription is attached · x packets, then a reclamation scan.
 inline Child publisher_child(const std::string& socket) {
   return Child(0, [socket](int commands, std::uint64_t) {
     ::prctl(PR_SET_PDEATHSIG, SIGKILL);
@@ -132,7 +133,7 @@ struct Observer {
     body.generation = generation;
     return wire.ask(wire::Opcode::revoke, body);
   }
-  /// The processes as they are now, by index.
+  /// Returns the current processes, by index.
   std::map<std::uint64_t, wire::DumpProcess> processes() {
     std::map<std::uint64_t, wire::DumpProcess> all;
     wire.send(wire::Opcode::dump, wire::Dump{});

@@ -1,12 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the membership of a process that lives can be ended: nobody else is hurt, waits or loses
-// what was committed; the process is told, may not come back, and its places are used again only
-// after its end. Who lies about what it holds, or keeps the places of those that are gone from others,
-// is put out without being asked for.
-// All that outlives the daemon.
-// Method: raw clients in processes of their own, SIGSTOP, and an observer that revokes; SIGKILL of the
-// daemon, whose supervisor starts the next one.
+// Goal: the daemon can end the session of a living process: no other process is hurt, waits or
+// loses a committed message; the process is notified, may not rejoin, and its places are used
+// again only after its end. A process that lies about its holds, or keeps the places of the dead
+// from others, is revoked automatically. All this outlives the daemon.
+// Method: raw clients in processes of their own, SIGSTOP, and an observer that revokes; SIGKILL of
+// the daemon, whose supervisor starts the next one.
 
 #include <tests/integration/daemon_revoke.hpp>
 
@@ -26,7 +25,7 @@ TEST(DaemonRevoke, EndsASubscriberThatIsStoppedAndItsHoldsVanish) {
   for (std::uint64_t number = 6; number <= 60; ++number)
     ASSERT_TRUE(publisher.publish(number)) << "it is never blocked";
   publisher.pass();
-  EXPECT_EQ(publisher.allocated_count(), 13u) << "what is held, and its depth";
+  EXPECT_EQ(publisher.allocated_count(), 13u) << "the held ones, and its depth";
 
   Observer observer(daemon.socket_path());
   const auto before = observer.processes();
@@ -40,7 +39,7 @@ TEST(DaemonRevoke, EndsASubscriberThatIsStoppedAndItsHoldsVanish) {
 
   ASSERT_EQ(::kill(subscriber.pid(), SIGCONT), 0);
   EXPECT_EQ(subscriber.command('R'), '+');
-  EXPECT_EQ(subscriber.command('H'), '+') << "it may not come back";
+  EXPECT_EQ(subscriber.command('H'), '+') << "it may not rejoin";
   EXPECT_EQ(subscriber.command('t'), '-');
   EXPECT_TRUE(
       daemon.wait_for_log("client revoked client=1 pid=" + std::to_string(subscriber.pid())));
@@ -49,7 +48,7 @@ TEST(DaemonRevoke, EndsASubscriberThatIsStoppedAndItsHoldsVanish) {
   EXPECT_TRUE(daemon.wait_for_log("client place free client=1"));
 }
 
-TEST(DaemonRevoke, DeliversWhatAPublisherHadCommittedAndNothingAfterIt) {
+TEST(DaemonRevoke, DeliversAPublishersEarlierCommitsAndNothingAfterThem) {
   DaemonProcess daemon(talkative);
   WireNode subscriber(daemon.socket_path());  // process 0
   ASSERT_TRUE(subscriber.create_subscription(topic_name, deep));
@@ -63,12 +62,12 @@ TEST(DaemonRevoke, DeliversWhatAPublisherHadCommittedAndNothingAfterIt) {
   const auto revoked = observer.processes().at(1);
   ASSERT_EQ(observer.revoke(1, revoked.generation).opcode(), wire::Opcode::done);
   ASSERT_TRUE(subscriber.wait_for([&] { return subscriber.orphaned().size() == 1; }));
-  // It goes on and does not know yet: a core that honours what the board and its readers say. What
-  // it publishes still pushes older messages out of a subscription's depth.
+  // It runs on and does not know yet: a core that honours the board and its readers' words. Its
+  // later messages still push older messages out of a subscription's depth.
   ASSERT_EQ(::kill(publisher.pid(), SIGCONT), 0);
   for (int i = 0; i < 5; ++i) ASSERT_EQ(publisher.command('p'), '+');
   for (std::uint64_t number = 2; number <= 4; ++number) EXPECT_EQ(subscriber.take(), number);
-  EXPECT_EQ(subscriber.take(), std::nullopt) << "what came later is nobody's";
+  EXPECT_EQ(subscriber.take(), std::nullopt) << "later messages reach nobody";
   EXPECT_EQ(publisher.command('R'), '+');
   for (int i = 0; i < 50; ++i) ASSERT_EQ(publisher.command('p'), '+');
   while (subscriber.release()) {  // each is checked: it did not change while it was held
@@ -76,7 +75,7 @@ TEST(DaemonRevoke, DeliversWhatAPublisherHadCommittedAndNothingAfterIt) {
   subscriber.unlink_drained();
   EXPECT_EQ(subscriber.wire().open_window(7).opcode(), wire::Opcode::refused);
 
-  // Its index in the topic has nobody any more; its place and its addresses it has itself.
+  // Its index in the topic is free; it still has its place and its addresses itself.
   const auto next_place = [&] {
     Child next = publisher_child(daemon.socket_path());
     Incoming packet = subscriber.wire().next();
@@ -105,7 +104,7 @@ TEST(DaemonRevoke, RepairsNothingInTheRegionOfAProcessThatLives) {
   WireNode publisher(daemon.socket_path());
   ASSERT_TRUE(publisher.create_publisher(topic_name, deep));
   ASSERT_TRUE(publisher.publish(1));
-  // As it stands between P4 and P5: it may go on with the commit at any time.
+  // The state between P4 and P5: it may go on with the commit at any time.
   const auto words = publisher.queue();
   const std::uint64_t next = abi::sequence_of(words.head().load()) + 1;
   words.intent_sequence().store(next);
@@ -120,7 +119,7 @@ TEST(DaemonRevoke, RepairsNothingInTheRegionOfAProcessThatLives) {
   EXPECT_EQ(words.order(next).load(), abi::pack_entry(next, 5));
 }
 
-TEST(DaemonRevoke, TellsAProcessWhoseSocketIsFullWhenItReads) {
+TEST(DaemonRevoke, NotifiesAProcessWithAFullSocketOnceItReads) {
   DaemonProcess daemon({.more_config = "[quota]\nsubscriptions_per_topic = \"unlimited\"\n",
                         .arguments = {"--log-level", "debug"}});
   Child publisher = publisher_child(daemon.socket_path());
@@ -137,7 +136,7 @@ TEST(DaemonRevoke, TellsAProcessWhoseSocketIsFullWhenItReads) {
   EXPECT_EQ(publisher.command('R'), '+');
 }
 
-TEST(DaemonRevoke, IsForgottenWhenTheProcessExecutesAnotherProgramOrEnds) {
+TEST(DaemonRevoke, EndsWhenTheProcessExecutesAnotherProgramOrEnds) {
   DaemonProcess daemon(talkative);
   Observer observer(daemon.socket_path());
   Child first = publisher_child(daemon.socket_path());
@@ -159,10 +158,11 @@ TEST(DaemonRevoke, IsForgottenWhenTheProcessExecutesAnotherProgramOrEnds) {
   const auto counters = wire_dump(daemon.socket_path()).daemon.counters;
   EXPECT_EQ(counters.clients_revoked, 2u);
   EXPECT_EQ(counters.clients_died, 0u) << "each is counted once";
-  EXPECT_EQ(counters.clients_let_go, 1u) << "the one that was welcome";
+  EXPECT_EQ(counters.clients_let_go, 1u) << "the welcome one";
 }
 
-// n nothing · d lets go of everything · m makes it slow to look at · h hello: welcome, revoked, connection ended.
+// n nothing · d unmaps everything · m makes it slow to look at · h hello: welcome, revoked,
+// connection ended.
 Child forgetful_child(const std::string& socket) {
   return Child(0, [socket](int commands, std::uint64_t) {
     ::prctl(PR_SET_PDEATHSIG, SIGKILL);
@@ -171,7 +171,8 @@ Child forgetful_child(const std::string& socket) {
       if (what == 'd') node.reset();
       if (what == 'd' || what == 'n') return '+';
       if (what == 'm') {
-        // Below the region, where one looks first; neighbours with the same rights would be one.
+        // Below the region, where the daemon looks first; the kernel would merge neighbours with
+        // the same rights.
         constexpr std::size_t count = 60'000;
         const auto page = static_cast<std::size_t>(::sysconf(_SC_PAGESIZE));
         void* const all = ::mmap(nullptr, count * page, PROT_NONE,
@@ -189,7 +190,7 @@ Child forgetful_child(const std::string& socket) {
   });
 }
 
-TEST(DaemonRevoke, IsNotSaidOfAProcessThatThereIsNoTimeToLookAt) {
+TEST(DaemonRevoke, IsNotReportedWithoutTimeToLookAtTheProcess) {
   DaemonProcess daemon(talkative);
   Observer observer(daemon.socket_path());
   Child slow = forgetful_child(daemon.socket_path());
@@ -198,7 +199,7 @@ TEST(DaemonRevoke, IsNotSaidOfAProcessThatThereIsNoTimeToLookAt) {
   ASSERT_EQ(other.command('n'), '+');
   for (const auto& [client, process] : observer.processes())
     ASSERT_EQ(observer.revoke(client, process.generation).opcode(), wire::Opcode::done);
-  // The look at the slow one takes all the time there is for a while.
+  // The look at the slow process takes all the available time for a while.
   ASSERT_TRUE(eventually([&] { return slow.command('h') == 'r'; }));
   ASSERT_EQ(other.command('d'), '+');
   std::optional<char> answer;
@@ -206,10 +207,10 @@ TEST(DaemonRevoke, IsNotSaidOfAProcessThatThereIsNoTimeToLookAt) {
     answer = other.command('h');
     return answer != 'e';
   }));
-  EXPECT_EQ(answer, 'w') << "it has nothing left of what was revoked";
+  EXPECT_EQ(answer, 'w') << "it has unmapped all revoked memory";
 }
 
-// --- and the daemon dies
+// --- with the daemon's death
 
 void restart(DaemonProcess& daemon) {
   const pid_t old = daemon.kill_worker();
@@ -222,7 +223,7 @@ TEST(DaemonRevoke, OutlivesTheDaemonAndThePlaceIsKeptUntilTheProcessEnds) {
   for (const End end : {End::later, End::while_away, End::becomes_another_program}) {
     SCOPED_TRACE(static_cast<int>(end));
     DaemonProcess daemon(talkative);
-    std::uint64_t others = 0;  // that were members and are none any more
+    std::uint64_t others = 0;  // processes that had a session and have none any more
     const auto revoke = [&](std::uint64_t client) {
       Observer observer(daemon.socket_path());
       return observer.revoke(client, observer.processes().at(client).generation).opcode();
@@ -247,10 +248,10 @@ TEST(DaemonRevoke, OutlivesTheDaemonAndThePlaceIsKeptUntilTheProcessEnds) {
     EXPECT_EQ(before->state, wire::ProcessState::revoked);
     for (int life = 0; life < 3; ++life) {
       restart(daemon);
-      // Longer than the daemon takes between two looks at a process without a connection.
+      // Longer than the daemon's interval between two looks at a process without a connection.
       ::usleep(600'000);
       const auto now = process(1);
-      ASSERT_TRUE(now) << "its place was given away";
+      ASSERT_TRUE(now) << "the daemon gave its place away";
       EXPECT_EQ(now->state, wire::ProcessState::revoked);
       EXPECT_EQ(now->generation, before->generation);
       EXPECT_EQ(revoked.command('H'), '+');
@@ -260,7 +261,7 @@ TEST(DaemonRevoke, OutlivesTheDaemonAndThePlaceIsKeptUntilTheProcessEnds) {
         Child other = publisher_child(daemon.socket_path());
         ASSERT_EQ(other.command('p'), '+');
         const auto its = process(2);
-        ASSERT_TRUE(its) << "index 1 was given away";
+        ASSERT_TRUE(its) << "the daemon gave index 1 away";
         EXPECT_NE(its->window[0].base, before->window[0].base);
         ++others;
       }
@@ -290,7 +291,7 @@ TEST(DaemonRevoke, OutlivesTheDaemonAndThePlaceIsKeptUntilTheProcessEnds) {
   }
 }
 
-TEST(DaemonRevoke, OfAProcessWithoutAConnectionIsHeardOfWhenItComesBack) {
+TEST(DaemonRevoke, ReachesAProcessWithoutAConnectionWhenItRejoins) {
   DaemonProcess daemon(talkative);
   WireNode publisher(daemon.socket_path());  // process 0
   ASSERT_TRUE(publisher.create_publisher(topic_name, deep));
@@ -314,12 +315,12 @@ TEST(DaemonRevoke, OfAProcessWithoutAConnectionIsHeardOfWhenItComesBack) {
   EXPECT_EQ(observer.processes().at(1).state, wire::ProcessState::revoked);
   ASSERT_TRUE(publisher.wait_for([&] { return publisher.attached_count() == 0; }));
   publisher.pass();
-  EXPECT_EQ(publisher.allocated_count(), 0u) << "what it held and had not read is free";
+  EXPECT_EQ(publisher.allocated_count(), 0u) << "its held and unread messages are free";
 
-  // Handled before the daemon dies: everybody else has let go of it.
+  // Handled before the daemon dies: all peers have acknowledged.
   EXPECT_EQ(publisher.wire().open_window(7).opcode(), wire::Opcode::refused);
 
-  restart(daemon);  // nobody has told it yet
+  restart(daemon);  // it is not notified yet
   ASSERT_EQ(::kill(subscriber.pid(), SIGCONT), 0);
   EXPECT_EQ(subscriber.command('J'), '+');
   EXPECT_EQ(subscriber.command('H'), '+');
@@ -361,9 +362,9 @@ TEST(DaemonRevoke, IsForRootForTheDaemonsUserAndForTheOwner) {
     ::waitpid(pid, &status, 0);
     return WEXITSTATUS(status);
   };
-  EXPECT_EQ(as(65534, 0), 1) << "not another user's";
+  EXPECT_EQ(as(65534, 0), 1) << "another user may not";
   EXPECT_EQ(as(65533, 1), 1);
-  EXPECT_EQ(as(65534, 1), 0) << "one's own";
+  EXPECT_EQ(as(65534, 1), 0) << "the owner may";
   EXPECT_EQ(stranger.command('R'), '+');
   EXPECT_EQ(as(0, 0), 0);
 }

@@ -1,17 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A node as users write one, steered line by line on its standard input; answers each line with one
-// line. Several publishers and subscriptions, each under a number that the harness gives. Uses the
-// public interface alone; with the heap hook preloaded it can publish. "Intact" means compared
-// member by member with a message made anew (tests/system/specimen.hpp).
+// A node as users write one, steered line by line on its standard input; answers each line with
+// one line. Several publishers and subscriptions, each under a number that the harness assigns.
+// Uses only the public interface; with the heap hook preloaded it can publish. "Intact" means
+// compared member by member with a newly made message (tests/system/specimen.hpp).
 //
 //   seed N
 //   pub ID TOPIC QOS · unpub ID          QOS: depth and letters, e.g. 10tba
 //   sub ID TOPIC QOS QUOTA · unsub ID         t transient local, b best effort, a keep-all
 //   publish ID COUNT BYTES               → COMMITTED [why not more]
-//   take ID                              → none LOST | PUBLISHER NUMBER SEQUENCE LOST | bad …   held
-//   release ID POSITION                  → ok | bad …           what was held, compared once more
-//   bury                                 → ok | bad …           the same for what ended subscriptions held
+//   take ID                             → none LOST | PUBLISHER NUMBER SEQUENCE LOST | bad …  held
+//   release ID POSITION                  → ok | bad …           a held message, compared once more
+//   bury                                 → ok | bad …           the same of ended subscriptions
 //   matched ID                           → subscriptions that this publisher has
 //   sync                                 → ok     everything announced so far has been handled
 //   run_pub ID COUNT SEED PROGRESS       → free run: COMMITTED
@@ -149,7 +149,7 @@ class Actor {
     return intact ? "ok" : "bad content";
   }
 
-  // Answers of the daemon come in order with what it announces.
+  // The daemon's answer comes after everything that it announced before.
   std::string sync() {
     create_subscription<Specimen>(node_, "/sync" + std::to_string(::getpid()), QoS(1));
     return "ok";
@@ -218,7 +218,7 @@ class Actor {
   std::uint64_t seed_ = 0;
   std::map<std::uint64_t, OwnPublisher> publishers_;
   std::map<std::uint64_t, OwnSubscription> subscriptions_;
-  std::deque<Held> outliving_;  // their subscriptions
+  std::deque<Held> outliving_;  // outliving their subscriptions
 };
 
 }  // namespace

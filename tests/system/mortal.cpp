@@ -1,19 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A node that is made to die, to stop, and to be revoked (death_test.cpp).
+// A node for death_test.cpp to kill, stop and revoke.
 //
-//   mortal once TOPIC QOS COUNT    publishes 1 … COUNT and ends at once, without a word
+//   mortal once TOPIC QOS COUNT    publishes 1 … COUNT and ends at once without leaving
 //   mortal                         steered line by line on its standard input, one line for each:
 //     pub TOPIC QOS · sub TOPIC QOS QUOTA   → ok | refused TEXT
 //     publish COUNT                         → ok | refused SENTENCE     numbers go on
-//     once TOPIC QOS COUNT                  → publishes with a new publisher, ends without a word
-//     take                                  → none | NUMBER | damaged   holds what it took
-//     expect FIRST LAST                     → ok | …  takes these, in this order, and lets go of them
-//     rest                                  → FIRST LAST | none | …     takes and drops what is there
-//     check · drop                          → ok | damaged              all that is held; lets go of it
-//     window                                → which window the next message would lie in
+//     once TOPIC QOS COUNT                  → publishes with a new publisher, ends without leaving
+//     take                                  → none | NUMBER | damaged   holds the message
+//     expect FIRST LAST                     → ok | …  takes and releases these, in this order
+//     rest                                  → FIRST LAST | none | …  takes and releases the rest
+//     check · drop                          → ok | damaged  all held messages; releases them
+//     window                                → the window in which the next message would lie
 //     maps                                  → mappings of other processes' memory
-//     barrier                               → ok    everything the daemon said before has been handled
+//     barrier                               → ok    the client has handled all earlier packets
 //     active                                → PUBLISHER SUBSCRIPTION
 //     lost · matched                        → a number
 //     events                                → CALLS CURRENT of the matched callback
@@ -163,7 +163,7 @@ class Mortal {
     // The daemon of these tests gives windows of 64 MiB.
     return std::to_string(reinterpret_cast<std::uint64_t>(loan.get()) >> 26);
   }
-  // The names are the daemon's memfds; read-only is somebody else's.
+  // The names are the daemon's memfds; others' are read-only.
   static std::size_t foreign_mappings() {
     std::size_t count = 0;
     std::ifstream maps("/proc/self/maps");
@@ -174,7 +174,7 @@ class Mortal {
     }
     return count;
   }
-  // The answer to a request comes behind whatever the daemon had said before.
+  // The answer to a request comes after all earlier packets of the daemon.
   std::string barrier() {
     const auto asked = try_create_subscription<Sheaf>(node_, "/barrier", QoS(1));
     return asked ? "ok" : "refused " + text_of(asked.error());

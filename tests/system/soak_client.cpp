@@ -96,7 +96,7 @@ class Resident {
   void live() {
     for (std::uint64_t i = 0; i < static_cast<std::uint64_t>(SoakTopic::count); ++i) {
       const auto topic = static_cast<SoakTopic>(i);
-      // Gets what anybody publishes there.
+      // Receives the messages of all publishers there.
       const QoS qos =
           topic == SoakTopic::mixed ? QoS(10).best_effort() : subscription_qos(topic, random_);
       const auto kind = random_.chance(50) ? Reader::Kind::take : Reader::Kind::callback;
@@ -141,7 +141,7 @@ class Resident {
     ::usleep(static_cast<useconds_t>(500 + random_.below(2000)));
   }
 
-  // Whatever anybody committed was taken or counted as lost; nothing else was.
+  // Checks that every committed message was taken or counted as lost, and nothing else was.
   void account() {
     std::array<std::uint64_t, static_cast<std::size_t>(SoakTopic::count)> committed{}, attempted{};
     const std::uint64_t count =
@@ -188,7 +188,7 @@ class Resident {
   bool is_writing_ = false;
 };
 
-// A fault is a wrong byte too: says where, and what is mapped there. Not safe in a signal handler,
+// A fault is a wrong byte too: reports the address, and its mapping. Not safe in a signal handler,
 // but the process is over anyway.
 SoakBoard* board_of_faults = nullptr;
 SoakPlace* place_of_faults = nullptr;

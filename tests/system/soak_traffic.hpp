@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The publishing and the receiving side of the soak (soak_client.cpp): which quality of service each
-// topic has, and what is checked of each message at the take and at the release.
+// The publishing and the receiving side of the soak (soak_client.cpp): the quality of service of
+// each topic, and the checks of each message at the take and at the release.
 #pragma once
 
 #include <tests/system/random.hpp>
@@ -33,7 +33,7 @@ namespace agnocast::test {
 
 inline constexpr std::uint64_t millisecond = 1'000'000;
 inline constexpr std::uint64_t second = 1000 * millisecond;
-// What takes longer than this does not happen any more.
+// After this long an expected event no longer comes.
 inline constexpr std::uint64_t patience_ns = 20 * second;
 inline constexpr std::uint64_t keep_all_bound = 20;
 inline constexpr std::size_t held_max = 6;
@@ -92,7 +92,7 @@ inline QoS subscription_qos(SoakTopic topic, Random& random) {
   }
 }
 
-/// What the machine may refuse in this test; everything else is a complaint.
+/// Returns whether the machine may refuse with this code; every other code is a complaint.
 inline bool is_expected(Errc code) {
   return code == Errc::limit_reached || code == Errc::quota_exceeded;
 }
@@ -102,9 +102,9 @@ struct Here {
   SoakPlace& place;
 };
 
-/// Creates an endpoint. The daemon is dead now and then, and a machine with more to do may keep the next
-/// one from answering within the library's five seconds: such a refusal is counted and asked again. Only
-/// a daemon that is away for all of this time hangs.
+/// Creates an endpoint. The daemon is dead now and then, and on a busy machine the next one may
+/// not answer within the library's five seconds: such a refusal is counted and the request
+/// repeated. A daemon that is away for all of this time counts as hanging.
 template <class Create>
 auto create_patiently(Here here, Create create) -> decltype(create()) {
   constexpr std::uint64_t daemon_patience_ns = 60'000'000'000;
@@ -179,7 +179,7 @@ class Writer {
 
 // --- receiving ---
 
-/// A message in hand: compared when it was taken, compared again before it is let go.
+/// A message in hand: compared at the take, and again before its release.
 struct Held {
   ipc_shared_ptr<const Parcel> message;
   std::uint64_t token, number, until_ns;
@@ -213,10 +213,10 @@ inline void verify(Here here, const Held& held, const char* when) {
   here.place.reading_token = 0;
 }
 
-/// A subscription and what it may be given:
-///   of each publisher the numbers grow, the content is whole, and what is left out was counted as
-///   lost; nothing at all is left out where both sides keep all. A publisher that is younger than the
-///   subscription is owed from its first message on.
+/// A subscription and its rules:
+///   of each publisher the numbers grow, the content is whole, and a number left out was counted
+///   as lost; nothing at all is left out where both sides keep all. A publisher that is younger
+///   than the subscription owes it every message from its first on.
 class Reader {
  public:
   enum class Kind { take, callback, newest };
@@ -249,7 +249,7 @@ class Reader {
     return reader;
   }
 
-  /// Takes what there is, at most `most`; lets go what was held long enough.
+  /// Takes at most `most` messages; releases those held long enough.
   void tend(std::uint64_t most) {
     if (kind_ == Kind::newest) {
       look_at_newest();
@@ -268,7 +268,7 @@ class Reader {
     let_go(now_ns(), held_max);
   }
 
-  /// What it holds outlives it.
+  /// Returns the held messages.
   std::deque<Held> end() {
     Subscription<Parcel>::SharedPtr called;
     {
@@ -281,7 +281,8 @@ class Reader {
   }
 
   SoakTopic topic() const noexcept { return topic_; }
-  /// Under the mutex, or alone. Names the publishers of which something is missing; of those that it still remembers.
+  /// Needs the mutex, or a single thread. Names the publishers with missing messages, among those
+  /// it still remembers.
   void complain_of_missing() {
     std::map<std::uint64_t, std::uint64_t> last;  // by token
     for (const auto& [generation, seen] : seen_) last[seen.token] = seen.last;
@@ -296,7 +297,7 @@ class Reader {
             {token, last[token]}, record.committed);
     }
   }
-  /// Taken and lost together: of a resident, what was ever committed on this topic.
+  /// Returns taken and lost together: for a resident, all messages ever committed on this topic.
   std::uint64_t accounted() {
     const std::lock_guard lock(mutex_);
     return taken_ + lost_now();
@@ -364,21 +365,22 @@ class Reader {
     held_.push_back(std::move(held));
   }
 
-  // The counter is read after the take, so it includes what this take left out.
+  // The counter is read after the take, so it includes the losses of this take.
   void account(const Seen& seen, std::uint64_t number) {
-    if (subscription_ == nullptr && polled_ == nullptr) return;  // called before it was returned
+    if (subscription_ == nullptr && polled_ == nullptr) return;  // called before creation returned
     const std::uint64_t lost = lost_now();
     if (lost < lost_) complain("the lost counter went back", seen, number);
     if (lost < gaps_) complain("a gap that is not counted as lost", seen, number);
     if (topic_ == SoakTopic::complete && lost != 0)
       complain("lost, though both sides keep all", seen, number);
     here_.board.lost += lost - lost_;
-    // Whoever loses one has its whole depth of newer ones to take; one of them is this.
+    // After a loss the subscription has its whole depth of newer messages to take; this is one of
+    // them.
     promised_ = lost > lost_ ? qos_.depth() - 1 : promised_ - std::min<std::uint64_t>(promised_, 1);
     lost_ = lost;
     nothing_since_ns_ = 0;
   }
-  // Messages in a window that is not announced yet come later, so a promise is given some time.
+  // Messages in a window that is not announced yet come later, so a promise has some time.
   void found_nothing() {
     if (promised_ == 0) return;
     const std::uint64_t now = now_ns();
@@ -413,7 +415,7 @@ class Reader {
     verify(here_, Held{message, token, info.sequence, 0}, "look");
   }
 
-  // Of a resident: publishers that died long ago. The map is sorted by age.
+  // For a resident: forgets publishers that died long ago. The map is sorted by age.
   void forget_oldest() {
     if (seen_.size() < seen_max) return;
     for (auto oldest = seen_.begin(); seen_.size() > seen_max / 2; oldest = seen_.erase(oldest)) {
@@ -445,7 +447,7 @@ class Reader {
   const QoS qos_;
   Subscription<Parcel>::SharedPtr subscription_;  // one of the two
   PollingSubscriber<Parcel>::SharedPtr polled_;
-  std::mutex mutex_;  // what follows
+  std::mutex mutex_;  // guards the members below
   Random random_;
   std::uint64_t born_ns_ = 0;
   std::map<std::uint64_t, Seen> seen_;  // by generation

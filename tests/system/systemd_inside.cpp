@@ -1,17 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Runs inside the machine of systemd_test.sh: our units, real clients, kill -9, a hang, restart, stop and other programs.
+// Runs inside the machine of systemd_test.sh: our units, real clients, kill -9, a hang, restart,
+// stop and other programs.
 //
-// Some tests speak the protocol by themselves, so that they can say what must be known where; the others have
-// two ordinary nodes of two users that never stop. As the unit is installed, the daemon has hardly any rights here; so
-// everything that it does in these tests it can do without the others.
+// Some tests speak the protocol themselves, so that they control the time of each step; the others
+// have two ordinary nodes of two users that never stop. As the unit is installed, the daemon has
+// hardly any rights here; so these tests need no further rights.
 
 #include <tests/system/systemd_inside.hpp>
 
 namespace agnocast::test {
 namespace {
 
-TEST(Systemd, KeepsTheIncarnationOverDeathAndRestartAndLetsItGoWithAStop) {
+TEST(Systemd, KeepsTheIncarnationOverDeathAndRestartAndLosesItWithAStop) {
   ASSERT_TRUE(systemctl("start")) << output_of("systemctl status agnocastd");
   const WireDump first = wire_dump(socket_path);
   WireNode subscriber(socket_path);
@@ -19,7 +20,8 @@ TEST(Systemd, KeepsTheIncarnationOverDeathAndRestartAndLetsItGoWithAStop) {
   Child publisher = publisher_child();
   ASSERT_TRUE(subscriber.wait_for([&] { return subscriber.link_count() == 1; }));
   ASSERT_EQ(publisher.command('w'), '+');
-  // Three of the daemon (the socket is its unit's); region and pidfd of both, an eventfd, a window.
+  // Three of the daemon (the socket is its unit's); region and pidfd of both, an eventfd, a
+  // window.
   EXPECT_TRUE(eventually([] { return property("NFileDescriptorStore") == "9"; }))
       << property("NFileDescriptorStore");
 
@@ -44,17 +46,18 @@ TEST(Systemd, KeepsTheIncarnationOverDeathAndRestartAndLetsItGoWithAStop) {
   }
   EXPECT_TRUE(goes_on_with_what_was()) << property("StatusText");
 
-  // Both at once: the process ends while nobody is there who would see it.
+  // Both at once: the process ends while no daemon runs that would notice it.
   const pid_t old = main_pid();
   {
     const DropIn slow(slow_start);
     ASSERT_EQ(send(old, SIGKILL), 0);
     ASSERT_TRUE(eventually([] { return is_away(); }));
     publisher.end();
-    // Everything of it is still kept, its pidfd too, which a manager that polls would drop.
+    // The manager still keeps all its descriptors, its pidfd too, which a manager that polls would
+    // drop.
     ::usleep(500'000);
     EXPECT_EQ(property("NFileDescriptorStore"), "9");
-    ASSERT_TRUE(is_away()) << "or this shows nothing";
+    ASSERT_TRUE(is_away()) << "the daemon is not away, so the test proves nothing";
   }
   ASSERT_TRUE(eventually([&] { return is_next(old); }));
   EXPECT_TRUE(eventually([&] { return wire_dump(socket_path).daemon.counters.clients_died == 1; }));
@@ -63,9 +66,9 @@ TEST(Systemd, KeepsTheIncarnationOverDeathAndRestartAndLetsItGoWithAStop) {
   EXPECT_EQ(said("client lost"), 0u);
 
   ASSERT_TRUE(systemctl("stop"));
-  // The count of daemons that began here stays: the next one gives out other addresses.
+  // The count of daemons that began here stays: the next one assigns other addresses.
   EXPECT_TRUE(exists("/run/agnocast/agnocastd.sock.lock"));
-  EXPECT_TRUE(socket_listens()) << "whoever comes next starts the daemon again";
+  EXPECT_TRUE(socket_listens()) << "the next connection starts the daemon again";
   ASSERT_TRUE(systemctl("start"));
   const WireDump anew = wire_dump(socket_path);
   EXPECT_NE(anew.incarnation, first.incarnation);
@@ -73,7 +76,7 @@ TEST(Systemd, KeepsTheIncarnationOverDeathAndRestartAndLetsItGoWithAStop) {
   EXPECT_EQ(property("NFileDescriptorStore"), "3");
 }
 
-// As a package does it: the file is another one, then the unit is restarted.
+// As a package does it: replaces the file, then restarts the unit.
 TEST(Systemd, GoesOnWithAReplacedProgramAndHarmsNothingWithOneOfAnotherLayout) {
   ASSERT_TRUE(stop_both());
   ASSERT_TRUE(systemctl("start")) << output_of("systemctl status agnocastd");
@@ -105,7 +108,7 @@ TEST(Systemd, GoesOnWithAReplacedProgramAndHarmsNothingWithOneOfAnotherLayout) {
   is_whole();
   goes_on();
 
-  // It stays, so that the unit is not started over and over, and says why it serves nobody.
+  // It stays, so that the unit is not restarted repeatedly, and logs why it serves nobody.
   install("/opt/agnocast/agnocastd_of_another_layout");
   ASSERT_TRUE(systemctl("restart"));
   for (int life = 0; life < 2; ++life) {
@@ -147,7 +150,7 @@ TEST(Systemd, LosesNoMessageOfTwoUsersOverDeathsAndRestartsUnderTraffic) {
     } else {
       ASSERT_TRUE(systemctl("restart"));
     }
-    // Asked for while nobody is there, or while everybody comes back.
+    // Requested while no daemon runs, or while all processes rejoin.
     EXPECT_EQ(stream.publisher.ask("create /more"), "ok");
     EXPECT_EQ(stream.subscriber.ask("create /more"), "ok");
     ASSERT_TRUE(eventually([&] { return is_next(old); }))
@@ -162,9 +165,9 @@ TEST(Systemd, LosesNoMessageOfTwoUsersOverDeathsAndRestartsUnderTraffic) {
   std::printf("%llu messages over 6 lives\n", static_cast<unsigned long long>(stream.got.received));
 }
 
-// What a manager's stop takes away comes back with nobody's help: the processes are members of the next
-// daemon, and the stream has no gap.
-TEST(Systemd, StoppedAndStartedFindsTwoUsersAgainUnderTraffic) {
+// After a manager's stop everything comes back without help: the processes have sessions with the
+// next daemon, and the stream has no gap.
+TEST(Systemd, TwoUsersRejoinAfterAStopAndStartUnderTraffic) {
   ASSERT_TRUE(stop_both());
   ASSERT_TRUE(systemctl("start")) << output_of("systemctl status agnocastd");
   Stream stream;
@@ -177,7 +180,7 @@ TEST(Systemd, StoppedAndStartedFindsTwoUsersAgainUnderTraffic) {
       EXPECT_EQ(property("ActiveState"), "inactive");
       ASSERT_TRUE(systemctl("start"));
     } else {
-      // The socket stays, and nodes that come back bring the daemon.
+      // The socket stays, and nodes that rejoin start the daemon.
       ASSERT_TRUE(systemctl("stop"));
       ASSERT_TRUE(eventually([] { return property("ActiveState") == "active"; }));
     }
@@ -185,7 +188,7 @@ TEST(Systemd, StoppedAndStartedFindsTwoUsersAgainUnderTraffic) {
     EXPECT_TRUE(eventually([] {
       const WireDump all = wire_dump(socket_path);
       return all.processes.size() == 2 && all.endpoints.size() == 2;
-    })) << "they are members again, by themselves";
+    })) << "both processes joined again by themselves";
     EXPECT_EQ(stream.subscriber.ask("create /more"), "ok");
     EXPECT_EQ(stream.publisher.ask("create /more"), "ok");
     EXPECT_TRUE(stream.goes_on());
@@ -196,7 +199,7 @@ TEST(Systemd, StoppedAndStartedFindsTwoUsersAgainUnderTraffic) {
 
 // --- the socket
 
-TEST(Systemd, NodesThatAreThereFirstBringTheDaemonAndAreServedWhenItIsUp) {
+TEST(Systemd, NodesThatComeFirstStartTheDaemonAndAreServedWhenItIsUp) {
   ASSERT_TRUE(stop_both());
   ASSERT_TRUE(systemctl("start", "agnocastd.socket"));
   EXPECT_EQ(property("ActiveState"), "inactive");
@@ -257,13 +260,13 @@ TEST(Systemd, ARestartOfTheSocketIsARestartOfTheDaemonUnderTraffic) {
   ASSERT_NO_FATAL_FAILURE(stream.end());
 }
 
-// Two sockets are there then, of which the kept one has no name any more.
+// There are two sockets then; the kept one has no name any more.
 TEST(Systemd, ADaemonThatListenedByItselfGoesOnWithTheUnitOfASocketUnderTraffic) {
   const std::string units = "/usr/lib/systemd/system/agnocastd.";
   const std::string alone = "/run/systemd/system/agnocastd.service";
   ASSERT_TRUE(stop_both());
   std::filesystem::rename(units + "socket", units + "aside");
-  // Making a socket of a group takes rights that the daemon does not need otherwise.
+  // Creating a socket for a group needs rights that the daemon does not need otherwise.
   ASSERT_EQ(std::system(("grep -v 'agnocastd.socket\\|^SystemCallFilter\\|^CapabilityB' " + units +
                          "service >" + alone)
                             .c_str()),
@@ -303,8 +306,9 @@ TEST(Systemd, LeavesNothingButTheLockWhenServiceAndSocketAreStopped) {
   EXPECT_TRUE(eventually([] { return wire_dump(socket_path).processes.size() == 1; }));
 }
 
-// A node that comes back connects to the socket, which would start the daemon; its unit says how fast.
-TEST(Systemd, NobodyWhoConnectsMakesADaemonThatDiesComeBackFasterThanItsUnitSays) {
+// A node that rejoins connects to the socket, which would start the daemon; its unit limits how
+// fast.
+TEST(Systemd, ConnectionsDoNotRestartADyingDaemonFasterThanItsUnitAllows) {
   ASSERT_TRUE(systemctl("start"));
   UserNode node(one);
   EXPECT_EQ(node.ask("subscribe /topic"), "ok");
@@ -321,7 +325,7 @@ TEST(Systemd, NobodyWhoConnectsMakesADaemonThatDiesComeBackFasterThanItsUnitSays
   EXPECT_EQ(node.ask("create /more"), "ok");
 }
 
-// A socket has limits of its own, after which it would be closed.
+// A socket unit has limits of its own, after which it would be closed.
 TEST(Systemd, DiesAndFailsToStartAgainAndAgainUnderTrafficAndTheSocketStays) {
   ASSERT_TRUE(stop_both());
   ASSERT_TRUE(systemctl("start"));

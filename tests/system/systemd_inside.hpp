@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The daemon's units under a systemd of their own, and users with traffic, for systemd_inside.cpp and
-// systemd_unit_inside.cpp.
+// The daemon's units under a systemd of their own, and users with traffic, for systemd_inside.cpp
+// and systemd_unit_inside.cpp.
 #pragma once
 
 #include <base/memfd.hpp>
@@ -55,7 +55,7 @@ inline bool exists(const std::string& path) { return std::filesystem::exists(pat
 inline bool socket_listens() {
   return output_of("systemctl is-active agnocastd.socket") == "active" && exists(socket_path);
 }
-/// Without the socket nobody brings the daemon back.
+/// Without the socket no connection restarts the daemon.
 inline bool stop_both() {
   return systemctl("stop", "agnocastd.socket") && property("ActiveState") == "inactive";
 }
@@ -71,7 +71,8 @@ inline bool goes_on_with_what_was() {
   return property("StatusText") == "serving; goes on with what was there before";
 }
 inline pid_t main_pid() { return static_cast<pid_t>(std::atoi(property("MainPID").c_str())); }
-/// kill(2) to one process: what could not be asked for is no process, and 0 would be everybody in the test's group.
+/// kill(2) to one process: an unknown pid is no process, and 0 would be all processes in the
+/// test's group.
 inline int send(pid_t pid, int signal) { return pid > 1 ? ::kill(pid, signal) : -1; }
 inline bool is_another(pid_t now, pid_t old) { return now > 0 && now != old; }
 inline bool is_next(pid_t old) {
@@ -79,14 +80,14 @@ inline bool is_next(pid_t old) {
          property("SubState") == "running";
 }
 
-/// How often the journal of the unit says this.
+/// Returns how many lines of the unit's log have this text.
 inline std::size_t said(const std::string& text) {
   return std::strtoul(
       output_of("journalctl -u agnocastd -o cat --no-pager | grep -c -F -- '" + text + "'").c_str(),
       nullptr, 10);
 }
 
-/// The unit of the daemon with something else in [Service].
+/// Adds lines to [Service] of the daemon's unit, until destroyed.
 class DropIn {
  public:
   explicit DropIn(const std::string& lines) {
@@ -104,13 +105,13 @@ class DropIn {
  private:
   static constexpr const char* directory = "/run/systemd/system/agnocastd.service.d";
 };
-/// With this it is started again only a while after its main process has ended.
+/// Delays the restart after the end of its main process.
 inline constexpr const char* slow_start = "RestartSec=5s";
 inline bool is_away() {
   return property("MainPID") == "0" && property("SubState") == "auto-restart";
 }
 
-/// The program of the unit, as a package would replace it: another file under the same name.
+/// Replaces the program of the unit as a package would: another file under the same name.
 inline void install(const char* program) {
   namespace fs = std::filesystem;
   const std::string name = "/usr/bin/agnocastd";
@@ -132,8 +133,8 @@ inline Child publisher_child() {
   });
 }
 
-/// An honest_node (tests/hostile/) of a user that is not root, with all groups of that user. `before` is a program that
-/// runs it.
+/// An honest_node (tests/hostile/) of a user that is not root, with all groups of that user.
+/// `before` is a program that runs it.
 class UserNode {
  public:
   explicit UserNode(const std::string& user, const std::vector<std::string>& before = {})
@@ -167,7 +168,7 @@ inline constexpr const char* one = "agnocast-one";
 inline constexpr const char* two = "agnocast-two";
 inline constexpr const char* stranger = "agnocast-stranger";
 
-/// Of the one process of this user that is there.
+/// Returns the pid of this user's only process.
 inline pid_t pid_in(const WireDump& all, const char* user) {
   const passwd* const entry = ::getpwnam(user);
   for (const wire::DumpProcess& process : all.processes) {
@@ -177,7 +178,7 @@ inline pid_t pid_in(const WireDump& all, const char* user) {
   return 0;
 }
 
-/// A stream of one user to another. It goes on until the end.
+/// A stream from one user to another, until the end.
 struct Stream {
   UserNode subscriber{one}, publisher{two};
   UserNode::State got;
@@ -191,7 +192,7 @@ struct Stream {
     const std::uint64_t wanted = subscriber.state().received + 50;
     return eventually([&] { return subscriber.state().received >= wanted; });
   }
-  /// Whatever was published has come, and is right.
+  /// Checks that every published message has arrived, and is right.
   void end() {
     ASSERT_EQ(publisher.ask("stop"), "ok");
     const UserNode::State sent = publisher.state();

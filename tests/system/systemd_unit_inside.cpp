@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what the unit takes from the daemon (capabilities, namespaces, file systems) harms nothing it has to do, and
-// the log is found in systemd's journal. Method: as systemd_inside.cpp.
+// Goal: the restrictions of the unit (capabilities, namespaces, file systems) break none of the
+// daemon's tasks, and systemd's journal has the log. Method: as systemd_inside.cpp.
 
 #include <tests/system/systemd_inside.hpp>
 
 namespace agnocast::test {
 namespace {
 
-// --- what the unit takes from the daemon
+// --- the restrictions of the unit
 
 TEST(Systemd, SeesHowManyMappingsAProcessMayHave) {
   ASSERT_TRUE(systemctl("start"));
@@ -21,18 +21,18 @@ TEST(Systemd, SeesHowManyMappingsAProcessMayHave) {
   EXPECT_GT(count_in(""), 0u);
 }
 
-// It has the capability that this takes, where the kernel knows such files.
+// It has the capability for this, where the kernel supports such files.
 TEST(Systemd, ForbidsHolesInRegions) {
   const auto file = make_memfd("agnocast-probe", 0);
   ASSERT_TRUE(file);
-  if (!forbid_holes(file->get())) GTEST_SKIP() << "nor may root here";
+  if (!forbid_holes(file->get())) GTEST_SKIP() << "root may not either";
   ASSERT_TRUE(systemctl("restart", "agnocastd"));
   EXPECT_EQ(said("holes are allowed"), 0u);
 }
 
-// Whether a process that has left still maps something is in /proc/PID/maps, which is for its user and for
-// who may trace it. It lives, so there is nothing else to tell by.
-TEST(Systemd, SeesThatAProcessOfAnotherUserHasLetGo) {
+// /proc/PID/maps shows whether a disconnected process still maps memory; its user and processes
+// that may trace it can read it. The process lives, so there is no other sign.
+TEST(Systemd, SeesThatAProcessOfAnotherUserHasUnmapped) {
   ASSERT_TRUE(systemctl("start"));
   const passwd* const user = ::getpwnam(two);
   ASSERT_NE(user, nullptr);
@@ -42,7 +42,7 @@ TEST(Systemd, SeesThatAProcessOfAnotherUserHasLetGo) {
     ::prctl(PR_SET_PDEATHSIG, SIGKILL);
     auto node = std::make_unique<WireNode>(socket_path);
     if (::setgid(uid) != 0 || ::setuid(uid) != 0) ::_exit(3);
-    // Its own again, as of any process that was this user's from the beginning.
+    // Owned by its user again, as for any process that was this user's from the beginning.
     ::prctl(PR_SET_DUMPABLE, 1);
     serve(commands, [&](char) -> char {
       node.reset();
@@ -112,8 +112,9 @@ TEST(Systemd, RevokesAProcessOfAUser) {
   EXPECT_NE(goes.ask("create /more"), "ok");
 }
 
-// As somebody would copy it. Its library path is the test's: what ROS messages need is not installed here.
-TEST(Systemd, TheExampleOfANodeServesAUserWhoWasThereFirst) {
+// As a user would copy it. Its library path is the test's: the libraries of ROS messages are not
+// installed here.
+TEST(Systemd, TheExampleOfANodeServesAUserThatCameFirst) {
   if (!exists("/usr/bin/talker"))
     GTEST_SKIP() << "the examples are not built: std_msgs is not found";
   namespace fs = std::filesystem;
@@ -125,7 +126,8 @@ TEST(Systemd, TheExampleOfANodeServesAUserWhoWasThereFirst) {
   ASSERT_TRUE(stop_both());
   ASSERT_TRUE(systemctl("daemon-reload", ""));
   ASSERT_TRUE(systemctl("start", "node"));
-  EXPECT_TRUE(eventually([] { return property("ActiveState") == "active"; })) << "by the node";
+  EXPECT_TRUE(eventually([] { return property("ActiveState") == "active"; }))
+      << "the node started the daemon";
   EXPECT_TRUE(eventually([] { return wire_dump(socket_path).endpoints.size() == 1; }))
       << output_of("journalctl -u node --no-pager -o cat | tail");
   EXPECT_EQ(std::to_string(pid_in(wire_dump(socket_path), "robot")),
@@ -137,7 +139,7 @@ TEST(Systemd, TheExampleOfANodeServesAUserWhoWasThereFirst) {
   EXPECT_TRUE(systemctl("daemon-reload", ""));
 }
 
-/// What `systemd-analyze` says against these, beside its status.
+/// Returns the complaints of `systemd-analyze` about these, with its status.
 std::string complaints(const std::string& arguments) {
   return output_of("systemd-analyze " + arguments + " 2>&1 || echo failed");
 }
@@ -160,7 +162,7 @@ TEST(Systemd, FindsNothingToCriticizeInTheUnitsAndTheExamples) {
   fs::remove_all(etc + "node.service");
   fs::remove_all(etc + "node.service.d");
   fs::remove_all(etc + "agnocastd.service.d");
-  // Without a line that applies here, it is only read: /sys is that of the host.
+  // Without a line that applies here, it only parses the file: /sys is the host's.
   EXPECT_EQ(
       output_of("systemd-tmpfiles --create --prefix=/nowhere " + examples + "huge-pages.conf 2>&1"),
       "");
@@ -182,7 +184,8 @@ TEST(Systemd, IsExposedNoMoreThanTheDocumentSays) {
   };
   const int tenths = static_cast<int>(stated * 10 + 0.5);
   EXPECT_EQ(check(tenths).find("failed"), std::string::npos) << check(tenths);
-  EXPECT_NE(check(tenths - 1).find("failed"), std::string::npos) << "it is better than is said";
+  EXPECT_NE(check(tenths - 1).find("failed"), std::string::npos)
+      << "the exposure is lower than documented";
 }
 
 }  // namespace

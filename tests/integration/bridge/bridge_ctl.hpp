@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// BridgeCtl: bridges, plain DDS programs and agnocast-ctl, for tests of what a bridge says of itself.
+// BridgeCtl: bridges, plain DDS programs and agnocast-ctl, for tests of the bridge's reports about
+// itself.
 #pragma once
 
 #include <agnocast/agnocast.hpp>
@@ -61,7 +62,7 @@ inline bool eventually(const std::function<bool()>& condition) {
   return true;
 }
 
-/// What one connection to the socket gives.
+/// Returns the answer of one connection to the socket.
 inline std::string status_of(const std::string& path) {
   const UniqueFd socket(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
   if (::connect(socket.get(), unix_address(path)->get(), UnixAddress::size()) != 0) return {};
@@ -121,7 +122,7 @@ class BridgeCtl : public testing::Test {
     }
     return nullptr;
   }
-  /// A client or a server in DDS, as rmw_cyclonedds has them.
+  /// Starts a client or a server in DDS, as rmw_cyclonedds makes them.
   static std::unique_ptr<SteeredProcess> plain(const char* role) {
     return std::make_unique<SteeredProcess>(
         std::vector<std::string>{AGNOCAST_PLAIN_SERVICE, std::to_string(domain->id()), role,

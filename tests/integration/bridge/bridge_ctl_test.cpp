@@ -1,15 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a bridge says what it has and what it has not, agnocast-ctl bridge shows it, and neither is held up or misled by
-// the other end of the socket. Method: the real agnocastd, agnocast-bridge and agnocast-ctl; this process has the agnocast
-// endpoints and is the other participant in DDS; sockets of its own in the place of a bridge's that say something else.
+// Goal: a bridge reports its routes and what it lacks, agnocast-ctl bridge shows it, and neither
+// is held up or misled by the other end of the socket. Method: the real agnocastd, agnocast-bridge
+// and agnocast-ctl; this process has the agnocast endpoints and is the other participant in DDS;
+// the test's own sockets replace a bridge's and lie.
 
 #include <tests/integration/bridge/bridge_ctl.hpp>
 
 namespace agnocast::bridge {
 namespace {
 
-TEST_F(BridgeCtl, ShowsWhatGoesOutAndWhatComesIn) {
+TEST_F(BridgeCtl, ShowsOutgoingAndIncomingTopics) {
   const auto running = bridge(domain->id());
   const auto reader = reads(topic(), string_type, true);
   auto publisher = create_publisher<String>(PlainNode(), topic(), 50);
@@ -29,7 +30,7 @@ TEST_F(BridgeCtl, ShowsWhatGoesOutAndWhatComesIn) {
         },
         1));
   }
-  // A payload that is no string: longer than there is.
+  // A payload that is no string: its length exceeds the payload.
   ASSERT_TRUE(writer->write(
       8,
       [](std::span<std::byte> room) {
@@ -66,7 +67,7 @@ TEST_F(BridgeCtl, ShowsWhatGoesOutAndWhatComesIn) {
   test::judge_json(status_of(socket_of(domain->id())));
 }
 
-TEST_F(BridgeCtl, SaysWhyWhatBothSidesHaveIsNotBridged) {
+TEST_F(BridgeCtl, SaysWhyATopicOfBothSidesIsNotBridged) {
   const auto running = bridge(domain->id());
   auto other_type = create_publisher<String>(PlainNode(), topic() + "_type", 5);
   auto weak = create_publisher<String>(PlainNode(), topic() + "_qos", QoS(5).best_effort());
@@ -88,7 +89,7 @@ TEST_F(BridgeCtl, SaysWhyWhatBothSidesHaveIsNotBridged) {
   EXPECT_THAT(ctl({"info", topic() + "_qos"}).out, HasSubstr("Not to DDS: reliability"));
 }
 
-TEST_F(BridgeCtl, ShowsAServiceOfThisHostThatAClientInDdsAsks) {
+TEST_F(BridgeCtl, ShowsAServiceOfThisHostWithAClientInDds) {
   const auto running = bridge(domain->id());
   const auto service = serve();
   const auto client = plain("client");
@@ -97,7 +98,7 @@ TEST_F(BridgeCtl, ShowsAServiceOfThisHostThatAClientInDdsAsks) {
     ASSERT_EQ(client->ask("ask " + std::to_string(i) + " 1 2"), "Success");
     ASSERT_TRUE(eventually([&] { return client->ask("take") != "none"; }));
   }
-  // One that is cut off, and one of a client that has no ear for answers.
+  // A truncated one, and one of a client without a reader for responses.
   const auto writer = participant_
                           ->create_writer("rq" + topic() + "Request",
                                           "example_interfaces::srv::dds_::AddTwoInts_Request_", {})
@@ -150,7 +151,7 @@ TEST_F(BridgeCtl, ShowsAServiceOfThisHostThatAClientInDdsAsks) {
   test::judge_json(status_of(socket_of(domain->id())));
 }
 
-TEST_F(BridgeCtl, ShowsAServiceInDdsThatThisHostAsksAndSaysWhenThereIsNone) {
+TEST_F(BridgeCtl, ShowsAServiceInDdsWithAClientHereAndReportsAMissingOne) {
   const auto running = bridge(domain->id());
   const auto client = create_client<AddTwoInts>(PlainNode(), topic());
   ASSERT_TRUE(eventually([&] { return !lack_of(topic(), "in").is_null(); }));
@@ -158,7 +159,8 @@ TEST_F(BridgeCtl, ShowsAServiceInDdsThatThisHostAsksAndSaysWhenThereIsNone) {
   EXPECT_EQ(lack_of(topic(), "in")["why"], "no_server");
   EXPECT_THAT(ctl({"info", topic()}).out,
               HasSubstr("Service not from DDS: nobody in DDS serves it"));
-  EXPECT_THAT(ctl({"list"}).out, testing::Not(HasSubstr(topic()))) << "that is no mistake";
+  EXPECT_THAT(ctl({"list"}).out, testing::Not(HasSubstr(topic())))
+      << "a service of one side only is no mistake";
   EXPECT_THAT(ctl({"list", "-v"}).out, HasSubstr(topic()));
 
   const auto server = plain("server");
@@ -188,7 +190,7 @@ TEST_F(BridgeCtl, ShowsAServiceInDdsThatThisHostAsksAndSaysWhenThereIsNone) {
   test::judge_json(status_of(socket_of(domain->id())));
 }
 
-TEST_F(BridgeCtl, ShowsTheHistoryAndTheNodesThatEndpointsHaveNow) {
+TEST_F(BridgeCtl, ShowsTheCurrentHistoryAndNodesOfEndpoints) {
   const auto running = bridge(domain->id());
   DdsQos keep_all;
   keep_all.keep_all = true;
@@ -221,7 +223,7 @@ TEST_F(BridgeCtl, ShowsTheHistoryAndTheNodesThatEndpointsHaveNow) {
   EXPECT_EQ(bridges()[0]["inlets"][0]["guid"], now["inlets"][0]["guid"]) << "it is the same one";
 }
 
-TEST_F(BridgeCtl, ShowsTheBridgesOfAllDomainsAndSaysWhenThereIsNone) {
+TEST_F(BridgeCtl, ShowsTheBridgesOfAllDomainsAndReportsThatThereIsNone) {
   const CtlResult none = ctl({"list"});
   EXPECT_EQ(none.status, 3);
   EXPECT_THAT(none.err, HasSubstr("\nhint: agnocast-bridge --socket " + daemon->socket_path()));
@@ -235,7 +237,7 @@ TEST_F(BridgeCtl, ShowsTheBridgesOfAllDomainsAndSaysWhenThereIsNone) {
   EXPECT_EQ(ctl({"info", "/nowhere"}).status, 4);
 }
 
-TEST_F(BridgeCtl, RulesDecideWhatThereIsInDdsAndMayChange) {
+TEST_F(BridgeCtl, RulesDecideWhichEndpointsDdsSeesAndMayChange) {
   const test::TemporaryDirectory directory;
   const std::string file = directory.path() + "/bridge.toml";
   std::ofstream(file)
@@ -257,7 +259,7 @@ TEST_F(BridgeCtl, RulesDecideWhatThereIsInDdsAndMayChange) {
   };
   ASSERT_TRUE(eventually([&] {
     return in_dds(Remote::Kind::writer).has_value() && in_dds(Remote::Kind::reader).has_value();
-  })) << "nobody is on the other side, of the reader on neither";
+  })) << "`always` does not make both endpoints without peers";
   EXPECT_FALSE(in_dds(Remote::Kind::writer)->reliable);
   EXPECT_TRUE(in_dds(Remote::Kind::reader)->transient_local);
   // An answer may be a few milliseconds old.
@@ -277,8 +279,7 @@ TEST_F(BridgeCtl, RulesDecideWhatThereIsInDdsAndMayChange) {
     const auto writer = in_dds(Remote::Kind::writer);
     return writer && writer->reliable && !in_dds(Remote::Kind::reader);
   }));
-  EXPECT_TRUE(eventually([&] { return reads_other->matched() == 1; }))
-      << "no rule speaks of it now";
+  EXPECT_TRUE(eventually([&] { return reads_other->matched() == 1; })) << "no rule names it now";
 }
 
 }  // namespace

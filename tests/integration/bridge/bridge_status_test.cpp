@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a bridge's status socket serves everybody, also beside one that never reads, without memory or
-// descriptors; two bridges of a domain say which of them stands by.
+// Goal: a bridge's status socket serves every client, also beside one that never reads, and
+// without memory or descriptors; two bridges of a domain report which of them is on standby.
 // Method: as bridge_ctl_test.cpp.
 
 #include <tests/integration/bridge/bridge_ctl.hpp>
@@ -14,12 +14,12 @@ TEST_F(BridgeCtl, IsOneOfADomainAndReplacesADeadOne) {
   SteeredProcess second({AGNOCAST_BRIDGE, "--domain", std::to_string(domain->id())}, {});
   EXPECT_EQ(second.finish(), 1);
   running.reset();  // SIGKILL: the socket stays
-  EXPECT_EQ(ctl({"list"}).status, 3) << "nobody listens at what is left";
+  EXPECT_EQ(ctl({"list"}).status, 3) << "nobody listens at the remaining socket";
   running = bridge(domain->id());
   EXPECT_EQ(ctl({"list"}).status, 0);
 }
 
-TEST_F(BridgeCtl, ABridgeIsNotHeldUpByWhoDoesNotReadAndSleepsWhenNobodyComes) {
+TEST_F(BridgeCtl, AClientThatDoesNotReadDelaysNobodyAndAnIdleBridgeSleeps) {
   const auto running = bridge(domain->id());
   std::vector<UniqueFd> idle;
   for (int i = 0; i < 100; ++i) {
@@ -38,7 +38,7 @@ TEST_F(BridgeCtl, ABridgeIsNotHeldUpByWhoDoesNotReadAndSleepsWhenNobodyComes) {
     }
     return -1L;
   };
-  // What DDS tells of the others of this machine may still come.
+  // Discovery of this machine's other participants may still arrive.
   EXPECT_TRUE(eventually([&] {
     const long before = wakes();
     std::this_thread::sleep_for(2s);
@@ -46,8 +46,8 @@ TEST_F(BridgeCtl, ABridgeIsNotHeldUpByWhoDoesNotReadAndSleepsWhenNobodyComes) {
   }));
 }
 
-TEST_F(BridgeCtl, WhoNeverReadsGivesUpItsPlaceToWhoDoes) {
-  // More than a socket's buffer takes of it.
+TEST_F(BridgeCtl, AClientThatNeverReadsGivesUpItsPlaceToOneThatDoes) {
+  // Larger than a socket's buffer.
   const std::string text(8 << 20, 'x');
   const std::string path = socket_of(102);
   auto socket = StatusSocket::take(path);
@@ -63,7 +63,7 @@ TEST_F(BridgeCtl, WhoNeverReadsGivesUpItsPlaceToWhoDoes) {
   EXPECT_LT(Clock::now() - began, 5s) << "that is when silent ones are dropped anyway";
 }
 
-TEST_F(BridgeCtl, WithoutMemoryTheStatusIsNotSaidOnceAndThenItIs) {
+TEST_F(BridgeCtl, ALackOfMemoryCostsOneStatusAndTheNextIsAnswered) {
   const std::string path = socket_of(104);
   auto socket = StatusSocket::take(path);
   ASSERT_TRUE(socket) << socket.error().why;
@@ -95,16 +95,16 @@ TEST_F(BridgeCtl, ABridgeWithoutDescriptorsSleepsUntilItHasSome) {
     }
     return sum;
   };
-  // A thread that turns without end takes seconds of these.
+  // A busy loop would use seconds of CPU time.
   const std::uint64_t at_first = used_ns();
   std::this_thread::sleep_for(3s);
   EXPECT_LT(used_ns() - at_first, 300'000'000u);
   ASSERT_EQ(::prlimit(running->pid(), RLIMIT_NOFILE, &before, nullptr), 0);
   char first = 0;
-  EXPECT_EQ(::read(client.get(), &first, 1), 1) << "it has waited";
+  EXPECT_EQ(::read(client.get(), &first, 1), 1) << "the client has waited";
 }
 
-TEST_F(BridgeCtl, SaysWhichBridgeStandsByAndWhatItHasLost) {
+TEST_F(BridgeCtl, NamesTheStandbyBridgeAndItsLosses) {
   const std::string path = socket_of(103);
   auto socket = StatusSocket::take(path);
   ASSERT_TRUE(socket) << socket.error().why;
@@ -149,7 +149,7 @@ TEST_F(BridgeCtl, SaysWhichBridgeStandsByAndWhatItHasLost) {
               HasSubstr("Lost on the way to DDS: 5 messages (reliable, volatile, keep_last 2)"));
 }
 
-TEST_F(BridgeCtl, RefusesWhatNoBridgeSays) {
+TEST_F(BridgeCtl, RefusesAnswersThatNoBridgeGives) {
   const std::string path = socket_of(101);
   const auto says = [&](const std::string& text, bool ends) {
     ::unlink(path.c_str());
@@ -164,7 +164,7 @@ TEST_F(BridgeCtl, RefusesWhatNoBridgeSays) {
         at += static_cast<std::size_t>(sent);
       }
       char end = 0;
-      if (!ends) (void)!::read(client.get(), &end, 1);  // until it gives up
+      if (!ends) (void)!::read(client.get(), &end, 1);  // until ctl gives up
     });
     const CtlResult result = ctl({"list", "-j"});
     server.join();

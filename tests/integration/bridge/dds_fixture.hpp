@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What the tests of the bridge's DDS entities share.
+// Helpers shared by the tests of the bridge's DDS entities.
 #pragma once
 
 #include <tests/integration/bridge/dds_domain.hpp>

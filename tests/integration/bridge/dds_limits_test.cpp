@@ -51,7 +51,7 @@ TEST(Refusals, AreFailuresWithAText) {
   EXPECT_FALSE(participant->create_reader("DCPSTopic", raw_type, {}, keep_bytes));
 }
 
-TEST(Limits, AReaderThatIsNotReadKeepsOneMessageAndNoMoreBytesThanItMay) {
+TEST(Limits, AnUnreadReaderKeepsOneMessageAndNoMoreBytesThanItMay) {
   const Domain domain;
   const auto left = domain.participant(), right = domain.participant();
   const auto from = writer(*left, "rt/a", "reliable all");
@@ -73,20 +73,20 @@ TEST(Limits, AReaderThatIsNotReadKeepsOneMessageAndNoMoreBytesThanItMay) {
   EXPECT_EQ(take_all(), 8);
   ASSERT_TRUE(send(*from, pattern(20'000)));
   ASSERT_TRUE(send(*from, pattern(0)));
-  EXPECT_TRUE(have_come(9, 5)) << "one of any size, where nothing is unread";
+  EXPECT_TRUE(have_come(9, 5)) << "one message of any size where nothing is unread";
   EXPECT_EQ(take_all(), 1);
-  // However small, each costs what a KiB does.
+  // However small, each counts as one KiB.
   for (int i = 0; i < 12; ++i) ASSERT_TRUE(send(*from, pattern(0)));
   EXPECT_TRUE(have_come(17, 9)) << to->decoded() << ' ' << to->overflow();
 }
 
-TEST(Limits, ReadersThatAreFloodedLeaveOneMessageToEachOther) {
+TEST(Limits, FloodedReadersLeaveRoomForOneMessageToEachOther) {
   const Domain domain;
   const auto left = domain.participant(), right = domain.participant();
   const Bytes large(60 * bridge::mebibyte);
   const auto nothing = [](bridge::RawPieces) { return std::make_shared<int>(); };
   std::vector<std::unique_ptr<DdsReader>> readers;
-  // 240 MiB each of the first two; of the others what comes first.
+  // 240 MiB each for the first two; for each of the others its first message.
   for (const auto& [topic, decoded] :
        {std::pair("rt/a", 4u), {"rt/b", 4u}, {"rt/c", 1u}, {"rt/d", 1u}}) {
     SCOPED_TRACE(topic);
@@ -102,7 +102,7 @@ TEST(Limits, ReadersThatAreFloodedLeaveOneMessageToEachOther) {
   }
   EXPECT_EQ(right->limits().refused(bridge::Limit::unread_bytes_of_reader), 2u);
   EXPECT_EQ(right->limits().refused(bridge::Limit::unread_bytes), 8u);
-  // What is taken makes room.
+  // Taking messages makes room.
   readers.clear();
   const auto from = writer(*left, "rt/c", "reliable 1");
   const auto to = reader(*right, "rt/c", "reliable all", raw_type, nothing);
@@ -128,7 +128,7 @@ std::size_t resident_kib() {
 }
 
 TEST(Endpoints, TwoThousandComeAndGoAndLeaveNothing) {
-  // What grows without end is to fail here, and not to take the machine's memory.
+  // Unbounded growth should fail here instead of using all of the machine's memory.
   const rlimit addresses{rlim_t{8} << 30, RLIM_INFINITY};
   ASSERT_EQ(::setrlimit(RLIMIT_AS, &addresses), 0);
   const Domain domain;
@@ -154,7 +154,7 @@ TEST(Endpoints, TwoThousandComeAndGoAndLeaveNothing) {
   many(2000);
   EXPECT_EQ(open_descriptor_count(), descriptors);
   EXPECT_EQ(entries_in("/proc/self/task"), threads);
-  // 4,000 endpoints that stayed would be above 20 MB.
+  // 4,000 leaked endpoints would exceed 20 MB.
   EXPECT_LT(resident_kib(), before_kib + 8 * 1024);
 }
 

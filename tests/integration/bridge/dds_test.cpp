@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // The DDS layer against real Cyclone DDS: another process with raw endpoints or as a plain program
-// with types of idlc, killed, stopped or well.
+// with types of idlc, which is killed, stopped or runs.
 
 #include <tests/integration/bridge/dds_fixture.hpp>
 
@@ -54,7 +54,7 @@ TEST(Raw, WriterAndSourceTimeTravelWithTheSample) {
   EXPECT_TRUE(sample->writer.is_of_participant(left->guid()));
 }
 
-TEST(Raw, SamplesOfAWriterThatIsGoneStillSayWhoseTheyAre) {
+TEST(Raw, SamplesOfAnEndedWriterStillNameIt) {
   const Domain domain;
   const auto left = domain.participant(), right = domain.participant();
   auto from = writer(*left, "rt/a");
@@ -85,7 +85,7 @@ TEST(Raw, TheLastWritersEndIsASampleWithoutData) {
   EXPECT_EQ(last->object, nullptr);
 }
 
-TEST(Raw, RefusedPayloadsAreCountedAndPassedOver) {
+TEST(Raw, RefusedPayloadsAreCountedAndSkipped) {
   const Domain domain;
   const auto left = domain.participant(), right = domain.participant();
   const auto from = writer(*left, "rt/a");
@@ -106,7 +106,7 @@ TEST(Raw, RefusedPayloadsAreCountedAndPassedOver) {
   EXPECT_FALSE(to->take());
 }
 
-TEST(Raw, NothingIsSentOfWhatCannotBeFilled) {
+TEST(Raw, ASampleThatCannotBeFilledIsNotSent) {
   const Domain domain;
   const auto left = domain.participant(), right = domain.participant();
   const auto from = writer(*left, "rt/a");
@@ -122,7 +122,7 @@ TEST(Raw, NothingIsSentOfWhatCannotBeFilled) {
             WriteOutcome::refused);
   EXPECT_EQ(try_to(8, [](auto) -> std::size_t { throw std::runtime_error("no"); }),
             WriteOutcome::refused);
-  // Less than was measured: what is not filled does not leave the process.
+  // Fewer bytes than measured: the unfilled sample does not leave the process.
   EXPECT_EQ(try_to(4096,
                    [](std::span<std::byte> to_fill) {
                      std::fill_n(to_fill.begin(), 6, std::byte{7});
@@ -134,7 +134,7 @@ TEST(Raw, NothingIsSentOfWhatCannotBeFilled) {
   EXPECT_EQ(received(*sample).bytes, bytes_of("0707070707070000"));
 }
 
-TEST(Raw, BytesBehindWhatWasFilledAreZeroOnTheWire) {
+TEST(Raw, UnfilledBytesAreZeroOnTheWire) {
   const Domain domain;
   const auto participant = domain.participant();
   const auto down = writer(*participant, "rt/down");
@@ -147,7 +147,7 @@ TEST(Raw, BytesBehindWhatWasFilledAreZeroOnTheWire) {
     SCOPED_TRACE(size);
     const Bytes bytes = pattern(size);
     peer->tell("echo " + std::to_string(size));
-    // More was measured than is filled, and all of it was used meanwhile.
+    // More bytes were measured than are filled, and the memory held other data before.
     const auto sent = down->write(
         bytes.size() + 64,
         [&](std::span<std::byte> room) {
@@ -180,7 +180,7 @@ TEST(Raw, OwnWritesAreNotReadBack) {
   EXPECT_EQ(back->decoded(), 1u);
 }
 
-// CDR of what tests of plain programs send, written out by hand.
+// The CDR that plain programs send in these tests, written by hand.
 Bytes string_cdr(const std::string& text) {
   Bytes bytes = bytes_of("00010000");
   bytes.push_back(std::byte(text.size() + 1));
@@ -206,8 +206,8 @@ Bytes cloud_cdr(std::size_t size) {
   bytes.push_back(std::byte{1});  // is_dense
   return bytes;
 }
-/// Without padding at the end, and without its length, which Cyclone's serializer puts into the
-/// options.
+/// Removes the padding at the end and the record of its length, which Cyclone's serializer puts
+/// into the options.
 Bytes body(Bytes bytes, std::size_t size) {
   EXPECT_EQ(bytes.size(), (size + 3) / 4 * 4);
   bytes.resize(size);
@@ -260,7 +260,7 @@ TEST(Plain, WritersAnnounceXcdr1AloneAndNoTypeInformation) {
   const auto from = writer(*participant, "rt/a");
   const auto peer = domain.peer();
   EXPECT_EQ(peer->ask("announced rt/a", answer_s), "xcdr1 untyped");
-  // To see that there is something to be seen: a type of idlc.
+  // A cross-check that the test can detect it: a type of idlc.
   const auto plain = domain.peer();
   ASSERT_EQ(plain->ask("plain", answer_s), "ready");
   EXPECT_EQ(peer->ask("announced rt/fromString", answer_s), "xcdr1 xcdr2 typed");
@@ -300,7 +300,7 @@ TEST(Qos, TransientLocalKeepsItsDepthForReadersThatComeLater) {
   for (const auto size : {"12", "16", "20"}) EXPECT_EQ(peer->ask("take rt/a", answer_s), size);
 }
 
-TEST(Qos, AStoppedReaderHoldsNoWriterForEver) {
+TEST(Qos, AStoppedReaderBlocksNoWriterForEver) {
   const Domain domain;
   const auto participant = domain.participant();
   const auto last = writer(*participant, "rt/last", "reliable 10");
@@ -312,9 +312,9 @@ TEST(Qos, AStoppedReaderHoldsNoWriterForEver) {
   ASSERT_TRUE(until(*participant, [&] { return last->matched() > 0 && all->matched() > 0; }));
   ::kill(peer->pid(), SIGSTOP);
   const Bytes large = pattern(400'000);
-  // Keep-last lets go of the oldest.
+  // Keep-last drops the oldest.
   for (int i = 0; i < 20; ++i) ASSERT_EQ(send(*last, large).value(), WriteOutcome::sent);
-  // Keep-all may not, and gives up when it owes too much.
+  // Keep-all may not, and refuses a write when too much is unacknowledged.
   int given_up = 0;
   for (int i = 0; i < 5; ++i) given_up += send(*all, large).value() == WriteOutcome::would_block;
   EXPECT_GT(given_up, 0);
@@ -322,7 +322,7 @@ TEST(Qos, AStoppedReaderHoldsNoWriterForEver) {
   ::kill(peer->pid(), SIGCONT);
   EXPECT_TRUE(
       until(*participant, [&] { return send(*all, pattern(77)).value() == WriteOutcome::sent; }));
-  // What was given up is missing, what was sent is there.
+  // The refused messages are missing, the sent ones arrive.
   for (; given_up < 5; ++given_up) EXPECT_EQ(peer->ask("take rt/all", answer_s), "400000");
   EXPECT_EQ(peer->ask("take rt/all", answer_s), "80");
 }
@@ -335,7 +335,7 @@ const RemoteChange* find(const std::vector<RemoteChange>& changes, bool is_there
   return nullptr;
 }
 
-TEST(Discovery, SaysWhoCameWithWhichQosAndWhoWent) {
+TEST(Discovery, ReportsNewEndpointsWithTheirQosAndEndedOnes) {
   const Domain domain;
   const auto participant = domain.participant();
   const auto own = writer(*participant, "rt/own");
@@ -383,14 +383,14 @@ TEST(Discovery, SaysWhoCameWithWhichQosAndWhoWent) {
   EXPECT_EQ(find(changes, false, Remote::Kind::reader, "rt/r"), nullptr);
 }
 
-TEST(Discovery, SaysWhoCameAndWentBetweenTwoLooks) {
+TEST(Discovery, ReportsEndpointsThatCameAndWentBetweenTwoLooks) {
   const Domain domain;
   const auto participant = domain.participant();
   const auto to = reader(*participant, "rt/w");
   const auto peer = domain.peer();
   ASSERT_EQ(peer->ask("reader rt/r agnocast_test::msg::dds_::Raw_ reliable 1"), "made");
   ASSERT_TRUE(until(*participant, [&] { return participant->remotes().size() == 2; }));
-  // From here on only Cyclone's threads follow.
+  // From here on only Cyclone's threads process discovery.
   const auto unseen = [](const auto& condition) {
     const auto end = std::chrono::steady_clock::now() + patience;
     while (!condition() && std::chrono::steady_clock::now() < end) std::this_thread::sleep_for(5ms);
@@ -420,7 +420,7 @@ TEST(Discovery, SaysWhoCameAndWentBetweenTwoLooks) {
   EXPECT_EQ(sample->writer, went->remote.guid);
 }
 
-TEST(Discovery, ForgetsWhatAKilledProcessHadWhenItsLeaseEnds) {
+TEST(Discovery, ForgetsTheEndpointsOfAKilledProcessWhenItsLeaseEnds) {
   const Domain domain;
   const auto participant = domain.participant();
   const auto to = reader(*participant, "rt/w");

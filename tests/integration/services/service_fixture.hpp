@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Services: the fixture for tests of services within one process, and what they wait with.
+// Services: the fixture for tests of services within one process, and its helpers for waiting.
 #pragma once
 
 #include <tests/integration/services/services.hpp>
@@ -60,7 +60,7 @@ template <class FutureT>
 bool is_ready_soon(const FutureT& future) {
   return future.wait_for(patience) == std::future_status::ready;
 }
-/// The code of the error that the future ends with; ok if it has a response.
+/// Returns the code of the error that the future ends with; ok if it has a response.
 template <class FutureT>
 Errc error_of(FutureT& future) {
   if (!is_ready_soon(future)) return Errc::internal;
@@ -72,7 +72,7 @@ Errc error_of(FutureT& future) {
   }
 }
 
-/// Requests that wait for somebody to answer them.
+/// Requests that wait for a response.
 struct Kept {
   std::mutex mutex;
   std::vector<ServiceRequest<Repeat>> requests;

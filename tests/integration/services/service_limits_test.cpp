@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a request is answered or fails exactly once, also when it is cancelled, when a side ends in its own
-// callback, and when nobody reads; bad types and names are refused.
+// Goal: a request is answered or fails exactly once, also when it is cancelled, when a side ends
+// in its own callback, and when a side does not read; bad types and names are refused.
 // Method: as service_test.cpp.
 
 #include <tests/integration/services/service_fixture.hpp>
@@ -11,7 +11,7 @@ namespace {
 
 // --- exactly once
 
-/// Copying its request, as publish does when it has to adopt one, runs what a test wants then.
+/// Copying its request, as publish does when it adopts one, runs the test's hook.
 struct Trap {
   static inline std::function<void()> on_copy;
   struct Request : SharedMessage {
@@ -41,7 +41,7 @@ struct MessageTraits<Trap::Response> {
 
 namespace {
 
-TEST_F(Services, SayOfARequestThatFailsEitherToTheCallerOrToTheCallback) {
+TEST_F(Services, ReportAFailedRequestEitherToTheCallerOrToTheCallback) {
   Node server("server"), asker("asker");
   auto service = server.create_service<Trap>("trap", [](const ServiceRequest<Trap>&) {});
   auto client = asker.create_client<Trap>("trap");
@@ -49,7 +49,7 @@ TEST_F(Services, SayOfARequestThatFailsEitherToTheCallerOrToTheCallback) {
   std::promise<void> called;
   auto call = called.get_future();
   int calls = 0;
-  // The server ends, and the request is given up, while it is being sent; and then that fails.
+  // The server ends, and the library abandons the request, during the send, which then fails.
   Trap::on_copy = [&] {
     service.reset();
     EXPECT_TRUE(is_ready_soon(call));
@@ -64,8 +64,8 @@ TEST_F(Services, SayOfARequestThatFailsEitherToTheCallerOrToTheCallback) {
       client->try_async_send_request(std::move(request), [&](const Client<Trap>::SharedFuture&) {
         if (++calls == 1) called.set_value();
       });
-  ASSERT_TRUE(sent) << "the callback was called, and so it was not refused";
-  EXPECT_FALSE(request) << "what was sent is the caller's no more";
+  ASSERT_TRUE(sent) << "the callback was called, so the send was not refused";
+  EXPECT_FALSE(request) << "the caller no longer has a sent request";
   auto future = sent->future;
   EXPECT_EQ(error_of(future), Errc::no_server);
   EXPECT_EQ(calls, 1);
@@ -79,7 +79,7 @@ TEST_F(Services, RememberRequestsInPrivateMemory) {
   ASSERT_TRUE(client->wait_for_service(patience));
   struct Callback {
     std::promise<bool>* is_shared;
-    std::array<std::byte, 512> bulk = {};  // is kept elsewhere than in a std::function itself
+    std::array<std::byte, 512> bulk = {};  // too large for the buffer inside a std::function
     void operator()(const Client<Repeat>::SharedFuture&) const {
       is_shared->set_value(agnocast_heaphook()->owns(this) != 0);
     }
@@ -136,7 +136,7 @@ TEST_F(Services, PruneRequestsAllOrByAge) {
   EXPECT_FALSE(was_called);
 }
 
-TEST_F(Services, AClientThatEndsBreaksItsFuturesAndIsNotAnswered) {
+TEST_F(Services, AClientThatEndsBreaksItsFuturesAndGetsNoResponse) {
   Node server("server"), asker("asker");
   Kept kept;
   auto service = server.create_service<Repeat>("left", kept.keep());
@@ -180,7 +180,7 @@ TEST_F(Services, MayEndInTheirOwnCallbacks) {
 
 // --- limits
 
-TEST_F(Services, ThatDoNotReadMakeTheSenderGetAnError) {
+TEST_F(Services, ThatDoNotReadCauseAnErrorAtTheSender) {
   Node server("late_server"), asker("asker");
   SingleThreadedExecutor nobody_spins;
   nobody_spins.add_node(server);
@@ -207,7 +207,7 @@ TEST_F(Services, ThatDoNotReadMakeTheSenderGetAnError) {
         << "nothing was overwritten";
 }
 
-TEST_F(Services, AClientThatDoesNotReadHoldsUpNobodyElse) {
+TEST_F(Services, AClientThatDoesNotReadDelaysNoOther) {
   Node server("server"), reads("reads"), sleeps("sleeps");
   Kept kept;
   SingleThreadedExecutor nobody_spins;
@@ -232,7 +232,7 @@ TEST_F(Services, AClientThatDoesNotReadHoldsUpNobodyElse) {
   EXPECT_EQ(kept.answer(service, 5), Errc::ok);
 }
 
-TEST_F(Services, RefuseWhatTheyCannotBe) {
+TEST_F(Services, RefuseImpossibleOptions) {
   Node node("node");
   const auto code = [&](const std::string& name, const QoS& qos) {
     const auto made = try_create_client<Repeat>(node, name, qos);
@@ -260,7 +260,7 @@ TEST_F(Services, OfAnotherTypeAreRefusedAlsoWhenOnlyTheResponseDiffers) {
 
 // --- names
 
-TEST_F(Services, AreRemappedAsTheCommandLineSays) {
+TEST_F(Services, AreRemappedByTheCommandLine) {
   const char* const line[] = {"program", "--ros-args",        "-r", "both:=b",
                               "-r",      "rosservice://s:=t", "-r", "rostopic://o:=p"};
   init(8, line);
@@ -276,7 +276,7 @@ TEST_F(Services, AreRemappedAsTheCommandLineSays) {
   init(1, none);
 }
 
-TEST(ServiceNames, TellTopicsOfServicesFromOthers) {
+TEST(ServiceNames, DistinguishTopicsOfServicesFromOthers) {
   using Kind = TopicRole::Kind;
   const TopicRole request = role_of_topic(request_topic("/ns/name"));
   EXPECT_EQ(request.kind, Kind::request);

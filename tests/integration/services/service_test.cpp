@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: requests get their responses, at once or later, once; and what cannot be answered ends with an
-// error, where it should, and soon.
-// Method: the public interface with the real daemon, all in this process. Nodes are run by the
-// library's threads unless the test says otherwise. More processes: service_processes_test.cpp.
+// Goal: requests get their responses, at once or later, once; and a request that cannot be
+// answered ends with an error, at the right place, and soon.
+// Method: the public interface with the real daemon, all in this process. The library's threads
+// run the nodes unless the test says otherwise. More processes: service_processes_test.cpp.
 
 #include <tests/integration/services/service_fixture.hpp>
 
@@ -12,7 +12,7 @@ namespace {
 
 // --- requests and responses
 
-TEST_F(Services, AnswerWhatTheyAreAsked) {
+TEST_F(Services, AnswerRequests) {
   Node server("server"), asker("asker");
   auto service = server.create_service<Repeat>("repeat", answer);
   auto client = asker.create_client<Repeat>("repeat");
@@ -57,10 +57,10 @@ TEST_F(Services, CallTheClientBackWithItsFuture) {
   ASSERT_TRUE(is_ready_soon(value));
   EXPECT_EQ(value.get(), 8u);
   ASSERT_TRUE(is_ready_soon(sent));
-  EXPECT_EQ(sent.get()->values.front(), 8u) << "the future that was returned is the same";
+  EXPECT_EQ(sent.get()->values.front(), 8u) << "it is the future that was returned";
 }
 
-TEST_F(Services, TakeCallbacksOfEveryPromisedShape) {
+TEST_F(Services, TakeCallbacksOfEveryPromisedSignature) {
   Node node("node");
   using Request = Repeat::Request;
   using Response = Repeat::Response;
@@ -94,7 +94,7 @@ TEST_F(Services, OfManyClientsAnswerEachItsOwn) {
   }
 }
 
-TEST_F(Services, LetGoOfClientsThatCameAndWent) {
+TEST_F(Services, ReleaseClientsThatCameAndWent) {
   Node server("server"), asker("asker");
   auto service = server.create_service<Repeat>("guests", answer);
   for (std::uint64_t guest = 0; guest < 50; ++guest) {
@@ -122,7 +122,7 @@ TEST_F(Services, RunInAnExecutorAndAreReadyBeforeItSpins) {
         Repeat::answer(*request, *response);
       });
   auto client = node.create_client<Repeat>("spun");
-  ASSERT_TRUE(client->wait_for_service(patience)) << "nobody spins yet";
+  ASSERT_TRUE(client->wait_for_service(patience)) << "no executor spins yet";
   auto sent = client->async_send_request(
       ask_for(client, 3),
       [&](const Client<Repeat>::SharedFuture&) { called = std::this_thread::get_id(); });
@@ -132,7 +132,7 @@ TEST_F(Services, RunInAnExecutorAndAreReadyBeforeItSpins) {
   EXPECT_EQ(called, std::this_thread::get_id());
 }
 
-TEST_F(Services, GiveTheExceptionOfACallbackToWhoeverSpins) {
+TEST_F(Services, GiveTheExceptionOfACallbackToTheSpinningCaller) {
   Node node("throws");
   SingleThreadedExecutor executor;
   executor.add_node(node);
@@ -202,7 +202,7 @@ TEST_F(Services, AnswerOnlyTheirOwnRequestsWithTheirOwnLoans) {
   EXPECT_EQ(other->send_response({}, other->borrow_loaned_response()).code, Errc::invalid_argument);
   EXPECT_EQ(service->send_response(kept.requests[0], other->borrow_loaned_response()).code,
             Errc::loan_invalid);
-  EXPECT_EQ(kept.answer(service, 0), Errc::ok) << "what failed can be tried again";
+  EXPECT_EQ(kept.answer(service, 0), Errc::ok) << "a failed response can be tried again";
   EXPECT_TRUE(is_ready_soon(sent));
 }
 
@@ -250,7 +250,7 @@ TEST_F(Services, SendNoRequestOfAnEarlierClient) {
   }
 }
 
-TEST_F(Services, CanLetGoOfARequestBeforeTheyAnswer) {
+TEST_F(Services, CanReleaseARequestBeforeTheyAnswer) {
   Node server("server"), asker("asker");
   Kept kept;
   auto service = server.create_service<Repeat>("light", kept.keep());
@@ -266,9 +266,9 @@ TEST_F(Services, CanLetGoOfARequestBeforeTheyAnswer) {
   EXPECT_TRUE(sent.get()->values.empty());
 }
 
-// --- who is there
+// --- servers come and go
 
-TEST_F(Services, AreWaitedForUntilSomebodyServes) {
+TEST_F(Services, AreWaitedForUntilAServerExists) {
   Node asker("asker"), server("server");
   auto client = asker.create_client<Repeat>("awaited");
   EXPECT_FALSE(client->service_is_ready());
@@ -283,26 +283,26 @@ TEST_F(Services, AreWaitedForUntilSomebodyServes) {
   EXPECT_TRUE(eventually([&] { return !client->service_is_ready(); }));
 }
 
-TEST_F(Services, RefuseARequestThatNobodyWouldAnswer) {
+TEST_F(Services, RefuseARequestWithoutAServer) {
   Node asker("asker");
   auto client = asker.create_client<Repeat>("nobody");
   auto request = ask_for(client, 9);
   const auto sent = client->try_async_send_request(std::move(request));
   ASSERT_FALSE(sent);
   EXPECT_EQ(sent.error().code, Errc::no_server);
-  ASSERT_TRUE(request) << "it is the caller's still";
+  ASSERT_TRUE(request) << "the caller still has it";
   EXPECT_EQ(request->value, 9u);
   EXPECT_EQ(client->get_pending_request_count(), 0u);
   try {
     client->async_send_request(std::move(request));
-    ADD_FAILURE() << "sent to nobody";
+    ADD_FAILURE() << "sent without a server";
   } catch (const Error& error) {
     EXPECT_EQ(error.failure().code, Errc::no_server);
     EXPECT_THAT(error.what(), testing::HasSubstr("/nobody"));
   }
 }
 
-TEST_F(Services, ThatEndLeaveAnErrorToWhoeverWaits) {
+TEST_F(Services, EndWithAnErrorForTheWaitingCaller) {
   Node server("server"), asker("asker");
   Kept kept;
   auto service = server.create_service<Repeat>("ends", kept.keep());
@@ -317,7 +317,7 @@ TEST_F(Services, ThatEndLeaveAnErrorToWhoeverWaits) {
   ASSERT_TRUE(eventually([&] { return kept.count() == 3; }));
   EXPECT_EQ(kept.answer(service, 0), Errc::ok);
   service.reset();
-  EXPECT_EQ(error_of(answered), Errc::ok) << "what was answered before counts";
+  EXPECT_EQ(error_of(answered), Errc::ok) << "earlier responses count";
   EXPECT_EQ(error_of(waits), Errc::no_server);
   auto code = called.get_future();
   ASSERT_TRUE(is_ready_soon(code));
@@ -325,7 +325,7 @@ TEST_F(Services, ThatEndLeaveAnErrorToWhoeverWaits) {
   EXPECT_EQ(client->get_pending_request_count(), 0u);
 }
 
-TEST_F(Services, ThatEndLeaveAnErrorAlsoIfTheirLastResponseIsMalformed) {
+TEST_F(Services, EndWithAnErrorAlsoIfTheirLastResponseIsMalformed) {
   Node asker("asker");
   SingleThreadedExecutor spins_late;
   spins_late.add_node(asker);
@@ -367,7 +367,7 @@ TEST_F(Services, HaveDestroyedTheirCallbackWhenTheyHaveEnded) {
                                             ipc_shared_ptr<Repeat::Response>& response) {
           Repeat::answer(*request, *response);
         });
-    // The library's thread makes the way to this one meanwhile.
+    // Meanwhile the library's thread makes the publisher to this client.
     auto client = asker.create_client<Repeat>("ended");
     service.reset();
     ASSERT_TRUE(callback.expired()) << "round " << round;
@@ -385,7 +385,7 @@ TEST_F(Services, OfSeveralTheFirstResponseCounts) {
   ASSERT_TRUE(eventually([&] { return kept_first.count() + kept_second.count() == 2; }));
   one.reset();
   EXPECT_EQ(kept_second.answer(two, 0), Errc::ok);
-  EXPECT_EQ(error_of(sent), Errc::ok) << "the other one had it still";
+  EXPECT_EQ(error_of(sent), Errc::ok) << "the other server still had it";
   ASSERT_TRUE(eventually([&] { return client->get_server_count() == 1; }));
 
   one = first.create_service<Repeat>("several", kept_first.keep());
