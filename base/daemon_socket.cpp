@@ -36,8 +36,8 @@ std::string first_line_of(const char* path) {
   return all.substr(0, all.find('\n'));
 }
 
-// The namespace of the whole host maps every number onto itself. Where nothing can be read, the
-// stricter answer.
+// The namespace of the whole host maps every number onto itself. Returns the stricter answer if
+// nothing can be read.
 bool has_unmapped_users() {
   unsigned long inside = 1, outside = 1, count = 0;
   const std::string line = first_line_of("/proc/self/uid_map");
@@ -47,7 +47,8 @@ bool has_unmapped_users() {
 
 bool others_write(const struct stat& file) noexcept { return (file.st_mode & 0022) != 0; }
 
-// Root made the directory, as nobody else can write beside it, and gave it to this user.
+// Returns whether root made the directory (nobody else can write beside it) and gave it to this
+// user.
 bool is_given_by_root(const ServerFacts& facts, const std::string& path) {
   const std::size_t slash = path.rfind('/');
   if (path.empty() || path[0] != '/' || slash == 0) return false;
@@ -59,7 +60,8 @@ bool is_given_by_root(const ServerFacts& facts, const std::string& path) {
   const std::string parent = above == 0 ? "/" : directory.substr(0, above);
   struct stat own {}, beside {};
   if (::lstat(directory.c_str(), &own) != 0 || ::lstat(parent.c_str(), &beside) != 0) return false;
-  // In a user namespace the host's root has no number either; who mounts directories there decides.
+  // In a user namespace the host's root has no number either; its mounter controls the
+  // directories there.
   const bool is_roots = beside.st_uid == 0 || facts.is_unknown(beside.st_uid);
   return S_ISDIR(own.st_mode) && own.st_uid == facts.server && !others_write(own) && is_roots &&
          !others_write(beside);
