@@ -16,11 +16,12 @@
 extern "C" {
 
 // narenas:1            arena 0, private, for metadata; the shared arena is created beside it
-// *_decay_ms:-1        only purge() returns pages, never a timer or free background_thread   
-// starts nothing oversize_threshold:0 no extra arena for large blocks: it would not be the shared
-// one lg_extent_max_.._fit 64 = any idle extent may be split for a small request; the default of
-// 6 assumes that a timer purges
-//                      large ones, and without one a new thread would take new memory beside them
+// *_decay_ms:-1        only purge() returns pages, never a timer or free
+// background_thread    starts nothing
+// oversize_threshold:0 no extra arena for large blocks: it would not be the shared one
+// lg_extent_max_.._fit 64 = any idle extent may be split for a small request; the default of 6
+//                      assumes that a timer purges large ones, and without one a new thread would
+//                      take new memory beside them
 // dss:disabled         no sbrk: the program break belongs to libc
 // abort*:false         never ends the process for its own reasons
 const char* agnocast_je_malloc_conf =
