@@ -47,7 +47,7 @@ struct Pipe {
   sigset_t none;
   ::sigemptyset(&none);
   ::sigprocmask(SIG_SETMASK, &none, nullptr);
-  ::signal(SIGPIPE, SIG_DFL);  // being ignored would be inherited
+  ::signal(SIGPIPE, SIG_DFL);  // the child would inherit that it is ignored
   if (!options.output.empty()) {
     const int file =
         ::open(options.output.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0600);
@@ -74,8 +74,8 @@ std::map<std::string_view, RoleMain>& roles() {
   return all;
 }
 
-// Never destroyed: a signal may come while the process ends. The mutex is of every Process' pid and status, too, as a pid
-// that was waited for may be somebody else's at once.
+// Never destroyed: a signal may come while the process ends. The mutex also guards the pid and
+// status of every Process, because a pid that was waited for may be reused at once.
 struct Everyone {
   std::recursive_mutex mutex;
   std::vector<Process*> processes;

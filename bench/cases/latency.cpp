@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Case latency: from before the publish call to the message in the receiver's hand, one sender, one receiver.
+// Case latency: from before the publish call to the message in the receiver's hand, one sender,
+// one receiver.
 //
 //   one core        every system that sleeps. Both processes on one CPU, so a wake-up is a switch
 //                   and nothing else; across cores it is mostly the interrupt and the halted CPU,

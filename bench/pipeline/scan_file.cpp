@@ -18,7 +18,8 @@ namespace agnocast::bench::pipeline {
 namespace {
 
 using Record = std::array<float, 5>;
-// Of any sensor's revolution; a film of many scans is refused before memory is taken for it.
+// More than any sensor's revolution; refuses a recording of many scans before it allocates memory
+// for it.
 constexpr std::streamoff points_max = 4'000'000;
 constexpr float rings_max = 1024;
 
