@@ -71,7 +71,7 @@ std::string refusal_of_sizes(const Options& options, const std::vector<Case>& ca
     if (!is_asked || one.reads.count("--sizes") == 0) continue;
     const std::string name(one.name);
     if (sizes.size() > one.sizes_max)
-      return name + " does not take more than one of --sizes; say one, or leave " + name + " out";
+      return name + " does not take more than one of --sizes; give one, or leave " + name + " out";
     for (const std::size_t size : sizes) {
       const std::vector<std::size_t>& known = one.sizes_of;
       if (known.empty() || std::find(known.begin(), known.end(), size) != known.end()) continue;

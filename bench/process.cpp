@@ -177,7 +177,7 @@ std::string Process::line(std::chrono::milliseconds at_most) {
     const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(end - Clock::now());
     pollfd entry{output_, POLLIN, 0};
     if (left.count() <= 0 || ::poll(&entry, 1, static_cast<int>(left.count())) == 0)
-      throw std::runtime_error(name_ + " says nothing any more");
+      throw std::runtime_error(name_ + " has stopped answering");
     char bytes[4096];
     const ssize_t count = ::read(output_, bytes, sizeof bytes);
     if (count == 0) throw std::runtime_error(name_ + " has ended unexpectedly");

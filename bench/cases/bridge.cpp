@@ -83,7 +83,7 @@ class Roads {
     const std::string began = sender_.line();
     std::int64_t began_ns = 0;
     if (std::from_chars(began.data(), began.data() + began.size(), began_ns).ec != std::errc())
-      throw std::runtime_error(std::string(road) + ": the sender says " + began);
+      throw std::runtime_error(std::string(road) + ": the sender reports: " + began);
     // The receiver answers when it has the message, or "late" when the time is up.
     if (!receiver_.send(std::string(road) + ' ' + std::to_string(number) + ' ' +
                         std::to_string(wait.count())))
@@ -92,7 +92,7 @@ class Roads {
     if (answer == "late") return std::nullopt;
     std::int64_t came_ns = 0;
     if (std::from_chars(answer.data(), answer.data() + answer.size(), came_ns).ec != std::errc())
-      throw std::runtime_error("the receiver says: " + answer);
+      throw std::runtime_error("the receiver reports: " + answer);
     return static_cast<double>(came_ns - began_ns);
   }
 

@@ -61,16 +61,16 @@ class Fanout {
     aims_.add_information(where + ", until the slowest has it / the floor's",
                           of_ours(&Series::ratios_to));
     report_.say(
-        "  agnocast's call wakes two sleepers; the control thread of its process wakes the others "
-        "and frees what is old:\n  that is in the sender's CPU, and in when the slowest has it");
+        "  agnocast's call wakes two receivers; the control thread of its process wakes the others "
+        "and frees old messages:\n  the sender's CPU and the time of the slowest include that");
   }
 
   void awake() {
-    const auto by_count = measure("awake", awake_, ", by turns on one core");
+    const auto by_count = measure("awake", awake_, ", alternating on one core");
     report_.say(
-        "  those who never sleep share a core by time slices: when the slowest has a message is "
-        "the "
-        "scheduler's doing,\n  what the publish call takes is the system's, with one reader at a "
+        "  receivers that never sleep share a core by time slices: the time of the slowest depends "
+        "on the "
+        "scheduler,\n  the time of the publish call on the system, with one reader at a "
         "time");
     for (const std::string name : {"agnocast-spinning", "agnocast-take"}) {
       const Series *const most = by_count.back().find(name), *const one =

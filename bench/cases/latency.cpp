@@ -90,7 +90,7 @@ class Latency {
         measure_bare_calls(wishes_.rounds(rounds), wishes_.is_small() ? 160 : 100000, services_,
                            [this] { steps_.next("bare calls"); });
     report_.say(
-        "\nbare calls, nobody asleep, 1 KiB: one thread, warm, both ends in one process,"
+        "\nbare calls, no sleeping receiver, 1 KiB: one thread, warm, both ends in one process,"
         " in batches of eight");
     Table table({"call", "ns", "x (mutex + clock)"});
     table.add({"mutex lock and unlock, one clock read", digits(measured.mutex_clock_ns), "1"});

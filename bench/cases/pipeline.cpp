@@ -107,7 +107,7 @@ std::vector<std::uint32_t> chosen_edges(const Run& run) {
   }
   if (chosen.empty())
     throw std::runtime_error(
-        "it has cyclonedds-tuned and agnocast-executor; say one of them, or both");
+        "it has cyclonedds-tuned and agnocast-executor; name one of them, or both");
   return chosen;
 }
 

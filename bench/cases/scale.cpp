@@ -267,33 +267,33 @@ std::vector<Curve> curves() {
 // Explanation of the slopes, from the design (docs/protocol.md, docs/control-plane.md).
 constexpr std::pair<const char*, const char*> made_of[] = {
     {"subscribers",
-     "The publish call looks at the sleep word of each process, and of small messages in one call "
-     "of eight (the lazy pass) at\n"
-     "  each member's link and hold bits: that is in the mean, hardly in the median. It rings two "
-     "processes that sleep itself,\n"
+     "The publish call reads the sleep word of each process, and with small messages in one call "
+     "of eight (the deferred scan)\n"
+     "  each subscription's link and hold bits: that is in the mean, hardly in the median. It rings "
+     "two sleeping processes itself,\n"
      "  by a system call each, and leaves the others to the control thread, whose work is in the "
      "last wake. That adds the\n"
-     "  processes' turns on the cores, or the callbacks before it in the one thread. A joining "
-     "publisher is\n"
-     "  announced to each process, which maps it before the message comes."},
+     "  processes' time on the cores, or the callbacks before it in the one thread. The daemon "
+     "announces a joining publisher\n"
+     "  to each process, which maps it before the message arrives."},
     {"publishers",
-     "The publish call does not know of other publishers. A waking process looks at the queue of "
+     "The publish call does not know other publishers. A waking process checks the queue of "
      "each publisher before it\n"
-     "  sleeps again. A joining subscription is announced every publisher, and links each; of "
-     "another process it also maps\n"
-     "  region and heap first."},
+     "  sleeps again. The daemon announces every publisher to a joining subscription, which links "
+     "each; if it is of another\n"
+     "  process, it first maps region and heap."},
     {"topics",
-     "Neither the data path nor a join looks at other topics: what remains is the caches'. The "
+     "Neither the data path nor a join reads other topics: the rest is a cache effect. The "
      "daemon's pages are those of\n"
      "  the topic in the board, of the publisher's extent, where it writes the first head, and its "
-     "own records; a joined one is\n"
-     "  a topic with a publisher and a subscription."},
+     "own records; each joined\n"
+     "  one is a topic with a publisher and a subscription."},
     {"processes",
-     "Neither the data path nor a join looks at processes that share no topic. The daemon keeps a "
+     "Neither the data path nor a join reads processes that share no topic. The daemon keeps a "
      "connection, a region, a\n"
-     "  heap window and two bells for each; a joined one is a process with a publisher and a "
-     "subscription on a topic of its own,\n"
-     "  whose pages (above) are most of its memory."},
+     "  heap window and two doorbells for each; each joined one is a process with a publisher and a "
+     "subscription on a topic\n"
+     "  of its own, whose pages (above) are most of its memory."},
 };
 
 class Scale {

@@ -79,8 +79,8 @@ class Participation {
         std::string_view(configuration).find("<SharedMemory>") != std::string_view::npos;
     if (dds_is_shared_memory_available(entity) != is_wanted)
       throw std::runtime_error(
-          is_wanted ? "Cyclone DDS was told to use iceoryx and does not; was it built with it?"
-                    : "Cyclone DDS uses iceoryx though it was not told to");
+          is_wanted ? "Cyclone DDS is configured to use iceoryx but does not; was it built with it?"
+                    : "Cyclone DDS uses iceoryx without being configured to");
     return entity;
   }
 

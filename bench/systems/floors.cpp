@@ -18,8 +18,7 @@
 //
 // One buffer of shared memory has the payload; the loop is closed, so it is not read while it is
 // written. In scratch:
-//   published  the number of the last message chain for floor-chain bells[receivers] what the
-//              futexes are
+//   published  the number of the last message   chain  for floor-chain   bells[receivers]  the futexes
 
 #include <bench/system.hpp>
 
