@@ -47,7 +47,7 @@ bool has_unmapped_users() {
 
 bool others_write(const struct stat& file) noexcept { return (file.st_mode & 0022) != 0; }
 
-// Returns whether root made the directory (nobody else can write beside it) and gave it to this
+// Returns whether root made the directory (only root can write beside it) and gave it to this
 // user.
 bool is_given_by_root(const ServerFacts& facts, const std::string& path) {
   const std::size_t slash = path.rfind('/');
@@ -89,7 +89,7 @@ Result<PacketSocket> connect_to_daemon(const std::string& path,
   ucred who{};
   socklen_t bytes = sizeof who;
   if (::getsockopt(socket->fd(), SOL_SOCKET, SO_PEERCRED, &who, &bytes) != 0)
-    return fail(Errc::os_failure, "asking who serves a socket", errno);
+    return fail(Errc::os_failure, "asking for the user that serves a socket", errno);
   ServerFacts facts;
   facts.server = who.uid;
   facts.self = ::geteuid();
@@ -100,7 +100,7 @@ Result<PacketSocket> connect_to_daemon(const std::string& path,
     return fail_with(Errc::daemon_untrusted,
                      path + " is served by user " + std::to_string(who.uid));
   } catch (const std::bad_alloc&) {
-    return fail(Errc::os_failure, "asking who serves a socket", ENOMEM);
+    return fail(Errc::os_failure, "asking for the user that serves a socket", ENOMEM);
   }
 }
 

@@ -41,7 +41,7 @@ class Doorbell {
     exhausted,  ///< the kernel is out of memory; the executor's safety timeout remains
   };
 
-  /// Mute: wakes nobody.
+  /// Mute: wakes no executor.
   Doorbell() = default;
   /// `eventfd` may be empty: then every ring is a datagram.
   explicit Doorbell(UniqueFd datagram, UniqueFd eventfd = UniqueFd()) noexcept
@@ -112,7 +112,7 @@ class DoorbellReceiver {
                                                 std::string_view name) noexcept;
 /// Daemon: the same, for a receiver whose name only its socket knows.
 [[nodiscard]] Result<UniqueFd> connect_doorbell(int receiver) noexcept;
-/// Daemon: makes one that reaches nobody, for a publisher that rings the eventfd. Errors:
+/// Daemon: makes one that reaches no receiver, for a publisher that rings the eventfd. Errors:
 /// os_failure.
 [[nodiscard]] Result<UniqueFd> make_mute_doorbell() noexcept;
 

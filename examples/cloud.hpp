@@ -71,7 +71,7 @@ inline std::string read_scan(const std::string& path, std::size_t fields, Scan& 
   if (end <= 0) return "no points";
   const auto bytes = static_cast<std::size_t>(end);
   const auto fits = [&](std::size_t count) { return bytes % (count * sizeof(float)) == 0; };
-  if (fields == 0 && fits(4) && fits(5)) return "its size fits 4 and 5 float32 per point: say --fields 4 or --fields 5";
+  if (fields == 0 && fits(4) && fits(5)) return "its size fits 4 and 5 float32 per point: give --fields 4 or --fields 5";
   if (fields == 0 && !fits(4) && !fits(5)) return "not a scan of 4 or 5 float32 per point: x y z intensity [ring]";
   if (fields == 0) fields = fits(5) ? 5 : 4;
   if (!fits(fields)) return "not a scan of " + std::to_string(fields) + " float32 per point";

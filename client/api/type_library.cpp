@@ -99,10 +99,10 @@ class Loader {
   bool has(const std::string& file) const { return path_of(file) != file; }
   const std::string& error() const noexcept { return error_; }
   std::string searched() const {
-    if (directories_.empty()) return " where the loader looks";
+    if (directories_.empty()) return " where the loader searches";
     std::string text = " in ";
     for (const std::string& directory : directories_) text += directory + ", ";
-    return text + "nor where the loader looks";
+    return text + "nor where the loader searches";
   }
 
  private:

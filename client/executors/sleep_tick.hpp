@@ -2,11 +2,11 @@
 //
 // SleepTick: ends every sleep after a second.
 //
-// A publisher that dies between commit and ring, with the daemon down as well, rings nobody. So
-// threads that sleep on doorbells check for work from time to time. The tick is a timer
-// descriptor in the epoll set; it must be read after each tick, because the kernel restarts it only
-// then. A timeout of epoll_wait would set up and remove a kernel timer for each message, a twentieth
-// of the time from a publisher to a wait set.
+// A publisher that dies between commit and ring, with the daemon down as well, wakes no
+// subscription. So threads that sleep on doorbells check for work from time to time. The tick is
+// a timer descriptor in the epoll set; it must be read after each tick, because the kernel
+// restarts it only then. A timeout of epoll_wait would set up and remove a kernel timer for each
+// message, a twentieth of the time from a publisher to a wait set.
 #pragma once
 
 #include <agnocast/result.hpp>

@@ -50,8 +50,8 @@ namespace agnocast {
     "it was not started, or it listens at another socket than the one that is named",                                                          \
     "start it: systemctl start agnocastd; or name its socket in AGNOCAST_SOCKET")                                                              \
   X(permission_denied, "this user may not do that",                                                                                            \
-    "the socket's mode and group do not let this user in, or what it asks for is another user's",                                             \
-    "ask the administrator to be let in: into the group of the socket, see agnocast-ctl doctor")                                              \
+    "the socket's mode and group do not let this user in, or what it asks for is another user's",                                              \
+    "ask the administrator to be let in: into the group of the socket, see agnocast-ctl doctor")                                               \
   X(layout_mismatch, "library and daemon disagree about the layout of shared memory",                                                          \
     "they were built from different versions, or one of them was not restarted after an update",                                               \
     "use both from the same version, and restart agnocastd and the process")                                                                   \
@@ -84,7 +84,7 @@ namespace agnocast {
     "release messages, or raise [heap] window_bytes or windows_per_process in agnocastd.toml")                                                 \
   X(bad_configuration, "the configuration of agnocastd cannot be used",                                                                        \
     "agnocastd.toml has an unknown key, a value of the wrong kind, or values that contradict each other",                                      \
-    "correct the line that is named beside it; agnocastd --check-config looks again")                                                          \
+    "correct the line that is named beside it; agnocastd --check-config checks it")                                                            \
   X(already_running, "another agnocastd has this socket",                                                                                      \
     "a daemon is running there already, for example the one that systemd has started",                                                         \
     "stop it, or start this one with another --socket")                                                                                        \
@@ -113,30 +113,30 @@ namespace agnocast {
     "the daemon was stopped and started, or what it keeps across restarts was lost",                                                           \
     "nothing: the library goes to it by itself; if that lasts, see island_reason and its log")                                                 \
   X(revoked, "the session of this process was ended from outside",                                                                             \
-    "somebody asked for it (agnocast-ctl process revoke), or the process held more than its quota, or kept memory mapped that it must unmap",  \
+    "a user asked for it (agnocast-ctl process revoke), or the process held more than its quota, or kept memory mapped that it must unmap",    \
     "see the log of agnocastd for the user and the reason, then restart the process")                                                          \
   X(store_damaged, "what agnocastd keeps across its restarts is damaged",                                                                      \
     "a fault of the machine, or of agnocastd, or another program has written into its memory",                                                 \
     "stop agnocastd and start it: what it kept is given up, and processes go to it by themselves")                                             \
   X(type_not_found, "there is no support for a message type of this name",                                                                     \
     "the package of the type is not installed or not sourced, or has no type support for introspection",                                       \
-    "check the spelling, and source the workspace that has its package (AMENT_PREFIX_PATH)")                                                  \
-  X(access_denied, "a rule of [[access]] does not let this user publish or subscribe there",                                                  \
-    "the first rule of agnocastd.toml that matches the topic and speaks of the action names others",                                          \
-    "see who may and why with agnocast-ctl access TOPIC, and ask the administrator for a rule")                                               \
-  X(descriptors_withheld, "agnocastd has answered, but the descriptors of its answer did not arrive",                                         \
-    "a security profile (AppArmor, SELinux) keeps them from this process, or something that passes no descriptors stands in between",         \
-    "allow it in the profile: share/agnocast/apparmor and share/agnocast/selinux have what it needs, see docs/containers.md")     \
-  X(no_server, "no server is there that could answer",                                                                                                     \
-    "no process serves this service, or the one that had the request has ended without having answered it",                                                \
-    "start the server, wait for it with wait_for_service, and send the request again if it may be done twice")                                           \
-  X(already_answered, "this request has been answered",                                                                                                    \
-    "two responses were sent to one request, or to two copies of it",                                                                                      \
-    "send one response to each request")                                                                                                                   \
-  X(daemon_untrusted, "the socket is served by another user that this process does not trust",                                                             \
-    "another user's program listens there instead of agnocastd, or agnocastd has a user of its own that this process does not know of",                     \
-    "name the right socket in AGNOCAST_SOCKET; if that user's daemon is meant, put its number into AGNOCAST_DAEMON_UID")                                     \
-  X(readers_differ, "other users than the readers of this topic may read the shared memory of this process",                                             \
+    "check the spelling, and source the workspace that has its package (AMENT_PREFIX_PATH)")                                                   \
+  X(access_denied, "a rule of [[access]] does not let this user publish or subscribe there",                                                   \
+    "the first rule of agnocastd.toml that covers the topic and the action names other users",                                                 \
+    "see the allowed users and the rule with agnocast-ctl access TOPIC, and ask the administrator for a rule")                                 \
+  X(descriptors_withheld, "agnocastd has answered, but the descriptors of its answer did not arrive",                                          \
+    "a security profile (AppArmor, SELinux) keeps them from this process, or something that passes no descriptors stands in between",          \
+    "allow it in the profile: share/agnocast/apparmor and share/agnocast/selinux have what it needs, see docs/containers.md")                  \
+  X(no_server, "no server is there that could answer",                                                                                         \
+    "no process serves this service, or the one that had the request has ended without having answered it",                                    \
+    "start the server, wait for it with wait_for_service, and send the request again if it may be done twice")                                 \
+  X(already_answered, "this request has been answered",                                                                                        \
+    "two responses were sent to one request, or to two copies of it",                                                                          \
+    "send one response to each request")                                                                                                       \
+  X(daemon_untrusted, "the socket is served by another user that this process does not trust",                                                 \
+    "another user's program listens there instead of agnocastd, or agnocastd has a user of its own that this process does not know of",        \
+    "name the right socket in AGNOCAST_SOCKET; if that user's daemon is meant, put its number into AGNOCAST_DAEMON_UID")                       \
+  X(readers_differ, "other users than the readers of this topic may read the shared memory of this process",                                   \
     "all topics of a process lie in one heap, and the rules of [[access]] let other users subscribe to this topic than to the one that is named beside it", \
     "publish it from a process of its own, or let the rules name the same users for both: agnocast-ctl access TOPIC")
 // clang-format on

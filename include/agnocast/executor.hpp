@@ -38,9 +38,9 @@ class AGNOCAST_PUBLIC Executor {
 
   /// Makes this executor run the callbacks of `node`, existing and future ones. Unread messages
   /// stay unread until the executor spins. A callback that is running in another thread finishes
-  /// there; none begins meanwhile. `node`: any object with get_fully_qualified_name(), by reference
-  /// or pointer; it is identified by that name alone.
-  /// Throws Error: invalid_argument (it is in an executor already), os_failure.
+  /// there; none begins meanwhile. `node`: any object with get_fully_qualified_name(), by
+  /// reference or pointer; it is identified by that name alone. Throws Error: invalid_argument
+  /// (it is in an executor already), os_failure.
   template <class Node>
   void add_node(Node&& node, [[maybe_unused]] bool notify = true) {
     add_node_of_name(detail::dereference(node).get_fully_qualified_name());
@@ -88,7 +88,7 @@ class AGNOCAST_PUBLIC Executor {
   enum class Readiness { work_ready, armed };
   /// Returns a descriptor for poll(), select() or epoll. It becomes readable when something
   /// arrives after prepare() returned `armed`, and once a second: if a publisher dies between
-  /// committing and ringing while the daemon is down, nobody rings. Never read from it. Constant
+  /// committing and ringing while the daemon is down, nothing rings. Never read from it. Constant
   /// for the executor's life.
   int fd() const noexcept;
   /// Returns `work_ready`: call dispatch(); or `armed`: wait for fd(), then call dispatch().

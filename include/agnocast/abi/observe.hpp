@@ -136,7 +136,7 @@ struct DaemonCounters {
   std::uint64_t connections_refused;
   std::uint64_t readers_withdrawn;     // a publisher stopped serving a subscription
   std::uint64_t readers_served_again;  // and resumed
-  std::uint64_t readers_mute;          // subscriptions that became mute: nobody can ring them
+  std::uint64_t readers_mute;          // subscriptions that became mute: no ring reaches them
 };
 /// [limits] of the configuration.
 struct DaemonLimits {
