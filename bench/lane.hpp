@@ -47,7 +47,7 @@ struct Plan {
   bool is_real_time = true;  ///< SCHED_FIFO if pinned
   std::size_t depth = 10;
   std::int64_t lasting_ns = 0;  ///< throughput: how long to send; there `messages` is 1
-  /// Of the receivers; 0: the sender's. Only root can have others.
+  /// The receivers' user; 0: the sender's. Only root can set another.
   std::uint32_t receiver_uid = 0;
   std::size_t all_messages() const noexcept { return warm_up + messages; }
 };

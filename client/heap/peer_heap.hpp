@@ -68,7 +68,7 @@ class PeerHeap {
   /// The same for this process's own heap, which the hook has mapped already.
   [[nodiscard]] Result<void> add_own(const Announced& window) noexcept;
 
-  /// Maps what the owner has taken into use since the last call. Returns the number of windows
+  /// Maps the bytes the owner took into use since the last call. Returns the number of windows
   /// checked: one added meanwhile has not been opened. A system call only after growth.
   std::uint64_t open() noexcept;
   struct Range {

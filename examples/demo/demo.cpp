@@ -281,7 +281,7 @@ class Demo {
     const std::uint64_t address = data_address(sent_.back());
     const auto show = [&](const Process& process) {
       const auto place = place_in(process.pid(), address).value_or(MappedPlace{});
-      // Of the name, without the window's address and owner behind it.
+      // The name is shown without the window's address and owner behind it.
       report_.line(format("    %-13s %#llx  %s  inode %llu  %s", process.name().c_str(),
                           static_cast<unsigned long long>(address), place.permissions.c_str(),
                           static_cast<unsigned long long>(place.inode),
