@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// AnswerPacket: one packet of what the daemon answers an observer at length: several bodies, each behind
-// its own header and as long as that says (include/agnocast/abi/observe.hpp). Input: a body is looked at only
-// after is_whole().
+// AnswerPacket: one packet of a long answer to an observer, with several bodies, each behind its
+// own header that gives its length (include/agnocast/abi/observe.hpp). The packet is input: call
+// is_whole() before reading a body.
 #pragma once
 
 #include <agnocast/abi/observe.hpp>
@@ -19,19 +19,19 @@ namespace agnocast {
 
 class AnswerPacket {
  public:
-  /// Where the next packet is received into.
+  /// Returns the buffer to receive the next packet into.
   std::span<std::byte> buffer() noexcept { return bytes_; }
-  /// It is there; the present body is its first. An empty Packet: there is none.
+  /// Starts at the first body of a received packet. An empty Packet has none.
   void begin(Packet packet) noexcept {
     packet_ = std::move(packet);
     at_ = descriptors_taken_ = 0;
   }
-  /// On to the body behind the present one, which is_whole(). False: there is none.
+  /// Moves behind the present body, which must be whole. Returns false if no body follows.
   bool advance() noexcept {
     if (at_ < packet_.bytes) at_ += header().bytes;
     return at_ < packet_.bytes;
   }
-  /// Whether the present body is inside the packet.
+  /// Returns whether the present body is inside the packet.
   bool is_whole() const noexcept {
     if (packet_.bytes - at_ < sizeof(abi::wire::Header)) return false;
     return header().bytes >= sizeof(abi::wire::Header) && header().bytes <= packet_.bytes - at_;
@@ -41,14 +41,14 @@ class AnswerPacket {
     std::memcpy(&header, &bytes_[at_], sizeof header);
     return header;
   }
-  /// The present body as a T, if it is as long.
+  /// Copies the present body to `body`. Returns false if its length differs.
   template <class Body>
   bool read(Body& body) const noexcept {
     if (header().bytes != sizeof body) return false;
     std::memcpy(static_cast<void*>(&body), &bytes_[at_], sizeof body);
     return true;
   }
-  /// The next descriptor of the packet; empty when it brought no more.
+  /// Returns the next descriptor of the packet; empty if there are no more.
   UniqueFd take_descriptor() noexcept {
     if (descriptors_taken_ == packet_.descriptor_count) return {};
     return std::move(packet_.descriptors[descriptors_taken_++]);

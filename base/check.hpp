@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// AGNOCAST_CHECK: an invariant of our own, always looked at. For the programs and the tests only:
-// they print and abort, and what a daemon leaves behind is recovered by its next start. The library
-// never uses it (a library does not end its host). What a peer wrote is input and never checked
-// with this.
+// AGNOCAST_CHECK: checks an invariant of our own code, in every build. For the programs and the
+// tests only: they print and abort, and the daemon's next start recovers its state. The library
+// never uses it (a library does not end its process). Never check input from a peer with it.
 #pragma once
 
 #include <base/standard_error.hpp>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Clock: the one time that all processes of the host share and nobody can set.
+// Clock: the one time that all processes of the host share and no one can set.
 #pragma once
 
 #include <cstdint>
@@ -8,7 +8,7 @@
 
 namespace agnocast {
 
-/// CLOCK_MONOTONIC.
+/// Returns CLOCK_MONOTONIC in nanoseconds.
 inline std::uint64_t monotonic_ns() noexcept {
   timespec now{};
   ::clock_gettime(CLOCK_MONOTONIC, &now);

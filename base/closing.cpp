@@ -26,7 +26,8 @@
 namespace agnocast {
 namespace {
 
-// How often the end of a thread is looked for: at once nearly always, and for ever if it is stuck.
+// Intervals of polling for the end of a thread, which nearly always comes at once, and never if
+// it is stuck.
 constexpr std::chrono::microseconds first_pause{50}, last_pause{100'000};
 
 /// Steps that two threads wait for.
@@ -50,16 +51,17 @@ class Stages {
   std::atomic<int> stage_{begun};
 };
 
-/// What the ending thread and the one that begins it say to each other.
+/// State shared by the ending thread and its creator.
 struct Handover {
   std::span<const UniqueFd> fds;
-  const std::function<void(int)>* work = nullptr;  // with the number of the first one
+  const std::function<void(int)>* work = nullptr;  // called with the number of the first one
   Stages stages;
   std::size_t taken_count = 0;
   EndingThread thread;
 };
 
-// A table without anything in it; then this very process, whose other threads have the former one.
+// Gives this thread an empty descriptor table. Returns a pidfd of this process, whose other
+// threads keep the old table.
 int leave_table() noexcept {
   if (::syscall(SYS_close_range, 0U, ~0U, CLOSE_RANGE_UNSHARE) != 0) return -1;
   return static_cast<int>(::syscall(SYS_pidfd_open, ::getpid(), 0U));
@@ -68,7 +70,7 @@ int leave_table() noexcept {
 void take_over_and_end(Handover& handover) noexcept {
   handover.thread.id = static_cast<pid_t>(::syscall(SYS_gettid));
   const int process = leave_table();
-  // The numbers of an empty table follow each other.
+  // The numbers of an empty table are consecutive.
   const int first = process + 1;
   std::size_t taken = 0;
   while (process >= 0 && taken < handover.fds.size() &&
@@ -90,18 +92,18 @@ EndingThread hand_over(std::span<UniqueFd> fds,
     const SignalsBlocked blocked;
     std::thread thread([&] { take_over_and_end(handover); });
     handover.stages.wait_for(Stages::taken);
-    // Not the last ones: these closes do nothing but give the numbers back.
+    // These are not the last references, so the closes only release the numbers.
     for (UniqueFd& fd : fds.first(handover.taken_count)) fd.reset();
     handover.stages.go_to(Stages::given);
-    thread.join();  // which says nothing of what the kernel still does for it
+    thread.join();  // does not wait for the kernel's work at its end
   } catch (const std::exception&) {  // no thread left, or no memory for one
     handover.thread.error = EAGAIN;
   }
   return handover.thread;
 }
 
-// Threads that have thrown a datagram away and may be stuck at their end. As many bells of a process can be
-// poisoned with something that does not let go.
+// Threads that have discarded a datagram and may be stuck at their end. So many doorbells of a
+// process can contain a descriptor whose close never returns.
 std::array<std::atomic<pid_t>, 8> emptying{};
 
 std::atomic<pid_t>* free_place() noexcept {
@@ -113,14 +115,14 @@ std::atomic<pid_t>* free_place() noexcept {
   return nullptr;
 }
 
-/// What a thread that throws a datagram away shares with the one that does not wait for it.
+/// State shared by a thread that discards a datagram and its creator, which does not wait for it.
 struct Emptied {
   Stages stages;
   bool has_socket = false;
 };
 
-// With room for all, so that the kernel closes nothing on the way. `socket` is a number of the caller's, and may be
-// another's as soon as the caller goes on.
+// Has room for all descriptors, so the kernel closes none in between. `socket` is a number of the
+// caller's table, which may be reused as soon as the caller continues.
 void receive_one_and_end(int socket, std::atomic<pid_t>& place, Emptied& emptied) noexcept {
   constexpr std::size_t descriptors_per_packet = 253;  // SCM_MAX_FD
   const int process = leave_table();
@@ -140,7 +142,8 @@ void receive_one_and_end(int socket, std::atomic<pid_t>& place, Emptied& emptied
 // Only shared memory has seals.
 bool is_shared_memory(int fd) noexcept { return ::fcntl(fd, F_GET_SEALS) >= 0; }
 
-// The memory that came, if nothing else did. Descriptors that have no place in the packet go to `more`.
+// Returns the received memory, if it is the only descriptor. Descriptors beyond the packet's
+// places go to `more`.
 UniqueFd* receive_into(ReceivedMemory& received, const PacketSocket& connection,
                        std::span<std::byte> buffer, std::vector<UniqueFd>& more) noexcept {
   try {
@@ -154,8 +157,8 @@ UniqueFd* receive_into(ReceivedMemory& received, const PacketSocket& connection,
   return received.descriptor_count == 1 && is_shared_memory(fds[0].get()) ? fds.data() : nullptr;
 }
 
-// In the ending thread, which closes nothing before its end. `first`: the number of the connection; the next one is
-// a way back.
+// Runs in the ending thread, which closes nothing before its end. `first`: number of the
+// connection; the next number is the socket back to the caller.
 void receive_and_end(ReceivedMemory& received, std::span<std::byte> buffer, int first) noexcept {
   PacketSocket connection{UniqueFd(first)}, way_back{UniqueFd(first + 1)};
   std::vector<UniqueFd> more;
@@ -199,7 +202,7 @@ void close_by_ending_thread(std::span<UniqueFd> fds) noexcept {
     for (auto pause = first_pause; !has_ended(thread.id); pause = std::min(pause * 2, last_pause))
       std::this_thread::sleep_for(pause);
   }
-  for (UniqueFd& fd : fds) fd.reset();  // what could not be taken over
+  for (UniqueFd& fd : fds) fd.reset();  // those that the thread could not take over
 }
 
 void use_in_own_table(int fd, const std::function<void(int)>& work) noexcept {
@@ -221,7 +224,7 @@ void use_in_own_table(int fd, const std::function<void(int)>& work) noexcept {
 void close_received(std::span<UniqueFd> fds) noexcept {
   const linger none{};
   for (UniqueFd& fd : fds) {
-    ::setsockopt(fd.get(), SOL_SOCKET, SO_LINGER, &none, sizeof none);  // others refuse it
+    ::setsockopt(fd.get(), SOL_SOCKET, SO_LINGER, &none, sizeof none);  // fails for non-sockets
     fd.reset();
   }
 }
@@ -279,7 +282,7 @@ bool throw_datagram_away(int socket) noexcept {
     const auto emptied = std::make_shared<Emptied>();
     std::thread([socket, place, emptied] { receive_one_and_end(socket, *place, *emptied); })
         .detach();
-    emptied->stages.wait_for(Stages::taken);  // for nobody else: no more than two system calls
+    emptied->stages.wait_for(Stages::taken);  // short: it makes two system calls
     if (!emptied->has_socket) return false;
     for (auto waited = step; !emptied->stages.has_come_to(Stages::done); waited += step) {
       if (waited > patience) return false;

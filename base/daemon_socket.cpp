@@ -36,8 +36,8 @@ std::string first_line_of(const char* path) {
   return all.substr(0, all.find('\n'));
 }
 
-// The namespace of the whole host maps every number onto itself. Where nothing can be read, the
-// stricter answer.
+// The namespace of the whole host maps every number onto itself. Returns the stricter answer if
+// nothing can be read.
 bool has_unmapped_users() {
   unsigned long inside = 1, outside = 1, count = 0;
   const std::string line = first_line_of("/proc/self/uid_map");
@@ -47,7 +47,8 @@ bool has_unmapped_users() {
 
 bool others_write(const struct stat& file) noexcept { return (file.st_mode & 0022) != 0; }
 
-// Root made the directory, as nobody else can write beside it, and gave it to this user.
+// Returns whether root made the directory (only root can write beside it) and gave it to this
+// user.
 bool is_given_by_root(const ServerFacts& facts, const std::string& path) {
   const std::size_t slash = path.rfind('/');
   if (path.empty() || path[0] != '/' || slash == 0) return false;
@@ -59,7 +60,8 @@ bool is_given_by_root(const ServerFacts& facts, const std::string& path) {
   const std::string parent = above == 0 ? "/" : directory.substr(0, above);
   struct stat own {}, beside {};
   if (::lstat(directory.c_str(), &own) != 0 || ::lstat(parent.c_str(), &beside) != 0) return false;
-  // In a user namespace the host's root has no number either; who mounts directories there decides.
+  // In a user namespace the host's root has no number either; its mounter controls the
+  // directories there.
   const bool is_roots = beside.st_uid == 0 || facts.is_unknown(beside.st_uid);
   return S_ISDIR(own.st_mode) && own.st_uid == facts.server && !others_write(own) && is_roots &&
          !others_write(beside);
@@ -87,7 +89,7 @@ Result<PacketSocket> connect_to_daemon(const std::string& path,
   ucred who{};
   socklen_t bytes = sizeof who;
   if (::getsockopt(socket->fd(), SOL_SOCKET, SO_PEERCRED, &who, &bytes) != 0)
-    return fail(Errc::os_failure, "asking who serves a socket", errno);
+    return fail(Errc::os_failure, "asking for the user that serves a socket", errno);
   ServerFacts facts;
   facts.server = who.uid;
   facts.self = ::geteuid();
@@ -98,7 +100,7 @@ Result<PacketSocket> connect_to_daemon(const std::string& path,
     return fail_with(Errc::daemon_untrusted,
                      path + " is served by user " + std::to_string(who.uid));
   } catch (const std::bad_alloc&) {
-    return fail(Errc::os_failure, "asking who serves a socket", ENOMEM);
+    return fail(Errc::os_failure, "asking for the user that serves a socket", ENOMEM);
   }
 }
 

@@ -1,17 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Connecting to agnocastd, and to nobody else: what listens at the path may be another user's program,
-// which would be told who we are and whose memory we would map. The kernel says who made the socket listen
-// (SO_PEERCRED). Trusted are, in this order:
+// Connects to agnocastd only: another user's program may listen at the path. It would learn the
+// identity of this process, which would map its memory. The kernel knows which user made the
+// socket listen (SO_PEERCRED). Trusted are, in this order:
 //
 //   root              the system's daemon; also behind a socket that systemd has made
 //   this user         its own daemon
-//   $AGNOCAST_DAEMON_UID  whom the environment of this process names, by number
-//   whom root has given the directory of the socket: its owner, where only root can write beside it,
-//                     and no name on the way is a link (RuntimeDirectory= of a unit with User=)
+//   $AGNOCAST_DAEMON_UID  the user with this number
+//   the owner of the socket's directory, if root gave it to that user: only root can write
+//                     beside it, and no name on the way is a link (RuntimeDirectory= of a unit
+//                     with User=)
 //
-// Effective ids count, and a program with raised rights (AT_SECURE) reads no variable. In a user namespace
-// all users of the host without a number there are one, the overflow uid: that one is nobody's own.
+// Effective ids count, and a program with raised rights (AT_SECURE) reads no variable. In a user
+// namespace all users of the host without a number share one, the overflow uid, which never
+// counts as this user.
 #pragma once
 
 #include <agnocast/result.hpp>
@@ -25,22 +27,23 @@
 
 namespace agnocast {
 
-/// As PacketSocket::connect, and asks who listens. Further error: daemon_untrusted.
+/// As PacketSocket::connect, and checks the listening user. Further error: daemon_untrusted.
 [[nodiscard]] Result<PacketSocket> connect_to_daemon(
     const std::string& path,
     std::chrono::milliseconds patience = PacketSocket::connect_patience) noexcept;
 
-/// Whether this number stands for users of the host that have none in this user namespace.
+/// Returns whether this number stands for users of the host that have none in this user
+/// namespace.
 bool is_unknown_user(uid_t user);
 
-/// What is_trusted_server() goes by, beside the file system.
+/// Input of is_trusted_server(), besides the file system.
 struct ServerFacts {
   uid_t server = 0;
   uid_t self = 0;               ///< effective
   std::string_view named = {};  ///< $AGNOCAST_DAEMON_UID
   bool (*is_unknown)(uid_t) = is_unknown_user;
 };
-/// Whether the user that listens at `path` is one of those above.
+/// Returns whether the user that listens at `path` is one of those above.
 bool is_trusted_server(const ServerFacts& facts, const std::string& path);
 
 }  // namespace agnocast

@@ -23,7 +23,7 @@ namespace {
 constexpr unsigned drain_batch = 32;
 constexpr unsigned drain_rounds_max = 32;
 
-// Directory and name as an address, without allocating.
+// Builds an address from directory and name, without allocating.
 Result<UnixAddress> address_in(const std::string& directory, std::string_view name) noexcept {
   if (name.empty() || name.find('/') != std::string_view::npos)
     return fail(Errc::invalid_argument, "the name of a doorbell is empty or has a slash");
@@ -53,10 +53,10 @@ Result<UniqueFd> connect_to(const UnixAddress& address, socklen_t address_bytes)
   return fail(Errc::os_failure, "connecting to a doorbell", errno);
 }
 
-// What is found without taking it is what is taken: nobody else reads from this socket.
+// Peeks first, then takes the same datagram: no other thread reads from this socket.
 bool drain_carefully(int socket) noexcept {
   for (unsigned count = 0; count < drain_batch * drain_rounds_max; ++count) {
-    msghdr message{};  // without room: the kernel opens nothing, and says that it would have
+    msghdr message{};  // without room: the kernel opens nothing, but reports that it would have
     if (::recvmsg(socket, &message, MSG_PEEK | MSG_DONTWAIT) < 0) {
       if (errno == EINTR) continue;
       return true;
@@ -84,7 +84,8 @@ Doorbell::Rung Doorbell::ring() const noexcept {
       status = ::write(eventfd_.get(), &one, sizeof one);
     } while (status < 0 && errno == EINTR);
     if (status == sizeof one) return Rung::rung;
-    // EAGAIN: somebody filled the counter. Anything else: not an eventfd. The datagram decides.
+    // EAGAIN: another process filled the counter. Anything else: not an eventfd. The datagram
+    // decides.
   }
   ssize_t status = 0;
   do {
@@ -112,7 +113,7 @@ Result<void> DoorbellReceiver::add_to(int epoll, std::uint64_t eventfd_tag,
 }
 
 void DoorbellReceiver::remove_from(int epoll) const noexcept {
-  if (has_lost_kept()) return;  // these numbers may be others'
+  if (has_lost_kept()) return;  // these numbers may belong to other files now
   ::epoll_ctl(epoll, EPOLL_CTL_DEL, eventfd_.get(), nullptr);
   ::epoll_ctl(epoll, EPOLL_CTL_DEL, datagram_.get(), nullptr);
 }
@@ -144,7 +145,7 @@ Result<DoorbellReceiver> make_doorbell(const std::string& directory,
                                        std::string_view name) noexcept {
   const auto address = address_in(directory, name);
   if (!address) return tl::unexpected(address.error());
-  // Who may enter the directory may connect a sender of his own.
+  // Any process that may enter the directory could connect a sender of its own.
   struct stat entry {};
   if (::stat(directory.c_str(), &entry) != 0)
     return fail(Errc::os_failure, "looking at the directory of doorbells", errno);

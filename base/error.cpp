@@ -39,8 +39,8 @@ class Category final : public std::error_category {
   std::string message(int code) const override { return sentence_of(static_cast<Errc>(code)); }
 };
 
-// Of the calling thread: the detail of the last failure that had one. Numbers are never given out
-// twice in a process, so a failure cannot find the text of another one.
+// The detail of the calling thread's last failure that had one. Numbers are unique in a process,
+// so a failure cannot find the text of another one.
 struct LastDetail {
   std::uint64_t number = 0;
   char text[detail_bytes_max] = "";
@@ -91,7 +91,7 @@ std::string text_of(const Failure& failure) {
 }
 
 Failure failure_with(Errc code, const char* detail, int os_errno) noexcept {
-  // `detail` may be the detail of an earlier failure, with nothing to be done.
+  // `detail` may be the stored text of an earlier failure: memmove allows that.
   const std::size_t length = ::strnlen(detail, detail_bytes_max - 1);
   std::memmove(last_detail.text, detail, length);
   last_detail.text[length] = '\0';

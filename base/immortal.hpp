@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What a process has one of and never destroys: statics of the user, their destructors and other threads use it while
-// exit handlers run. It lies in place, since who asks first may be where nothing can be thrown.
+// Immortal objects: one per process, never destroyed, because statics of the user, their
+// destructors and other threads use it while exit handlers run. Static storage, because the first
+// call may be where nothing may throw.
 #pragma once
 
 #include <cstddef>
@@ -10,7 +11,7 @@
 
 namespace agnocast {
 
-/// The one T; any thread.
+/// Returns the only T; any thread.
 template <class T>
 T& immortal() noexcept {
   static_assert(std::is_nothrow_default_constructible_v<T>);

@@ -13,21 +13,22 @@
 #include <cerrno>
 #include <cstddef>
 
-// close(3), as the linker calls it where close() is ours. Elsewhere nothing is kept, and nothing closed here.
+// close(3), under the linker's name where close() is wrapped. Elsewhere nothing is kept, and
+// nothing closed here.
 extern "C" [[gnu::weak]] int __real_close(int fd);
 
 namespace agnocast {
 namespace {
 
-// 64 KiB, of which only what is in use is memory. A number beyond is closed without a look.
+// 64 KiB; only the used part has memory. Numbers beyond are not tracked.
 constexpr int number_end = 8192;
-// What programs have open at a time lies below. Half of a smaller limit.
+// Above the numbers that programs usually have open. Half of a smaller limit.
 constexpr int high_number = 512;
 
-// What is behind each number that is kept; 0: it is not kept. All eventfds, timers and epoll sets are one
-// inode: among them the number alone tells.
+// Identity of the file behind each kept number; 0: not kept. All eventfds, timers and epoll sets
+// share one inode: among them only the number identifies.
 constinit std::atomic<std::uint64_t> identities[number_end] = {};
-constinit std::atomic<int> highest{-1};  // that was ever kept
+constinit std::atomic<int> highest{-1};  // number ever kept
 
 std::uint64_t identity_of(int fd) noexcept {
   struct stat status {};
@@ -43,7 +44,7 @@ int lowest_wanted() noexcept {
   return static_cast<int>(std::min<rlim_t>(limit.rlim_cur / 2, high_number));
 }
 
-// close() of this number does nothing but say that it is ours.
+// close() of this number only reports that close() is wrapped.
 constexpr int no_number = -4242;
 constinit std::atomic<bool> close_is_ours{false};
 
@@ -64,11 +65,12 @@ int close_if_intact(int fd) noexcept {
   }
   if (fd >= 0 && fd < number_end) {
     const std::uint64_t kept = identities[fd].load(std::memory_order_relaxed);
-    if (kept != 0 && kept != identity_of(fd)) return 0;  // somebody else's; it stays marked as lost
+    if (kept != 0 && kept != identity_of(fd)) return 0;  // another file; stays marked as lost
     identities[fd].store(0, std::memory_order_relaxed);
   }
-  // Who is cancelled in close(3) would leave a destructor half way. Not by the bare system call, which
-  // sanitizers do not see: they would take the next descriptor of this number for a race with the last.
+  // Cancellation in close(3) would end a destructor half way. Not by the bare system call, which
+  // sanitizers do not see: they would report the next descriptor of this number as a race with
+  // the last.
   int before = PTHREAD_CANCEL_ENABLE;
   ::pthread_setcancelstate(PTHREAD_CANCEL_DISABLE, &before);
   const int status = __real_close(fd);
@@ -78,7 +80,7 @@ int close_if_intact(int fd) noexcept {
 
 }  // namespace
 
-// By the linker: everything that is linked with this and calls close().
+// The linker redirects close() of everything linked with this file here.
 extern "C" int __wrap_close(int fd);
 extern "C" int __wrap_close(int fd) { return close_if_intact(fd); }
 
@@ -111,7 +113,7 @@ bool is_intact(int fd) noexcept {
 bool lost_kept() noexcept {
   if (has_lost_kept()) return true;
   for (int fd = 0; fd <= highest.load(std::memory_order_relaxed); ++fd) {
-    // Its owner may close it, and keep another one there, between two looks.
+    // Its owner may close it, and keep another one there, between two checks.
     const auto is_lost = [&] {
       return identities[fd].load(std::memory_order_relaxed) != 0 && !is_intact(fd);
     };

@@ -1,20 +1,21 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Kept descriptors: those that a library keeps in a process that is not its own. The program around it may
-// close what it did not open (close_range, a daemon that cleans up, a number closed twice) and open files
-// of its own under the same numbers. The library must not write to those, map them or close them.
+// Kept descriptors: descriptors of a library in a process that belongs to another program. That
+// program may close descriptors it did not open (close_range, a cleaning daemon, a number closed
+// twice) and open files of its own under the same numbers. The library must not write to those,
+// map them or close them.
 //
-//   keep()        moves a descriptor to a high number, out of the way of what the program opens next, and
-//                 remembers what is behind it
-//   is_intact()   is that still there? One system call; before a descriptor is mapped or told to others
-//   close()       of a number that was kept closes it only if it is intact: for what is linked with
+//   keep()        moves a descriptor to a high number, away from those that the program opens
+//                 next, and remembers its identity
+//   is_intact()   checks that identity. One system call; use it before mapping or sending one
+//   close()       of a kept number closes it only if it is intact: for code linked with
 //                 --wrap=close, so that no destructor is forgotten; elsewhere nothing is kept
-//   lost_kept()   looks at all of them. A control thread does so once a second; when one is gone, nobody uses
-//                 any of them without a look of its own (may_use())
+//   lost_kept()   checks all of them. A control thread calls it once a second; once one is lost,
+//                 every use needs a check of its own (may_use())
 //
-// What rings a sleeper is not looked at each time: that would be a second system call for each message. Up
-// to a second goes by before it is, and in it a number from the high range would have to be given out again.
-// The kernel gives out the lowest one that is free.
+// Doorbells are not checked at each ring: that would be a second system call for each message. A
+// loss goes unnoticed for up to a second, and matters only if the kernel reassigns a number from
+// the high range in that time. The kernel assigns the lowest free number.
 //
 // A table by number, without locks, because forked children close as well.
 #pragma once
@@ -26,21 +27,23 @@
 
 namespace agnocast {
 
-/// The same descriptor, close-on-exec, kept. Where no high number is free it has the number that it had.
+/// Returns the descriptor, close-on-exec and kept. It retains its number if no high number is
+/// free.
 UniqueFd keep(UniqueFd fd) noexcept;
-/// Whether this number, if it was kept, is what it was then. Any thread; errno stays.
+/// Returns whether this number, if kept, is still the same file. Any thread; errno stays.
 bool is_intact(int fd) noexcept;
-/// Whether somebody else has closed a kept one: for good. Looks at all, a system call for each.
+/// Returns whether other code has closed a kept one; stays true. Checks all, one system call
+/// each.
 bool lost_kept() noexcept;
 
 namespace detail {
 inline constinit std::atomic<bool> has_lost_kept{false};
 }
-/// lost_kept() has said so. Any thread.
+/// Returns whether lost_kept() has found one. Any thread.
 inline bool has_lost_kept() noexcept {
   return detail::has_lost_kept.load(std::memory_order_relaxed);
 }
-/// For descriptors that are used often. Any thread.
+/// Returns whether `fd` may be used; cheap enough for frequent use. Any thread.
 inline bool may_use(int fd) noexcept { return !has_lost_kept() || is_intact(fd); }
 
 }  // namespace agnocast

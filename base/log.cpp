@@ -46,7 +46,8 @@ std::string time_text(std::uint64_t now_ns) {
   return std::string(text.data(), bytes) + rest.data();
 }
 
-// What needs no quotes: a value that ends at the next space and looks like nothing else.
+// Returns whether a value needs no quotes: it ends at the next space and contains nothing
+// ambiguous.
 bool is_plain(std::string_view text) noexcept {
   if (text.empty() || text.size() > value_bytes_max) return false;
   return std::all_of(text.begin(), text.end(), [](char c) {
@@ -58,7 +59,7 @@ bool is_known(const LogField& field) noexcept {
   return !std::holds_alternative<std::monostate>(field.value);
 }
 
-/// `shown` makes a text fit to be shown.
+/// `shown` escapes a text for output.
 template <class Shown>
 std::string value_of(const LogField& field, const Shown& shown) {
   if (const auto* number = std::get_if<std::uint64_t>(&field.value)) return std::to_string(*number);
@@ -80,7 +81,8 @@ std::string line_of(std::string_view event, Log::FieldSpan fields) {
   return line;
 }
 
-/// Journal Export Format, which the socket takes: KEY=value, a line each. No value has a newline.
+/// Builds an entry in Journal Export Format, as the socket takes it: KEY=value lines. No value
+/// has a newline.
 std::string entry_of(const Log::Program& program, LogLevel level, std::string_view event,
                      Log::FieldSpan fields, const std::string& line) {
   std::string entry = "MESSAGE=" + line +
@@ -119,7 +121,7 @@ class JournalSocket {
       return ::send(socket_.get(), entry.data(), entry.size(), MSG_DONTWAIT | MSG_NOSIGNAL) ==
              static_cast<ssize_t>(entry.size());
     };
-    // Another journald, with another socket in the same place.
+    // The socket may belong to a new journald at the same path.
     return sent() || (errno != EAGAIN && connect() && sent());
   }
 
@@ -203,7 +205,7 @@ void Log::write_limited(std::string_view cause_name, LogLevel level, std::string
   }
   auto [entry, is_new] = causes_.try_emplace(std::move(name));
   Cause& cause = entry->second;
-  // A wall clock that was set back ends the interval as well.
+  // A wall clock set back ends the interval as well.
   const bool is_over = now - cause.began_ns >= interval_ns;
   if (is_new || is_over) {
     if (cause.left_out != 0) say_left_out(entry->first, cause);

@@ -1,20 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Log: what a program of ours tells people, one line per event.
+// Log: the output of our programs for people, one line per event.
 //
 //   to people     2026-01-31T12:00:00.123Z warning client refused uid=1000 why="no rule"
-//   to journald   an entry: the same line as MESSAGE=, and AGNOCAST_EVENT=client refused, AGNOCAST_UID=1000,
-//                 AGNOCAST_WHY=no rule to search by, and MESSAGE_ID= of events that have one
+//   to journald   an entry: the same line as MESSAGE=, and for searches AGNOCAST_EVENT=client refused,
+//                 AGNOCAST_UID=1000, AGNOCAST_WHY=no rule, and MESSAGE_ID= of events that have one
 //   to its pipe   <4>client refused uid=1000 why="no rule"     (stderr, when the entry cannot be sent)
 //
-// Events are our own words and never change with their data, so that one can search for them; the
-// data are fields. Texts of others (names, paths) are escaped and cut, so no client can forge a
-// line, speak to a terminal or fill the disk with one event. Events that a client can cause at will
-// go through write_limited(): a few lines per cause and interval, the rest is counted, and the
-// count is said.
+// Event texts are constant and never contain data, so that one can search for them; the data are
+// fields. Untrusted texts (names, paths) are escaped and cut, so no client can forge a line,
+// control a terminal or fill the disk with one event. Events that a client can cause at will go
+// through write_limited(): it writes a few lines per cause and interval, counts the rest and
+// reports the count.
 //
-// One thread. Nothing here fails or waits: a line that nobody has room for is lost, and the next one
-// that is not says how many were.
+// For one thread. Nothing here fails or waits: a line that does not fit is lost, and the next
+// written line reports how many were.
 #pragma once
 
 #include <agnocast/error.hpp>
@@ -51,7 +51,7 @@ struct LogField {
   LogField(std::string_view name, T number) : key(name), value(std::uint64_t{number}) {}
   template <std::signed_integral T>
   LogField(std::string_view name, T number) : key(name), value(std::int64_t{number}) {}
-  /// Of some lines of its event only; left out where there is nothing.
+  /// An optional field: omitted if empty.
   template <class T>
   LogField(std::string_view name, const std::optional<T>& known)
       : key(name), value(std::monostate()) {
@@ -64,13 +64,15 @@ class Log {
   enum class Format : std::uint8_t { people, journald_pipe, journald };
   using Fields = std::initializer_list<LogField>;
   using FieldSpan = std::span<const LogField>;
-  /// Who speaks, as entries of the journal have it, and which of his events have a number there (empty: it has none).
+  /// Identifier of the program in the systemd journal, and the message ids of its events (empty:
+  /// none).
   struct Program {
     std::string_view identifier;
     std::string_view (*message_id)(std::string_view event) = nullptr;
   };
 
-  /// Where lines go, each with its newline; with Format::journald: entries. False: it was lost.
+  /// Writes a line, with its newline; with Format::journald, an entry. Returns false if it was
+  /// lost.
   using Sink = std::function<bool(std::string_view line)>;
   /// Nanoseconds since 1970.
   using Clock = std::function<std::uint64_t()>;
@@ -79,11 +81,11 @@ class Log {
   static constexpr std::size_t line_bytes_max = 1024;
   static constexpr std::uint64_t interval_ns = 10'000'000'000;
   static constexpr std::uint64_t lines_per_interval = 5;
-  // Causes that are counted apart; the others share one count.
+  // Causes that are counted separately; the others share one count.
   static constexpr std::size_t cause_count_max = 256;
 
   Log(Program program, LogLevel level, Format format, Sink sink, Clock clock);
-  /// Lines to stderr; entries to journald if that is where stderr goes (JOURNAL_STREAM).
+  /// Writes lines to stderr, or entries to journald if stderr goes there (JOURNAL_STREAM).
   static Log to_stderr(Program program, LogLevel level,
                        const std::string& journal = "/run/systemd/journal/socket");
 
@@ -91,15 +93,15 @@ class Log {
   void write(LogLevel level, std::string_view event, Fields fields = {}) {
     write(level, event, FieldSpan(fields.begin(), fields.size()));
   }
-  /// The same, at most lines_per_interval times per `cause` and interval. A cause names what a
-  /// flood would have in common, for example event and uid.
+  /// The same, at most lines_per_interval times per `cause` and interval. A cause names the
+  /// common part of a flood, for example event and uid.
   void write_limited(std::string_view cause, LogLevel level, std::string_view event,
                      FieldSpan fields);
   void write_limited(std::string_view cause, LogLevel level, std::string_view event,
                      Fields fields = {}) {
     write_limited(cause, level, event, FieldSpan(fields.begin(), fields.size()));
   }
-  /// Says what was left out in intervals that are over. To be called now and then, and at the end
+  /// Reports the counts of omitted lines in past intervals. Call it now and then, and at the end
   /// with `all`.
   void flush(bool all = false);
 
@@ -124,10 +126,10 @@ class Log {
   Sink sink_;
   Clock clock_;
   std::map<std::string, Cause, std::less<>> causes_;
-  std::uint64_t lost_ = 0;  // lines since the last one that was not
+  std::uint64_t lost_ = 0;  // lines since the last written one
 };
 
-/// Whether `fd` is what JOURNAL_STREAM (its value, or null) names: "device:inode".
+/// Returns whether `fd` is the stream in JOURNAL_STREAM (its value, or null): "device:inode".
 bool is_journal_stream(const char* journal_stream, int fd) noexcept;
 
 }  // namespace agnocast

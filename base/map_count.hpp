@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// How many mappings the kernel lets one process have.
+// The kernel's limit of mappings per process.
 #pragma once
 
 #include <base/unique_fd.hpp>
@@ -13,7 +13,7 @@
 
 namespace agnocast {
 
-/// Returns vm.max_map_count; what it is by default where it cannot be read.
+/// Returns vm.max_map_count, or its default if it cannot be read.
 inline std::uint64_t read_map_count_max() noexcept {
   const UniqueFd file(::open("/proc/sys/vm/max_map_count", O_RDONLY | O_CLOEXEC));
   char text[24];

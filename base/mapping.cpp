@@ -61,7 +61,7 @@ std::uint64_t locked_bytes() noexcept {
 
 bool locks_new_mappings() noexcept {
   const std::uint64_t before = locked_bytes();
-  // What cannot be mapped is refused for the same reason.
+  // A refused mapping has the same reason.
   const auto page = Mapping::map_private(1);
   return page ? locked_bytes() > before : page.error().code == Errc::lock_limit;
 }
@@ -115,14 +115,14 @@ Result<Mapping> Mapping::reserve(std::uint64_t address, std::uint64_t bytes) noe
 }
 
 void Mapping::cover(std::byte* at, std::uint64_t bytes) noexcept {
-  // Taking pages away at once stops every thread of the process that meets a page fault, for some
-  // 80 ms with 1 GiB. Slice by slice, and the mapping that is replaced is empty. A refusal (pages
-  // that are locked) costs only that.
+  // Releasing many pages at once stalls every thread of the process at its next page fault, some
+  // 80 ms for 1 GiB. So release slices, and replace an empty mapping. A refusal (locked pages)
+  // costs only that delay.
   constexpr std::uint64_t slice_bytes = 16 << 20;
   for (std::uint64_t done = 0; bytes > slice_bytes && done < bytes; done += slice_bytes)
     ::madvise(at + done, std::min(slice_bytes, bytes - done), MADV_DONTNEED);
   if (::mmap(at, bytes, PROT_NONE, reserved | MAP_FIXED, -1, 0) != MAP_FAILED) return;
-  // EAGAIN: the kernel counts the new mapping before it takes the old one away.
+  // EAGAIN: the kernel counts the new mapping before it removes the old one.
   ::munmap(at, bytes);
   reserve_unlocked(at, bytes, MAP_FIXED_NOREPLACE);
 }

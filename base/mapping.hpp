@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Mapping: owner of a range of addresses. Made by map() anywhere, or by reserve() plus map_at()
-// inside a reservation.
+// Mapping: owns a range of addresses, mapped by map() or map_private(), or reserved by reserve().
 #pragma once
 
 #include <agnocast/result.hpp>
@@ -29,17 +28,18 @@ class Mapping {
   }
   ~Mapping() { reset(); }
 
-  /// Maps `bytes` of `fd` shared, anywhere. A read mapping is left out of core dumps: it is
-  /// somebody else's memory. Errors: os_failure, address_limit, lock_limit.
+  /// Maps `bytes` of `fd` shared, anywhere. Excludes a read mapping, which is another process's
+  /// memory, from core dumps. Errors: os_failure, address_limit, lock_limit.
   [[nodiscard]] static Result<Mapping> map(int fd, std::uint64_t bytes, Access access) noexcept;
-  /// Private zeroed memory, anywhere. Errors: os_failure, address_limit, lock_limit.
+  /// Maps private zeroed memory, anywhere. Errors: os_failure, address_limit, lock_limit.
   [[nodiscard]] static Result<Mapping> map_private(std::uint64_t bytes) noexcept;
-  /// Addresses without memory (PROT_NONE). At `address` exactly if it is not zero; EEXIST when
-  /// something is in the way. Reserved addresses do not count against RLIMIT_MEMLOCK, also in a
-  /// process that has called mlockall(MCL_FUTURE). Errors: os_failure, address_limit, lock_limit.
+  /// Reserves addresses without memory (PROT_NONE). At `address` exactly if it is not zero;
+  /// EEXIST if that is occupied. Reserved addresses do not count against RLIMIT_MEMLOCK, even in
+  /// a process that has called mlockall(MCL_FUTURE). Errors: os_failure, address_limit,
+  /// lock_limit.
   [[nodiscard]] static Result<Mapping> reserve(std::uint64_t address, std::uint64_t bytes) noexcept;
-  /// Puts reserved addresses in place of whatever lies at [at, at + bytes), which has to be the
-  /// caller's.
+  /// Replaces any mappings in [at, at + bytes), which must belong to the caller, by reserved
+  /// addresses.
   static void cover(std::byte* at, std::uint64_t bytes) noexcept;
 
   std::byte* base() const noexcept { return base_; }
@@ -54,13 +54,13 @@ class Mapping {
   std::uint64_t bytes_ = 0;
 };
 
-/// Whether this process has said mlockall(MCL_FUTURE): all of what is mapped counts as locked. Reads /proc twice.
+/// Returns whether this process has called mlockall(MCL_FUTURE): new mappings count as locked.
+/// Reads /proc twice.
 bool locks_new_mappings() noexcept;
 
-/// Why mmap answered EAGAIN to `bytes`: the limit of locked memory, how much of it is used, what is
-/// needed.
+/// Explains EAGAIN of mmap for `bytes`: the limit of locked memory, its use, and the need.
 Failure lock_refusal(std::uint64_t bytes) noexcept;
-/// Why it answered ENOMEM: the limit of addresses if there is one (address_limit), else os_failure.
+/// Explains ENOMEM: the limit of addresses if there is one (address_limit), else os_failure.
 Failure no_memory(std::uint64_t bytes, const char* what) noexcept;
 
 }  // namespace agnocast

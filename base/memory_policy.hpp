@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Memory policy: how the data plane's templates reach shared words. `SharedMemory` is what ships:
-// real atomics in mapped regions, every call an inline load or store. The explorer in tests/model
-// has another policy with the same members, whose words live in a modelled memory with store
-// buffers, so the statements it checks are the statements that ship.
+// Memory policy: access of the data plane's templates to shared words. Programs use
+// `SharedMemory`: real atomics in mapped regions, every call an inline load or store. The
+// explorer in tests/model uses another policy with the same members, whose words are in a
+// modelled memory with store buffers, so it checks the very statements that ship.
 //
 // A policy M provides
 //   M::Region                     a mapped region (copyable)
-//   M::word(region, byte_offset)  something with load, store, fetch_or, fetch_and like std::atomic
+//   M::word(region, byte_offset)  an object with load, store, fetch_or, fetch_and like std::atomic
 //   M::fence()                    atomic_thread_fence(seq_cst)
 //   M::step(Step)                 true; names the statement that follows (crash point, mutant)
 //   M::holds(Step, bool)          the bool; names a decision
@@ -25,8 +25,8 @@
 
 namespace agnocast {
 
-/// Real shared memory. With AGNOCAST_CRASH_POINTS every named step may end the process (tests
-/// only); without, it costs nothing.
+/// Real shared memory. With AGNOCAST_CRASH_POINTS (tests only) every named step may end the
+/// process; without, it costs nothing.
 struct SharedMemory {
   using Region = std::byte*;
 
@@ -54,6 +54,6 @@ struct SharedMemory {
 
 }  // namespace agnocast
 
-/// Names the statement that follows it: the crash sweep may kill before it, the explorer may leave
-/// it out.
+/// Names the following statement: the crash sweep may kill the process before it, the explorer
+/// may omit it.
 #define AGNOCAST_STEP(name) if (M::step(::agnocast::steps::name))

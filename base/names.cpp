@@ -27,7 +27,7 @@ const char* what_is(char c) noexcept {
   }
 }
 
-// Tokens and the slashes between them, from `begin` to the end.
+// Checks tokens and the slashes between them, from `begin` to the end.
 std::optional<NameProblem> check_tokens(std::string_view name, std::size_t begin) noexcept {
   if (name.size() > name_length_max)
     return NameProblem{"the name is longer than 255 characters", name_length_max};

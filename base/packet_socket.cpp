@@ -30,7 +30,7 @@ constexpr std::size_t control_bytes =
 
 int flags_of(Wait wait) noexcept { return wait == Wait::no ? MSG_DONTWAIT : 0; }
 
-// Every descriptor in the control data gets its owner here, wanted or not.
+// Gives every descriptor in the control data an owner, wanted or not.
 void take_control(msghdr& message, Packet& packet, std::vector<UniqueFd>* more) {
   for (cmsghdr* part = CMSG_FIRSTHDR(&message); part != nullptr;
        part = CMSG_NXTHDR(&message, part)) {
@@ -68,7 +68,8 @@ bool pass_descriptors(int socket, bool wanted) noexcept {
   return ::setsockopt(socket, SOL_SOCKET, SO_PASSRIGHTS, &value, sizeof value) == 0;
 }
 
-// How long connect() waits for room in the listener's queue. Zero would be for ever.
+// Limits the time that connect() waits for room in the listener's queue. Zero would mean for
+// ever.
 bool limit_sending(int fd, std::chrono::steady_clock::duration left) noexcept {
   const auto us = std::max<std::int64_t>(
       1, std::chrono::duration_cast<std::chrono::microseconds>(left).count());
@@ -84,7 +85,7 @@ Result<PacketSocket> PacketSocket::connect(std::string_view path,
   if (!address) return tl::unexpected(address.error());
   UniqueFd fd(::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0));
   if (!fd) return fail(Errc::os_failure, "making a socket", errno);
-  // A signal while we wait for room in the listener's queue: nothing has happened yet, ask again.
+  // EINTR while waiting for room in the listener's queue: nothing has happened yet, so repeat.
   const auto deadline = std::chrono::steady_clock::now() + patience;
   int status = 0;
   do {
@@ -112,8 +113,8 @@ Result<PacketSocket> PacketSocket::connect(std::string_view path,
   }
 }
 
-// The kernel says of both with the same flag (MSG_CTRUNC) that it has closed descriptors on the way: of those for
-// which no number was free, and of those that a security module does not let this process receive.
+// The kernel sets the same flag (MSG_CTRUNC) for two kinds of descriptors that it closed: those
+// without a free number, and those that a security module does not let this process receive.
 Failure failure_of_descriptors(const char* what) noexcept {
   const UniqueFd probe(::eventfd(0, EFD_CLOEXEC));
   if (!probe && (errno == EMFILE || errno == ENFILE)) return {Errc::os_failure, errno, what};
@@ -174,7 +175,7 @@ Result<Packet> PacketSocket::receive_all(std::span<std::byte> buffer,
                                          std::vector<UniqueFd>& more) const {
   alignas(cmsghdr) std::byte
       control[CMSG_SPACE(sizeof(int) * descriptors_per_packet) + CMSG_SPACE(sizeof(ucred))];
-  more.reserve(descriptors_per_packet);  // each has an owner from the first moment
+  more.reserve(descriptors_per_packet);  // so that each has an owner from the first moment
   return receive_into(buffer, control, &more, Wait::no);
 }
 
@@ -190,7 +191,7 @@ Result<Packet> PacketSocket::receive_into(std::span<std::byte> buffer,
   msghdr message{};
   ssize_t status = 0;
   // A peer that closes without having read everything leaves ECONNRESET *in front of* the packets
-  // it had sent. The kernel reports it once; what it sent is still owed to the caller.
+  // it had sent. The kernel reports it once; the packets behind it must still be returned.
   bool reset_seen = false;
   for (;;) {
     message = {};
@@ -254,8 +255,8 @@ Result<PacketListener> PacketListener::bind(std::string_view path) noexcept {
   if (!address) return tl::unexpected(address.error());
   UniqueFd fd(::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
   if (!fd) return fail(Errc::os_failure, "making a socket", errno);
-  // bind() gives the entry the mode of the socket's own inode, which is 0777, less the umask. connect() looks at
-  // the mode first and at whether somebody listens afterwards.
+  // bind() gives the entry the mode of the socket's own inode, which is 0777, less the umask.
+  // connect() checks the mode before it checks for a listener.
   const mode_t mask = ::umask(0);
   const int status = ::bind(fd.get(), address->get(), UnixAddress::size());
   const int error = errno;

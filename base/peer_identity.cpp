@@ -11,20 +11,20 @@
 namespace agnocast {
 namespace {
 
-// Kernels answer in different ways to an option they do not know; filters do, too.
+// Kernels answer in different ways to an option they do not know; so do filters.
 bool is_missing(int error) noexcept {
   return error == ENOPROTOOPT || error == EINVAL || error == ENOSYS || error == EOPNOTSUPP;
 }
 
 Result<std::vector<gid_t>> groups_of_peer(int socket) {
-  // NGROUPS_MAX is 65536; almost everybody has fewer than 64 and needs one call.
+  // NGROUPS_MAX is 65536; nearly every process has fewer than 64 and needs one call.
   std::vector<gid_t> groups(64);
   for (;;) {
     auto bytes = static_cast<socklen_t>(groups.size() * sizeof(gid_t));
     const bool fits = ::getsockopt(socket, SOL_SOCKET, SO_PEERGROUPS, groups.data(), &bytes) == 0;
     if (!fits && errno != ERANGE)
       return fail(Errc::os_failure, "asking for the groups of a peer", errno);
-    groups.resize(bytes / sizeof(gid_t));  // ERANGE says how many there are
+    groups.resize(bytes / sizeof(gid_t));  // with ERANGE, the number of groups
     if (fits) return groups;
   }
 }
@@ -55,7 +55,7 @@ Result<PeerIdentity> identify_peer(int socket, PeerFacility facility) {
     }
     if (!is_missing(errno)) return fail(Errc::os_failure, "asking for the pidfd of a peer", errno);
   }
-  // pidfd_open(0) would be EINVAL; say what it means.
+  // pidfd_open(0) would fail with EINVAL; report the reason instead.
   if (identity.pid == 0)
     return fail(Errc::os_failure, "the peer lives in another pid namespace", ESRCH);
   auto process = Pidfd::open(identity.pid);
@@ -75,7 +75,7 @@ uid_t uid_of(int socket) noexcept {
 bool confirm(PeerIdentity& identity, const ucred& credentials) noexcept {
   if (identity.confirmed) return true;
   // uid and gid are not compared: SO_PEERCRED has the effective ones, a packet the real ones.
-  // The order matters: first the packet was received, then the pidfd is looked at.
+  // The order matters: first the packet was received, then the pidfd is checked.
   if (credentials.pid == 0 || credentials.pid != identity.pid) return false;
   identity.confirmed = !identity.process.ended();
   return identity.confirmed;

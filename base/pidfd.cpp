@@ -62,7 +62,7 @@ std::optional<std::uint64_t> Pidfd::user_namespace() const noexcept {
 
 namespace {
 
-// The pid as this process sees it, from /proc/self/fdinfo; 0 or -1: none.
+// Returns the pid in this process's pid namespace, from /proc/self/fdinfo; 0 or -1: none.
 std::optional<long> pid_of(const Pidfd& process) noexcept {
   char path[64];
   std::snprintf(path, sizeof path, "/proc/self/fdinfo/%d", process.fd());
@@ -86,7 +86,8 @@ bool same_process(const Pidfd& known, const Pidfd& other, bool has_inodes) noexc
   if (has_inodes && inode && other_inode) return *inode == *other_inode && !known.ended();
   const auto pid = pid_of(known);
   const auto other_pid = pid_of(other);
-  // The order matters: a process that has not ended after both looks pinned its number during them.
+  // The order matters: a process that has not ended after both reads pinned its number during
+  // them.
   return pid && other_pid && *pid > 0 && *pid == *other_pid && !known.ended();
 }
 

@@ -28,8 +28,8 @@ Result<void> populate(std::byte* at, std::uint64_t bytes) noexcept {
   }
 }
 
-// FUTEX_WAKE_OP changes a word of user memory in the kernel, here by `| 0`, and answers EFAULT where a store of
-// the process itself would end it: futex(2).
+// FUTEX_WAKE_OP changes a word of user memory in the kernel, here by `| 0`, and returns EFAULT
+// where a store of the process itself would raise SIGBUS: futex(2).
 Result<void> populate_page_by_page(std::byte* at, std::uint64_t bytes) noexcept {
   static const auto page_bytes = static_cast<std::uint64_t>(::sysconf(_SC_PAGESIZE));
   std::uint32_t nobody_waits = 0;

@@ -28,7 +28,7 @@ TopicRole role_of_topic(std::string_view topic) {
     role.kind = TopicRole::Kind::request;
     service = topic.substr(request_prefix.size());
   } else if (begins_with(topic, reply_prefix) && topic.size() > reply_prefix.size() + digits) {
-    // As reply_topic() writes it, and no other way: one client has one name.
+    // Only as reply_topic() writes it: one client has one name.
     for (const char c : topic.substr(reply_prefix.size(), digits)) {
       const std::size_t value = digit.find(c);
       if (value == digit.npos) return {};

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// SignalsBlocked: while a thread of ours is started, which inherits the mask.
+// SignalsBlocked: blocks signals while one of our threads is started, which inherits the mask.
 //
-// Signals are the application's, and so are its threads to handle them in. But for what a thread
-// brings upon itself: blocked, a fault would end the process past its handlers (a crash reporter, a
-// runtime that catches null pointers), and messages' destructors and callbacks are its code.
+// The application handles signals in its own threads. Exceptions are those that a thread causes
+// itself: if they were blocked, a fault would end the process past its handlers (a crash
+// reporter, a runtime that catches null pointers), and messages' destructors and callbacks are
+// the application's code.
 #pragma once
 
 #include <csignal>
@@ -12,7 +13,7 @@
 
 namespace agnocast {
 
-/// What threads of ours have blocked.
+/// Returns the signals that our threads block.
 inline sigset_t blocked_signals() noexcept {
   sigset_t blocked;
   ::sigfillset(&blocked);

@@ -5,7 +5,8 @@
 
 namespace agnocast {
 
-/// Where the daemon of this process listens: $AGNOCAST_SOCKET, else the system's, else the user's own.
+/// Returns the socket of this process's daemon: $AGNOCAST_SOCKET, else the system's, else the
+/// user's own.
 std::string socket_path();
 
 }  // namespace agnocast

@@ -31,7 +31,8 @@ ssize_t say(std::string_view text) noexcept {
   const UniqueFd own(
       ::open("/proc/self/fd/2", O_WRONLY | O_NONBLOCK | O_NOCTTY | O_APPEND | O_CLOEXEC));
   if (own) return write_to(own.get(), text);
-  // Another user's pipe, or no descriptor left. Only somebody who writes in between can make us wait.
+  // Another user's pipe, or no free descriptor. This waits only if another process writes in
+  // between.
   pollfd writable{STDERR_FILENO, POLLOUT, 0};
   return ::poll(&writable, 1, 0) == 1 ? write_to(STDERR_FILENO, text) : -1;
 }

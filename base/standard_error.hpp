@@ -1,17 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What programs say on stderr, without waiting: whoever should read a pipe and does not must not stop
-// the daemon, its supervisor, or the last words of either.
+// Writing to stderr without waiting: a reader of the pipe that does not read must not stop the
+// daemon, its supervisor, or their last words.
 //
-// The flag O_NONBLOCK belongs to everybody who has the same stderr, so it is not set there: a socket
-// takes MSG_DONTWAIT, and a pipe or terminal is opened once more for each line.
+// All processes with the same stderr share its flag O_NONBLOCK, so it is not set there: a socket
+// takes MSG_DONTWAIT, and a pipe or terminal is opened again for each line.
 #pragma once
 
 #include <string_view>
 
 namespace agnocast {
 
-/// False when it was lost, as a whole or its end. What is longer than PIPE_BUF may be cut by others.
+/// Returns false if the text was lost, fully or in part. Text longer than PIPE_BUF may be mixed
+/// with other output.
 bool say_on_stderr(std::string_view text) noexcept;
 
 }  // namespace agnocast

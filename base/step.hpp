@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Step: a named place in the code. A numbered step of the protocol (docs/protocol.md), or a place
-// between two changes of the control plane that others see. The crash sweep kills before each step,
-// the explorer leaves each one of the protocol out in turn, and both print the names.
+// between two changes of the control plane that other processes see. The crash sweep kills the
+// process before each step, the explorer omits each protocol step in turn, and both print the
+// names.
 //
 // Each room has a table of its own steps, steps.hpp, so that a new step concerns one room only.
 // tests/support/step_names.hpp has all tables.
@@ -12,7 +13,7 @@
 
 namespace agnocast {
 
-/// A step's number. The steps themselves are constants in agnocast::steps.
+/// The number of a step. The steps themselves are constants in agnocast::steps.
 enum class Step : std::uint16_t {};
 
 inline constexpr Step no_step{0xffff};
@@ -24,8 +25,8 @@ void crash_point(Step name) noexcept;
 
 }  // namespace agnocast
 
-/// Makes the steps of a table, which is a macro that lists X(name, text). The first has the number
-/// `first`; the numbers of two rooms must not meet.
+/// Defines the steps of a table, a macro that lists X(name, text). The first has the number
+/// `first`; the numbers of two rooms must not overlap.
 #define AGNOCAST_STEPS(room, first, table)                               \
   namespace agnocast::steps {                                            \
   namespace numbers {                                                    \
@@ -36,8 +37,8 @@ void crash_point(Step name) noexcept;
 #define AGNOCAST_STEP_NUMBER(name, text) name,
 #define AGNOCAST_STEP_CONSTANT(name, text) inline constexpr Step name{numbers::name};
 
-/// In code that is no template over the memory policy: a place between two changes that others see.
-/// May stand in several places under one name. Nothing in a build without crash points.
+/// For code that is no template over the memory policy: a place between two changes that other
+/// processes see. One name may stand in several places. Empty in a build without crash points.
 #ifdef AGNOCAST_CRASH_POINTS
 #define AGNOCAST_CRASH_POINT(name) ::agnocast::crash_point(::agnocast::steps::name)
 #else

@@ -9,7 +9,7 @@
 namespace agnocast {
 namespace {
 
-// Levenshtein distance with transpositions of neighbours: the slips of people who type.
+// Levenshtein distance with transpositions of neighbours: typical typing errors.
 std::size_t distance(std::string_view left, std::string_view right) {
   const std::size_t columns = right.size() + 1;
   std::vector<std::size_t> before(columns), above(columns), row(columns);
@@ -59,7 +59,7 @@ std::string in_quotes(std::string_view text, std::size_t length_max) {
 }
 
 std::string_view nearest(std::string_view wanted, std::span<const std::string_view> words) {
-  if (wanted.size() > 64) return {};  // nobody's slip, and the work is quadratic
+  if (wanted.size() > 64) return {};  // no typing error, and the work is quadratic
   std::string_view best;
   std::size_t best_distance = 0;
   for (const std::string_view word : words) {

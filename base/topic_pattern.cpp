@@ -8,15 +8,15 @@
 namespace agnocast {
 namespace {
 
-// Places of a pattern at which a match may stand; all are followed at once, so no pattern takes
-// exponential time.
+// Positions in a pattern that a match may have reached; all are followed at once, so no pattern
+// takes exponential time.
 using Places = std::bitset<name_length_max + 1>;
 
 bool is_double_star(std::string_view pattern, std::size_t at) noexcept {
   return pattern[at] == '*' && at + 1 < pattern.size() && pattern[at + 1] == '*';
 }
 
-// Stars may match nothing: whoever stands before one also stands behind it.
+// A star may match nothing: a match that has reached one has also passed it.
 void pass_stars(std::string_view pattern, Places& places) noexcept {
   for (std::size_t at = 0; at < pattern.size(); ++at) {
     if (!places[at] || pattern[at] != '*') continue;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// UniqueFd: owner of one descriptor. Closes it once, never retries close (Linux releases the number
-// even on EINTR, close(2)).
+// UniqueFd: owner of one descriptor. Closes it once, never retries close (Linux releases the
+// number even on EINTR, close(2)).
 #pragma once
 
 #include <unistd.h>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// UnixAddress: a path as the kernel wants it. Never an abstract name: those have no permissions.
+// UnixAddress: a path in the kernel's form. Never an abstract name: those have no permissions.
 #pragma once
 
 #include <agnocast/result.hpp>
@@ -23,7 +23,7 @@ struct UnixAddress {
   static constexpr socklen_t size() noexcept { return sizeof(sockaddr_un); }
 };
 
-/// Errors: invalid_argument (empty, over 107 bytes, or a zero byte in it).
+/// Makes an address. Errors: invalid_argument (empty, over 107 bytes, or a zero byte in it).
 [[nodiscard]] inline Result<UnixAddress> unix_address(std::string_view path) noexcept {
   if (path.empty()) return fail(Errc::invalid_argument, "the path of a socket is empty");
   if (path.size() > socket_path_bytes_max)

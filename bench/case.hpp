@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A case of agnocast-bench: what it is given, and what it gives back.
+// A case of agnocast-bench: its input and its output.
 //
-// A case prints its tables on stdout through Report::say, and hands over results (objects for machines, see
-// schemas/bench-1.json) and pictures. It asserts no time. It throws std::runtime_error when something did not work:
-// a message lost or changed, a process that ended.
+// A case prints its tables on stdout through Report::say, and adds results (objects for machines,
+// see schemas/bench-1.json) and plots. It asserts no time. It throws std::runtime_error on a
+// failure: a message lost or changed, a process that ended.
 #pragma once
 
 #include <nlohmann/json.hpp>
@@ -22,32 +22,32 @@
 
 namespace agnocast::bench {
 
-/// What was asked for; what is not said is the case's own default.
+/// The requested run; a case has its own defaults for everything else.
 struct Run {
   std::optional<std::size_t> rounds = {};
-  std::optional<std::size_t> messages = {};  ///< of a round and system
+  std::optional<std::size_t> messages = {};  ///< per round and system
   std::optional<std::chrono::microseconds> period = {};
   std::vector<std::size_t> sizes = {};    ///< bytes
-  std::vector<std::string> systems = {};  ///< names; empty: all that fit
+  std::vector<std::string> systems = {};  ///< names; empty: all that the case supports
   std::string scan = {};                  ///< pipeline: a recorded scan instead of the simulator
-  bool is_small = false;                  ///< as short as works, for a test: seconds in all
+  bool is_small = false;                  ///< as short as possible, for a test: a few seconds
 
 #ifdef NDEBUG
   bool has_assertions = false;
 #else
-  bool has_assertions = true;  ///< a build to look for faults, which says nothing of times
+  bool has_assertions = true;  ///< a debug build, whose times have no meaning
 #endif
 
-  /// The median of a few rounds is chance.
+  /// Returns whether there are enough rounds: the median of a few is chance.
   bool has_enough_rounds() const { return rounds.value_or(enough_rounds) >= enough_rounds; }
   static constexpr std::size_t enough_rounds = 7;
 };
 
-/// A picture, drawn by agnocast-bench-plot from its JSON. One of:
+/// A plot, drawn by agnocast-bench-plot from its JSON. One of:
 ///   violins  series: {"label", "values": […]}           one violin each, with median and p99
 ///   lines    series: {"label", "x": […], "y": […]}      curves with points
 ///   bars     series: {"label", "y": […]} and "groups": [names]   bars side by side
-/// `log_x`, `log_y` choose logarithmic axes; a table of at most 2,000 values a series is kept.
+/// `log_x`, `log_y` choose logarithmic axes; at most 2,000 values per series are kept.
 struct Plot {
   std::string name;  ///< file name without suffix: "latency-1-core"
   std::string kind;  ///< violins, lines, bars
@@ -57,22 +57,23 @@ struct Plot {
   nlohmann::json series = nlohmann::json::array();
 };
 
-/// Gathers what cases give. Not thread-safe.
+/// Collects the output of cases. Not thread-safe.
 class Report {
  public:
-  /// Where progress is told; null: nowhere. By default stderr, where that is a terminal.
+  /// `bar`: where progress is shown; null: nowhere. Default: stderr, if that is a terminal.
   explicit Report(std::FILE* bar = terminal()) noexcept : bar_(bar) {}
-  /// A line for people, to stdout (not with --json=-).
+  /// Prints a line to stdout (not with --json=-).
   void say(const std::string& line);
-  /// One object of "results"; the case's name is added.
+  /// Adds one object of "results"; adds the case's name to it.
   void add(nlohmann::json result);
   void add(Plot plot);
-  /// How far the case is: `done` of `all` its steps, with the time left. The first call is with `done` 0.
+  /// Shows the progress of the case: `done` of `all` steps, with the time left. The first call
+  /// has `done` 0.
   void progress(std::size_t done, std::size_t all, std::string_view what);
 
-  /// `usual` is the first guess of the time left; 0: there is none.
+  /// `usual` is the first estimate of the time left; 0: unknown.
   void begin_case(std::string_view name, std::chrono::seconds usual);
-  /// Before somebody else writes on the terminal.
+  /// Call it before other code writes to the terminal.
   void clear_bar();
   bool is_quiet = false;  ///< say() prints nothing
   nlohmann::json results = nlohmann::json::array();
@@ -88,7 +89,7 @@ class Report {
   bool has_bar_ = false;
 };
 
-/// A system as --list has it.
+/// A system, as --list prints it.
 struct SystemName {
   std::string_view name, summary;
 };
@@ -96,15 +97,16 @@ struct SystemName {
 struct Case {
   std::string_view name;
   std::string_view summary;
-  /// What its default run takes here, about.
+  /// Approximate duration of its default run.
   std::chrono::seconds usual;
   void (*run)(const Run&, Report&);
-  /// Which of the options that not every case has it reads: "--rounds", … What no case reads that was asked for is refused.
+  /// Its options among those that only some cases read: "--rounds", … Options that no requested
+  /// case reads are refused.
   std::set<std::string_view> reads = {};
-  /// What --systems may name; null where that is not read.
+  /// Systems that --systems may name; null if the case ignores it.
   std::vector<SystemName> (*systems)() = nullptr;
-  std::size_t sizes_max = SIZE_MAX;        ///< so many --sizes at once
-  std::vector<std::size_t> sizes_of = {};  ///< these --sizes alone; empty: any
+  std::size_t sizes_max = SIZE_MAX;        ///< most --sizes at once
+  std::vector<std::size_t> sizes_of = {};  ///< the only --sizes allowed; empty: any
 };
 
 // cases/*.cpp

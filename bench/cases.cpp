@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Which cases this build has, in the order in which `agnocast-bench all` runs them, and what each of them reads of the
-// command line.
+// The cases of this build, in the order in which `agnocast-bench all` runs them, and the options
+// that each of them reads.
 
 #include <bench/cases.hpp>
 #include <bench/cases/throughput.hpp>
@@ -18,7 +18,7 @@ std::vector<SystemName> named(const std::vector<System>& all) {
 }
 
 std::vector<SystemName> of_most() { return named(systems()); }
-// That a copy for all of them is slower than none is known.
+// Without those that copy for every receiver: they are known to be slower.
 std::vector<SystemName> of_fanout() {
   std::vector<SystemName> names = of_most();
   std::erase_if(names, [](const SystemName& one) { return one.name == "floor-memcpy"; });
@@ -56,7 +56,7 @@ const std::vector<Case>& cases() {
 #endif
 #ifdef AGNOCAST_BENCH_HAS_FANOUT
       {"fanout",
-       "one to many: what each further receiver costs, asleep and awake",
+       "one to many: the cost of each further receiver, asleep and awake",
        seconds(660),
        run_fanout,
        {"--rounds", "--messages", "--period", "--sizes", "--systems"},
@@ -80,21 +80,21 @@ const std::vector<Case>& cases() {
 #endif
 #ifdef AGNOCAST_BENCH_HAS_MEMORY
       {"memory",
-       "what pages cost, and what comes back after a spike",
+       "the cost of pages, and the memory returned after a spike",
        seconds(135),
        run_memory,
        {"--rounds"}},
 #endif
 #ifdef AGNOCAST_BENCH_HAS_SCALE
       {"scale",
-       "what more subscribers, publishers, topics and processes cost",
+       "the cost of more subscribers, publishers, topics and processes",
        seconds(120),
        run_scale,
        {"--rounds", "--messages"}},
 #endif
 #ifdef AGNOCAST_BENCH_HAS_DEATH
       {"death",
-       "what deaths cost those who live",
+       "the cost of deaths for the remaining processes",
        seconds(240),
        run_death,
        {"--rounds", "--sizes"},
@@ -103,7 +103,7 @@ const std::vector<Case>& cases() {
 #endif
 #ifdef AGNOCAST_BENCH_HAS_BRIDGE
       {"bridge",
-       "what the bridge to DDS costs beside Cyclone DDS alone",
+       "the cost of the bridge to DDS beside Cyclone DDS alone",
        seconds(120),
        run_bridge,
        {"--rounds", "--messages", "--sizes"}},

@@ -15,7 +15,7 @@
 namespace agnocast::bench {
 namespace {
 
-// Of each round, whatever `of` makes of it.
+// Returns `of` of each round.
 template <class Of>
 double median_of(const std::vector<Times>& rounds, Of of) {
   std::vector<double> each;
@@ -36,7 +36,7 @@ std::vector<double> ratios(const std::vector<Times>& rounds, const std::vector<T
 
 double p50_of(const Times& round) { return median(round.slowest_ns()); }
 double publish_p50_of(const Times& round) { return median(round.publish_ns); }
-/// The median of the means of each eight in a row; what is left over at the end is not looked at.
+/// Returns the median of the means of each eight in a row; ignores the remainder at the end.
 double publish_of_eight(const Times& round) {
   constexpr std::size_t cycle = 8;
   const std::vector<double>& calls = round.publish_ns;

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Comparison: several systems under one plan, interleaved: A B C, B C A, … so that whatever else the machine does meets
-// all of them, and nobody is always the first. What is compared is the ratio to the floor of the same round, and the median of these over the rounds.
+// Comparison: several systems under one plan, interleaved: A B C, B C A, … so that a disturbance
+// of the machine meets all of them, and none is always the first. It compares ratios to the floor
+// of the same round, and the median of these over the rounds.
 #pragma once
 
 #include <bench/case.hpp>
@@ -17,32 +18,35 @@
 
 namespace agnocast::bench {
 
-/// What one system gave in all rounds.
+/// Results of one system in all rounds.
 struct Series {
   const System* system = nullptr;
   std::vector<Times> rounds;
 
-  /// Medians over the rounds of each round's median: of the slowest receiver's latencies, or of the publish calls.
+  /// Return medians over the rounds of each round's median: of the slowest receiver's latencies,
+  /// or of the publish calls.
   double p50_ns() const;
   double publish_p50_ns() const;
-  /// Medians over the rounds: of the mean of eight publish calls in a row, as small messages have one dear call among seven cheap
-  /// ones (docs/protocol.md, lazy pass), and of the sender's processor time of a message.
+  /// Return medians over the rounds: of the mean of eight publish calls in a row, because small
+  /// messages have one expensive call in eight (docs/protocol.md, lazy pass), and of the sender's
+  /// processor time per message.
   double publish_of_eight_ns() const;
   double sender_cpu_ns() const;
-  /// Over all rounds, as a tail wants all samples that there are.
+  /// Returns the latencies of all rounds: a tail needs all samples.
   std::vector<double> latencies_ns() const;
   double p99_ns() const;
-  /// Of each round by itself, its figure over the other's: p50, publish_of_eight, sender_cpu.
+  /// Return, for each round, this system's figure over the other's: p50, publish_of_eight,
+  /// sender_cpu.
   std::vector<double> ratios_to(const Series& other) const;
   std::vector<double> publish_ratios_to(const Series& other) const;
   std::vector<double> sender_cpu_ratios_to(const Series& other) const;
-  /// Medians of these over the rounds.
+  /// Return medians of these over the rounds.
   double ratio_to(const Series& other) const { return median(ratios_to(other)); }
   double publish_ratio_to(const Series& other) const { return median(publish_ratios_to(other)); }
-  /// p99_ns() over the other's, with its 95 % interval.
+  /// Returns p99_ns() over the other's, with its 95 % interval.
   double p99_ratio_to(const Series& other) const;
   Interval p99_ratio_interval(const Series& other) const;
-  /// In any round: real-time scheduling was wanted and refused.
+  /// Returns whether real-time scheduling was refused in any round.
   bool is_without_fifo() const;
 };
 
@@ -50,18 +54,18 @@ struct Comparison {
   Plan plan;
   std::vector<Series> series;
 
-  /// Null: it did not take part.
+  /// Null: it took no part.
   const Series* find(std::string_view system) const;
 };
 
-/// Those of `names` that this build has and the run wants, and whose service runs here, in the build's order. `floor` takes
-/// part whatever the run wants.
+/// Returns those of `names` that this build has, the run requests and whose service runs here, in
+/// the build's order. `floor` always takes part.
 std::vector<const System*> chosen(const Run& run, const std::vector<std::string_view>& names,
                                   std::string_view floor, Services& services);
-/// All of systems().
+/// Returns all of systems().
 std::vector<std::string_view> all_names();
 
-/// What is measured under one title: all systems under all plans, so many rounds.
+/// A measurement under one title: all systems under all plans, for a number of rounds.
 struct Measurement {
   std::string title;
   std::vector<const System*> systems;
@@ -73,7 +77,7 @@ struct Measurement {
   std::size_t steps() const { return systems.size() * plans.size() * rounds; }
 };
 
-/// How far a case is, which has more than one measurement.
+/// Progress of a case with several measurements.
 class Steps {
  public:
   Steps(Report& report, std::size_t all) : report_(report), all_(all) {}
@@ -86,54 +90,58 @@ class Steps {
 };
 
 bool is_peer(const System& system);
-/// A turn of a system. False: it is a peer, and the turn failed, which leave_out() was told: the hour that the others have taken
-/// is not to be lost with it. Where a floor or agnocast fails, this throws what `turn` has thrown.
+/// Runs one turn of a system. If a peer fails, calls leave_out() and returns false, so that the
+/// results of the others are not lost. If a floor or agnocast fails, throws the exception of
+/// `turn`.
 bool takes_its_turn(const System& system, const std::function<void()>& turn);
 
-/// Several plans in one go: in each round every plan, under each plan every system, so that what is compared between plans
-/// is not minutes apart either. `step` is called before each turn. Whoever fails a turn is left out of all of it.
+/// Interleaves several plans: in each round every plan, under each plan every system, so that
+/// compared plans are not minutes apart either. Calls `step` before each turn. A system that
+/// fails one is left out of all of it.
 std::vector<Comparison> compare(const std::vector<const System*>& systems,
                                 const std::vector<Plan>& plans, std::size_t rounds,
                                 Services& services,
                                 const std::function<void(const System&, const Plan&)>& step);
 
-/// The table of a comparison, and an object of "results" for each system; `extra` is added to these.
+/// Prints the table of a comparison, and adds an object of "results" for each system; `extra` is
+/// added to these.
 void tell(const Comparison& comparison, std::string_view floor, const nlohmann::json& extra,
           Report& report);
 
-/// Both; the table of each plan is under the title and its size.
+/// Does both; the table of each plan has the title and its size.
 std::vector<Comparison> compare_and_tell(const Measurement& measurement, Services& services,
                                          Steps& steps, Report& report);
 
-/// One violin for each system.
+/// Returns one violin for each system.
 nlohmann::json violins(const Comparison& comparison);
 
-/// What a figure rests on. Of too little, an aim is not judged.
+/// The basis of a figure. If it is too small, an aim is not judged.
 struct Basis {
   static constexpr std::size_t enough_for_p50 = 50, enough_for_p99 = 500;
-  std::size_t messages = SIZE_MAX;  ///< of each round; what is not made of messages has enough
+  std::size_t messages = SIZE_MAX;  ///< per round; SIZE_MAX for figures without messages
   std::size_t enough = enough_for_p50;
-  bool is_without_fifo = false;  ///< on one core, where the order of processes is then chance
-  bool is_of_rounds = true;      ///< false: --rounds is about something else
+  bool is_without_fifo = false;  ///< on one core the order of processes is then chance
+  bool is_of_rounds = true;      ///< false: --rounds means something else
 };
-/// Of a ratio of two that took part in it.
+/// Returns the basis of a ratio of two systems in it.
 Basis basis_of(const Comparison& comparison, std::size_t enough = Basis::enough_for_p50);
 
-/// What the project has set itself, beside what was measured.
+/// The project's aims, beside the measured figures.
 class Aims {
  public:
   enum class Sense { at_most, at_least };
   explicit Aims(const Run& run) : run_(run) {}
-  /// Without `measured`: what it takes did not run here. With an interval it is reached, or missed, when all of that is on
-  /// one side of the bound, and undecided otherwise.
+  /// Adds an aim. Without `measured`: a necessary system did not run here. With an interval it is
+  /// reached, or missed, if all of the interval is on one side of the bound, and undecided
+  /// otherwise.
   void add(const std::string& aim, std::optional<double> measured, Sense sense, double bound,
            std::optional<Interval> interval = {}, const Basis& basis = {});
-  /// Of a figure of each round: their median, with its interval. None: not measured.
+  /// Adds the median of a figure per round, with its interval. Empty: not measured.
   void add_median(const std::string& aim, const std::vector<double>& of_rounds, Sense sense,
                   double bound, const Basis& basis = {});
-  /// The same without a bound: what is to be seen beside an aim.
+  /// The same without a bound: information beside an aim.
   void add_information(const std::string& what, const std::vector<double>& of_rounds);
-  /// The table, and an object of "results" for each.
+  /// Prints the table, and adds an object of "results" for each.
   void tell(Report& report) const;
 
  private:
@@ -144,7 +152,7 @@ class Aims {
     std::optional<double> bound;
     std::optional<Interval> interval;
     Basis basis;
-    /// Empty: undecided. Of one that was measured.
+    /// Empty: undecided. Only for a measured one.
     std::optional<bool> is_reached() const;
   };
   std::string not_judged(const Aim& aim) const;
@@ -152,7 +160,8 @@ class Aims {
   std::vector<Aim> all_;
 };
 
-/// Text of a table: columns as wide as their widest cell, the first one left, the others right.
+/// Formats a table: columns as wide as their widest cell, the first one aligned left, the others
+/// right.
 class Table {
  public:
   explicit Table(std::vector<std::string> head) : rows_{std::move(head)} {}
@@ -163,7 +172,7 @@ class Table {
   std::vector<std::vector<std::string>> rows_;
 };
 
-/// Three digits that count: "0.123", "12.3", "1234".
+/// Formats with three significant digits: "0.123", "12.3", "1234".
 std::string digits(double value);
 inline std::string us(double ns) { return digits(ns / 1000); }
 

@@ -18,7 +18,7 @@ namespace agnocast::bench {
 namespace {
 
 constexpr auto look_again = std::chrono::milliseconds(2);
-constexpr std::chrono::seconds patience{30};  // with whatever is not the messages' own time
+constexpr std::chrono::seconds patience{30};  // for everything except the messages' own time
 constexpr std::string_view descriptors_variable = "AGNOCAST_BENCH_DESCRIPTORS";
 
 std::string new_topic() {
@@ -60,7 +60,7 @@ class Company {
                                        .descriptors = std::move(inherited)});
   }
 
-  /// Waits for `condition`; throws when a process ends badly or says what is wrong.
+  /// Waits for `condition`; throws if a process fails or reports an error.
   template <class Condition>
   void wait_for(const char* what, std::chrono::seconds at_most, Condition condition) {
     const auto end = std::chrono::steady_clock::now() + at_most;
@@ -101,7 +101,7 @@ void start_all(Company& company, const Plan& plan, std::string_view sender,
   for (std::size_t i = 0; i < plan.receivers; ++i) company.start(receiver, {std::to_string(i)});
 }
 
-/// The messages, at most.
+/// Returns the longest time of the messages.
 std::chrono::seconds messages_of(const Plan& plan) {
   return std::chrono::duration_cast<std::chrono::seconds>(
       std::chrono::nanoseconds(2 * plan.period_ns + 100'000'000) * plan.all_messages());

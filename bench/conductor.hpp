@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Conductor: carries one run of one system out: starts the processes, waits until they know each other, lets them go, and
-// gives back what the lane has kept. role.cpp is what the processes do.
+// Conductor: runs one run of one system: starts the processes, waits until they have matched,
+// starts the messages, and returns the times in the lane. role.cpp is the code of the processes.
 #pragma once
 
 #include <bench/lane.hpp>
@@ -14,40 +14,43 @@
 
 namespace agnocast::bench {
 
-/// Nanoseconds, without the messages of the warm-up.
+/// Times in nanoseconds, without the messages of the warm-up.
 struct Times {
   std::vector<double> publish_ns;  ///< the publish call
   std::vector<std::vector<double>>
-      latency_ns;                ///< of each receiver: from before the call to the message in hand
-  double sender_cpu_ns = 0;      ///< of a message: of the sender's process, all that it does
-  bool is_without_fifo = false;  ///< real-time scheduling was wanted and refused
+      latency_ns;                ///< per receiver: from before the call until it has the message
+  double sender_cpu_ns = 0;      ///< per message: of the sender's process, everything it does
+  bool is_without_fifo = false;  ///< real-time scheduling was refused
 
-  /// Of the slowest receiver of each message.
+  /// Returns the latency of the slowest receiver of each message.
   std::vector<double> slowest_ns() const;
 };
 
-/// conduct() gives up after no more than this.
+/// Returns the time limit of conduct().
 std::chrono::seconds longest_of(const Plan& plan);
 
-/// Throws std::runtime_error with what went wrong: a message that was lost or changed, a process that ended, no match.
+/// Throws std::runtime_error with the failure: a lost or changed message, a process that ended,
+/// no match.
 Times conduct(const System& system, const Plan& plan, Services& services);
 
-/// The same for a sender and receivers with a life of their own (throughput): starts the role `sender` and
-/// `plan.receivers` times the role `receiver`, each with the lane's descriptor as its first and, for receivers, its index as
-/// its second argument, and returns when all have ended with status 0.
+/// The same for other roles of sender and receivers (throughput): starts the role `sender` and
+/// `plan.receivers` times the role `receiver`, each with the lane's descriptor as its first and,
+/// for receivers, its index as its second argument, and returns when all have ended with status
+/// 0.
 void conduct_roles(const System& system, Lane& lane, Services& services, std::string_view sender,
                    std::string_view receiver);
 
 // --- for such roles
 
-/// What System's makers want, from a lane and the descriptors that were inherited.
+/// Makes the argument of System's makers from a lane and the inherited descriptors.
 Carriage carriage_of(const Lane& lane, std::size_t index);
-/// By the name in the lane.
+/// Returns the system named in the lane.
 const System& system_of(const Lane& lane);
-/// Pins the calling thread, and those that it starts, as the plan says, and makes it real-time where it is to be and may
-/// be. Before the side is made. Spinning receivers stay ordinary: the kernel stops a real-time thread that never sleeps.
+/// Pins the calling thread, and threads it starts, as the plan requires, and makes it real-time
+/// if required and permitted. Call it before the side is made. Polling receivers stay ordinary:
+/// the kernel stops a real-time thread that never sleeps.
 void take_place(const Lane& lane, const System& system, bool is_sender);
-/// Becomes the user that the plan wants.
+/// Becomes the user that the plan requires.
 void become_receiver_user(const Lane& lane);
 
 }  // namespace agnocast::bench

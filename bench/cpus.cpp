@@ -26,7 +26,7 @@ std::vector<int> usable_cpus() {
   return all;
 }
 
-// "0,4" or "0-1", which is the same for all threads of a core.
+// Returns "0,4" or "0-1", the same for all threads of a core.
 std::optional<std::string> core_in_sys(int cpu) {
   std::ifstream file("/sys/devices/system/cpu/cpu" + std::to_string(cpu) +
                      "/topology/thread_siblings_list");

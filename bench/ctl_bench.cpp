@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What looking costs in a large system: 500 topics of 200 processes that publish, the CPU time of `top -b`
-// at 2 Hz and of the daemon meanwhile, and how long each command takes, beside a program that does nothing.
+// The cost of agnocast-ctl in a large system: 500 topics of 200 processes that publish, the CPU
+// time of `top -b` at 2 Hz and of the daemon meanwhile, and the duration of each command, beside
+// a program that does nothing.
 //   ctl_bench [--topics=N] [--processes=N] [--seconds=N] [--json]
 
 #include <agnocast/agnocast.hpp>
@@ -59,7 +60,7 @@ struct Size {
 
 std::string topic_of(unsigned index) { return "/bench/topic_" + std::to_string(index); }
 
-/// Its share of the topics to publish on twice a second, and its neighbour's to subscribe to.
+/// Publishes on its share of the topics twice a second, and subscribes to its neighbour's.
 [[noreturn]] void be_node(unsigned index, const Size& size) {
   ::prctl(PR_SET_PDEATHSIG, SIGKILL);
   Node node("node_" + std::to_string(index));
@@ -91,7 +92,7 @@ struct Spent {
   bool ok = false;
 };
 
-/// Runs it with its output thrown away.
+/// Runs a command and discards its output.
 Spent run(const std::vector<std::string>& words) {
   std::vector<char*> arguments;
   for (const std::string& word : words) arguments.push_back(const_cast<char*>(word.c_str()));
@@ -114,7 +115,7 @@ Spent run(const std::vector<std::string>& words) {
           seconds(used.ru_utime) + seconds(used.ru_stime), status == 0};
 }
 
-/// User and system time of a process so far.
+/// Returns user and system time of a process so far.
 double cpu_of(pid_t pid) {
   std::ifstream file("/proc/" + std::to_string(pid) + "/stat");
   std::string text((std::istreambuf_iterator<char>(file)), {});

@@ -37,7 +37,7 @@ std::optional<std::string> cpu_model() {
   return {};
 }
 
-// "always [madvise] never" says madvise.
+// Returns "madvise" for "always [madvise] never".
 std::optional<std::string> chosen_of(const std::string& path) {
   const auto line = line_of(path);
   if (!line) return {};
@@ -71,7 +71,7 @@ void keep_load(nlohmann::json& all, const char* key) {
   if (::getloadavg(load, 3) == 3) all[key] = load;
 }
 
-// Tried in a child: this process is to stay as it is.
+// Tries it in a child: this process must stay as it is.
 bool may_be_realtime() {
   const pid_t pid = ::fork();
   if (pid == 0) {
@@ -162,7 +162,7 @@ void complete(nlohmann::json& environment) {
 std::vector<std::string> doubts(const nlohmann::json& environment) {
   std::vector<std::string> all = absent();
   if (environment.at("build_type") != "Release")
-    all.push_back("this program was not built as Release: its figures say little");
+    all.push_back("this program was not built as Release: its figures have little meaning");
   if (!environment.at("realtime").get<bool>())
     all.emplace_back(
         "SCHED_FIFO is not permitted: tails are longer, and on one core the order of processes is "

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Environment: where a result comes from. What cannot be read is left out.
+// Environment: the origin of a result. Unreadable facts are left out.
 #pragma once
 
 #include <nlohmann/json.hpp>
@@ -10,18 +10,19 @@
 
 namespace agnocast::bench {
 
-/// At the beginning. `arguments`: of the command line.
+/// Collects facts at the beginning. `arguments`: of the command line.
 nlohmann::json environment(const std::vector<std::string>& arguments);
-/// What is known at the end: the load then, and what was left out.
+/// Adds facts known at the end: the load then, and the parts left out.
 void complete(nlohmann::json& environment);
 
-/// Of the sources when this was built, "1a2b3c4-dirty"; empty: not known.
+/// Revision of the sources at build time, "1a2b3c4-dirty"; empty: unknown.
 extern const char* const revision;
 
-/// What cannot be measured here, and why: said on stderr, once, and kept for complete().
+/// Reports what cannot be measured here, and why: once on stderr, and kept for complete().
 void leave_out(const std::string& what);
 
-/// What of it makes figures doubtful, as sentences for people: a build that is not optimised, a busy machine, …
+/// Returns sentences about facts that make figures doubtful: a build that is not optimised, a
+/// busy machine, …
 std::vector<std::string> doubts(const nlohmann::json& environment);
 
 }  // namespace agnocast::bench

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Figures of samples: quantiles, spread, intervals, a straight line. Header only, values in, values out.
+// Figures of samples: quantiles, spread, intervals, a straight line. Header only, values in,
+// values out.
 #pragma once
 
 #include <algorithm>
@@ -14,8 +15,8 @@
 
 namespace agnocast::bench {
 
-/// The q-quantile (0 … 1) by linear interpolation between order statistics (type 7 of Hyndman and Fan, 1996);
-/// 0 of no samples. The median is quantile(…, 0.5).
+/// Returns the q-quantile (0 … 1) by linear interpolation between order statistics (type 7 of
+/// Hyndman and Fan, 1996); 0 for no samples. The median is quantile(…, 0.5).
 inline double quantile(std::vector<double> samples, double q) {
   if (samples.empty()) return 0;
   std::sort(samples.begin(), samples.end());
@@ -26,14 +27,15 @@ inline double quantile(std::vector<double> samples, double q) {
 }
 inline double median(std::vector<double> samples) { return quantile(std::move(samples), 0.5); }
 
-/// Of fewer samples the 0.99-quantile is hardly other than their maximum, and no p99 is told.
+/// With fewer samples the 0.99-quantile is nearly their maximum, so no p99 is printed.
 inline constexpr std::size_t p99_samples_min = 100;
 
 inline double mean(const std::vector<double>& samples) {
   if (samples.empty()) return 0;
   return std::accumulate(samples.begin(), samples.end(), 0.0) / static_cast<double>(samples.size());
 }
-/// Coefficient of variation: the sample's standard deviation over its mean; 0 below two samples.
+/// Returns the coefficient of variation: the sample's standard deviation over its mean; 0 below
+/// two samples.
 inline double variation(const std::vector<double>& samples) {
   const double middle = mean(samples);
   if (samples.size() < 2 || middle == 0) return 0;
@@ -45,7 +47,8 @@ inline double variation(const std::vector<double>& samples) {
 struct Interval {
   double low = 0, high = 0;
 };
-/// The 95 % interval of `statistic` by the percentile bootstrap (Efron 1979), `resamples` drawings with a fixed seed.
+/// Returns the 95 % interval of `statistic` by the percentile bootstrap (Efron 1979), `resamples`
+/// drawings with a fixed seed.
 template <typename Statistic>
 Interval bootstrap(const std::vector<double>& samples, Statistic statistic,
                    std::size_t resamples = 1000) {
@@ -60,9 +63,10 @@ Interval bootstrap(const std::vector<double>& samples, Statistic statistic,
   return {quantile(statistics, 0.025), quantile(statistics, 0.975)};
 }
 
-/// The 95 % interval of statistic(one) / statistic(other) of samples that were taken in rounds, each round of both under the
-/// same conditions. Samples of a round are alike, so rounds are drawn, the same of both, and then samples within each; what
-/// was drawn is put together before it is looked at.
+/// Returns the 95 % interval of statistic(one) / statistic(other) for samples taken in rounds,
+/// each round of both under the same conditions. Samples of a round are alike, so it draws
+/// rounds, the same for both, and then samples within each, and applies the statistic to their
+/// union.
 template <typename Statistic>
 Interval bootstrap_ratio(const std::vector<std::vector<double>>& one,
                          const std::vector<std::vector<double>>& other, Statistic statistic,
@@ -89,13 +93,14 @@ Interval bootstrap_ratio(const std::vector<std::vector<double>>& one,
   return {quantile(ratios, 0.025), quantile(ratios, 0.975)};
 }
 
-/// The 95 % interval of the median by order statistics: as many are cut off at both ends as leave it no less certain. Of seven
-/// samples it is from the least to the greatest (98.4 %), and so it is below six, where there is none that is as certain.
+/// Returns the 95 % interval of the median by order statistics: cuts off as many samples at both
+/// ends as the confidence permits. For seven samples it is from the least to the greatest (98.4
+/// %); likewise below six, where no interval is as certain.
 inline Interval median_interval(std::vector<double> samples) {
   if (samples.empty()) return {};
   std::sort(samples.begin(), samples.end());
   const std::size_t count = samples.size();
-  // Of a fair coin: how likely `cut` heads are, and `cut` at most.
+  // Probability of `cut` heads of a fair coin, and of `cut` at most.
   double exactly = std::pow(0.5, static_cast<double>(count)), at_most = exactly;
   std::size_t cut = 0;
   for (;;) {
@@ -107,7 +112,7 @@ inline Interval median_interval(std::vector<double> samples) {
   return {samples[cut], samples[count - 1 - cut]};
 }
 
-/// y = offset + slope · x, by least squares; a constant where there is but one x.
+/// y = offset + slope · x, by least squares; a constant if there is only one x.
 struct Line {
   double slope = 0, offset = 0;
 };

@@ -71,7 +71,7 @@ Lane::Lane(int descriptor) : descriptor_(descriptor) {
   place(head_->plan);
 }
 
-// With all pages: a first touch is no part of any message.
+// Allocates all pages: no message includes a first touch.
 void Lane::map(std::size_t bytes) {
   base_ = ::mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, descriptor_, 0);
   if (base_ == MAP_FAILED)
@@ -144,7 +144,7 @@ bool is_intact(const std::byte* payload, std::size_t bytes, std::uint64_t number
   for (std::size_t at = 0; at < bytes; at += page) {
     const std::byte* const begin = payload + (at == 0 ? sizeof number : at);
     const std::byte* const end = payload + std::min(at + page, bytes);
-    // Equal to its neighbour, each of them, is equal to the first.
+    // If each byte equals its neighbour, all equal the first.
     const bool is_even =
         std::memcmp(begin, begin + 1, static_cast<std::size_t>(end - begin) - 1) == 0;
     if (*begin != expected_byte(number, at / page) || !is_even) return false;

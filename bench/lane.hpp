@@ -1,18 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Lane: the memory that the processes of one run share. It paces them and keeps the times, so that no measured message
-// meets a pipe, a file or a system call of the benchmark's own.
+// Lane: the shared memory of the processes of one run. It paces them and stores the times, so
+// that no measured message includes a pipe, a file or a system call of the benchmark itself.
 //
-//   head                 what the run is, its state, the first error
-//   seen[receivers]      how far each receiver is, a cache line each
+//   head                 the run, its state, the first error
+//   seen[receivers]      progress of each receiver, a cache line each
 //   sent[messages]       when the publish call began and when it returned
 //   received[receivers × messages]
 //   scratch              for floors
 //
 //   state:  waiting ──conductor: go──▶ running ──sender: all seen──▶ over
 //
-// The conductor makes it (a memfd), everybody else attaches by the inherited descriptor. All are processes of one program
-// and one run, so the layout needs no version.
+// The conductor makes it (a memfd), the others attach by the inherited descriptor. All are
+// processes of one program and one run, so the layout needs no version.
 #pragma once
 
 #include <bench/system.hpp>
@@ -25,29 +25,29 @@
 
 namespace agnocast::bench {
 
-/// CLOCK_MONOTONIC.
+/// Returns CLOCK_MONOTONIC in nanoseconds.
 std::int64_t now_ns() noexcept;
 
-/// Where and how the processes of a run run.
+/// Placement and scheduling of the processes of a run.
 enum class Cores : std::uint32_t {
   anywhere,  ///< not pinned, ordinary scheduling
   one,       ///< all on the first of cpus()
   two,       ///< sender on the first, receivers on the second
 };
 
-/// What a run is.
+/// Parameters of a run.
 struct Plan {
   std::size_t bytes = 1024;
   std::size_t receivers = 1;
-  std::size_t messages = 1000;  ///< kept
-  std::size_t warm_up = 100;    ///< sent before them, and not kept
+  std::size_t messages = 1000;  ///< measured
+  std::size_t warm_up = 100;    ///< sent before them, and not measured
   std::int64_t period_ns =
-      1'000'000;  ///< from when all have seen a message to the next publish call, at least
+      1'000'000;  ///< at least, from when all have seen a message to the next publish call
   Cores cores = Cores::anywhere;
-  bool is_real_time = true;  ///< SCHED_FIFO where pinned
+  bool is_real_time = true;  ///< SCHED_FIFO if pinned
   std::size_t depth = 10;
   std::int64_t lasting_ns = 0;  ///< throughput: how long to send; there `messages` is 1
-  /// Of the receivers; 0: as the sender. Only root can have others.
+  /// The receivers' user; 0: the sender's. Only root can set another.
   std::uint32_t receiver_uid = 0;
   std::size_t all_messages() const noexcept { return warm_up + messages; }
 };
@@ -60,8 +60,8 @@ class Lane {
 
   struct alignas(64) Seen {
     std::atomic<std::uint64_t>
-        number;          ///< of the last message that was proved intact; they count from 1
-    std::int64_t at_ns;  ///< when it was
+        number;          ///< of the last verified message; they count from 1
+    std::int64_t at_ns;  ///< its time
   };
   struct Sent {
     std::int64_t begin_ns, end_ns;
@@ -73,15 +73,15 @@ class Lane {
     std::atomic<std::uint32_t> state;            ///< a futex
     std::atomic<std::uint32_t> ready;            ///< processes that have made their side
     std::atomic<std::uint32_t> has_matched;      ///< the sender would reach all
-    std::atomic<std::uint32_t> is_without_fifo;  ///< somebody was refused SCHED_FIFO
+    std::atomic<std::uint32_t> is_without_fifo;  ///< SCHED_FIFO was refused in a process
     std::atomic<std::uint32_t> has_error;
-    std::int64_t sender_cpu_ns;  ///< of all threads of its process, for the messages that are kept
+    std::int64_t sender_cpu_ns;  ///< of all threads of its process, for the measured messages
     char error[512];
   };
 
-  /// A new one. Throws std::runtime_error.
+  /// Makes a new one. Throws std::runtime_error.
   Lane(const Plan& plan, std::string_view system, std::string_view topic);
-  /// An inherited one.
+  /// Attaches an inherited one.
   explicit Lane(int descriptor);
   ~Lane();
   Lane(const Lane&) = delete;
@@ -99,13 +99,13 @@ class Lane {
   void* scratch() const noexcept { return scratch_; }
 
   bool have_all_seen(std::uint64_t number) const noexcept;
-  /// When the last of them had seen it; of a message that all have seen.
+  /// Returns when the last receiver saw a message that all have seen.
   std::int64_t all_seen_ns() const noexcept;
-  /// The first one stays.
+  /// Only the first error is kept.
   void set_error(std::string_view text) noexcept;
   std::string error() const;
   void set_state(State state) noexcept;
-  /// Sleeps until the state is no longer `state`.
+  /// Sleeps until the state differs from `state`.
   void wait_while(State state) const noexcept;
 
  private:
@@ -122,8 +122,9 @@ class Lane {
   void* scratch_ = nullptr;
 };
 
-// --- payload: its number in front, and behind it pages full of a byte that depends on both number and page. All of it is
-// written for every system, so that none has its payload in the caches where another has not.
+// --- payload: its number in front, then pages full of a byte that depends on number and page. It
+// is written completely for every system, so that none has its payload in the caches where
+// another has not.
 
 void mark(std::byte* payload, std::size_t bytes, std::uint64_t number) noexcept;
 std::uint64_t number_of(const std::byte* payload) noexcept;

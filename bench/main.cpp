@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// agnocast-bench: comparisons side by side. Runs the cases that are asked for, writes what they give, and has the pictures
-// drawn by agnocast-bench-plot. Its own processes come in by another door: %ROLE (process.hpp).
+// agnocast-bench: compares systems side by side. Runs the requested cases, writes their results,
+// and has agnocast-bench-plot draw the plots. Its own processes start as %ROLE (process.hpp).
 //
-// Exit status: 0 done, 1 something did not work, 2 wrong usage.
+// Exit status: 0 done, 1 a failure, 2 wrong usage.
 
 #include <bench/cases.hpp>
 #include <bench/environment.hpp>
@@ -49,8 +49,9 @@ int refuse(const std::string& what) {
   return 2;
 }
 
-// Ctrl-C ends a measurement of minutes: its processes first, then its directories are removed. The signals are blocked
-// in all threads and waited for in one, so that nothing is interrupted in the middle; Process unblocks them again.
+// Ctrl-C ends a measurement of minutes: first its processes, then its directories. All threads
+// block the signals and one waits for them, so that nothing is interrupted in the middle; Process
+// unblocks them again.
 void clean_up_on_signals() {
   static sigset_t signals;
   ::sigemptyset(&signals);
@@ -90,8 +91,8 @@ void list() {
   std::fputs(text.c_str(), stdout);
 }
 
-/// Where results go with --json=-: what was standard output. From then on that is standard error, so that nothing which a
-/// process or a library may print gets between.
+/// The destination of results with --json=-: the original standard output. From then on
+/// descriptor 1 is standard error, so that no output of a process or a library mixes with them.
 class PureOutput {
  public:
   PureOutput() : file_(::fdopen(::fcntl(STDOUT_FILENO, F_DUPFD_CLOEXEC, 0), "w")) {
@@ -120,7 +121,7 @@ void write(const nlohmann::json& document, const std::string& file) {
     throw std::runtime_error(file + ": cannot be written");
 }
 
-// An hour of measuring is not to end with results that go nowhere.
+// An hour of measuring must not end with results that cannot be written.
 void check_writable(const std::string& file) {
   if (file.empty() || file == "-") return;
   if (!std::ofstream(file, std::ios::app)) throw std::runtime_error(file + ": cannot be written");
@@ -132,7 +133,7 @@ void check_runs(const char* program, const char* option, const std::string& what
   if (process.wait(std::chrono::minutes(1)) != 0) throw std::runtime_error(what);
 }
 
-// What would otherwise be missed in the midst of it.
+// Checks early for programs that would be missing later.
 void check_programs(const Options& options) {
   if (std::find(options.cases.begin(), options.cases.end(), "load") != options.cases.end())
     check_runs("stress-ng", "--version",
@@ -151,14 +152,15 @@ void draw(const nlohmann::json& document, const std::string& directory) {
     throw std::runtime_error("agnocast-bench-plot could not draw");
 }
 
-// One that fails leaves what it has given so far, and the others. Returns why, by name. `after_each` is given the same so far.
+// Runs the cases. A failed one keeps its results so far, and does not stop the others. Returns
+// failures by name. Calls `after_each` with the failures so far.
 template <class AfterEach>
 nlohmann::json run_cases(const Options& options, Report& report, AfterEach after_each) {
   nlohmann::json failed = nlohmann::json::object();
   for (const std::string& name : options.cases) {
     for (const Case& one : cases()) {
       if (one.name != name) continue;
-      // What a shorter or a longer run takes shows on the way.
+      // For other than default runs the duration is unknown until they progress.
       report.begin_case(name, options.is_default ? one.usual : std::chrono::seconds(0));
       report.say("\n== " + name + ": " + std::string(one.summary));
       try {
@@ -176,9 +178,9 @@ nlohmann::json run_cases(const Options& options, Report& report, AfterEach after
 
 int measure(const Options& options, const std::vector<std::string>& arguments) {
   clean_up_on_signals();
-  // Floors and peers are measured as they are; who is to have a library before others is told so (Process::Options).
+  // Floors and peers run without preloads; only selected processes get one (Process::Options).
   ::unsetenv("LD_PRELOAD");
-  // A process that reads no more is an error of Process::send(), which tells who it was.
+  // Process::send() reports a process that reads no more, with its name.
   ::signal(SIGPIPE, SIG_IGN);
   check_writable(options.json);
   check_programs(options);
@@ -189,7 +191,7 @@ int measure(const Options& options, const std::vector<std::string>& arguments) {
   nlohmann::json document = {{"schema", "agnocast.bench/1"},
                              {"environment", environment(arguments)}};
   for (const std::string& doubt : doubts(document["environment"])) report.say("note: " + doubt);
-  // A file has after each case what there is by then, for who ends the next one.
+  // After each case the file has all results so far, in case the user ends the next one.
   const auto gather = [&](const nlohmann::json& failed) {
     complete(document["environment"]);
     document["results"] = report.results;

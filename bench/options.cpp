@@ -11,7 +11,7 @@
 namespace agnocast::bench {
 namespace {
 
-// A number and the unit behind it.
+// Splits a number and its unit.
 bool split(const std::string& text, double& number, std::string& unit) {
   std::size_t end = 0;
   try {
@@ -24,10 +24,10 @@ bool split(const std::string& text, double& number, std::string& unit) {
 }
 
 std::string check_size(const std::string& text) {
-  return size_of(text) >= 16 ? "" : "'" + text + "' is no size of 16 bytes or more, like 1K or 8M";
+  return size_of(text) >= 16 ? "" : "'" + text + "' is not a size of 16 bytes or more, like 1K or 8M";
 }
 std::string check_period(const std::string& text) {
-  return period_of(text).count() >= 0 ? "" : "'" + text + "' is no time like 250us, 1ms or 1s";
+  return period_of(text).count() >= 0 ? "" : "'" + text + "' is not a time like 250us, 1ms or 1s";
 }
 CLI::Validator one_of(const std::vector<std::string>& names, const char* kind) {
   return CLI::Validator(
@@ -41,11 +41,11 @@ CLI::Validator one_of(const std::vector<std::string>& names, const char* kind) {
       "");
 }
 
-// Those that not every case reads.
+// Options that only some cases read.
 constexpr std::string_view of_some_cases[] = {"--rounds", "--messages", "--period",
                                               "--sizes",  "--systems",  "--scan"};
 
-/// What is wrong with `what` unless one of the cases that were asked for `takes` it; empty: nothing is.
+/// Returns why `what` is wrong unless a requested case `takes` it; empty: nothing is wrong.
 template <class Takes>
 std::string refusal(const std::string& what, const std::vector<std::string>& asked,
                     const std::vector<Case>& cases, Takes takes) {
@@ -61,7 +61,8 @@ std::string refusal(const std::string& what, const std::vector<std::string>& ask
   return nobody + what + "; leave it out" + (others.empty() ? "" : ", or ask for " + others);
 }
 
-/// Each case that was asked for and reads sizes has to have them all: which of them is meant for which case nobody says.
+/// Every requested case that reads sizes must accept all of them: sizes cannot be assigned to
+/// cases.
 std::string refusal_of_sizes(const Options& options, const std::vector<Case>& cases) {
   const std::vector<std::size_t>& sizes = options.run.sizes;
   for (const Case& one : cases) {
@@ -70,7 +71,7 @@ std::string refusal_of_sizes(const Options& options, const std::vector<Case>& ca
     if (!is_asked || one.reads.count("--sizes") == 0) continue;
     const std::string name(one.name);
     if (sizes.size() > one.sizes_max)
-      return name + " does not take more than one of --sizes; say one, or leave " + name + " out";
+      return name + " does not take more than one of --sizes; give one, or leave " + name + " out";
     for (const std::size_t size : sizes) {
       const std::vector<std::size_t>& known = one.sizes_of;
       if (known.empty() || std::find(known.begin(), known.end(), size) != known.end()) continue;
@@ -192,13 +193,13 @@ Options parse(const std::vector<std::string>& arguments, const std::vector<Case>
   app.add_option("CASE", options.cases, "what to measure (--list names them); all: everything")
       ->check(one_of(with_all, "case"));
   app.add_flag("--list", options.is_list,
-               "say which cases and systems this build has, and how long they take");
+               "print the cases and systems of this build, and how long they take");
   auto* const rounds_option =
-      app.add_option("--rounds", rounds, "how often each system has its turn")
+      app.add_option("--rounds", rounds, "number of rounds of each system")
           ->check(CLI::Range(1, 1000))
           ->type_name("N");
   auto* const messages_option =
-      app.add_option("--messages", messages, "messages of a system's turn")
+      app.add_option("--messages", messages, "messages of a system per round")
           ->check(CLI::Range(1, 1000000))
           ->type_name("N");
   app.add_option("--period", period, "time between messages, like 1ms")
@@ -208,15 +209,15 @@ Options parse(const std::vector<std::string>& arguments, const std::vector<Case>
       ->delimiter(',')
       ->check(check_size)
       ->type_name("A,B");
-  app.add_option("--systems", run.systems, "these alone")
+  app.add_option("--systems", run.systems, "only these")
       ->delimiter(',')
       ->check(one_of(systems, "system"))
       ->type_name("A,B");
   app.add_option("--scan", run.scan, "pipeline: a recorded scan of 5 float32 per point")
       ->check(CLI::ExistingFile)
       ->type_name("FILE");
-  app.add_flag("--small", run.is_small, "as short as works: to see that it does, not to measure");
-  app.add_option("--json", options.json, "write the results there; -: to stdout, and no tables")
+  app.add_flag("--small", run.is_small, "as short as possible: to check it, not to measure");
+  app.add_option("--json", options.json, "write results to this file; -: to stdout, without tables")
       ->type_name("FILE");
   app.add_option("--plot", options.plot, "draw pictures into this directory, as SVG and PNG")
       ->type_name("DIR");

@@ -14,29 +14,29 @@ namespace agnocast::bench {
 struct Options {
   std::vector<std::string> cases;
   Run run;
-  bool is_default = true;  ///< a run as the cases have it
+  bool is_default = true;  ///< a run with the cases' defaults
   std::string json;        ///< file; "-": stdout, and nothing else there; empty: none
   std::string plot;        ///< directory; empty: none
-  bool is_list = false;    ///< say which cases and systems there are
+  bool is_list = false;    ///< print the cases and systems
   std::string help;        ///< not empty: print this instead
-  std::string error;       ///< not empty: wrong usage, and what to do
+  std::string error;       ///< not empty: wrong usage, and the remedy
 };
 
-/// Of a command line for these cases. An option, or a system, that none of those which are asked for reads is wrong usage:
-/// who says --period is not to take figures for an answer that are of another period.
+/// Parses a command line for these cases. An option, or a system, that no requested case reads is
+/// wrong usage: a user of --period must not get figures of another period.
 Options parse(const std::vector<std::string>& arguments, const std::vector<Case>& cases);
 
-/// "--rounds --sizes", the options that it reads beside those of every case.
+/// Returns "--rounds --sizes", the options that it reads beside those of every case.
 std::string options_text(const Case& one);
 bool compares(const Case& one, std::string_view system);
-/// All that these cases compare, each name once.
+/// Returns all systems of these cases, each name once.
 std::vector<SystemName> systems_of(const std::vector<Case>& cases);
 
-/// "64", "10K", "1.5M" (1024 based); 0: not a size.
+/// Parses "64", "10K", "1.5M" (1024 based); 0: not a size.
 std::size_t size_of(const std::string& text);
-/// "250us", "1ms", "2s"; negative: not a time.
+/// Parses "250us", "1ms", "2s"; negative: not a time.
 std::chrono::microseconds period_of(const std::string& text);
-/// 1048576 as "1 MiB".
+/// Returns 1048576 as "1 MiB".
 std::string size_text(std::size_t bytes);
 
 }  // namespace agnocast::bench

@@ -47,7 +47,7 @@ struct Pipe {
   sigset_t none;
   ::sigemptyset(&none);
   ::sigprocmask(SIG_SETMASK, &none, nullptr);
-  ::signal(SIGPIPE, SIG_DFL);  // being ignored would be inherited
+  ::signal(SIGPIPE, SIG_DFL);  // the child would inherit that it is ignored
   if (!options.output.empty()) {
     const int file =
         ::open(options.output.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0600);
@@ -74,8 +74,8 @@ std::map<std::string_view, RoleMain>& roles() {
   return all;
 }
 
-// Never destroyed: a signal may come while the process ends. The mutex is of every Process' pid and status, too, as a pid
-// that was waited for may be somebody else's at once.
+// Never destroyed: a signal may come while the process ends. The mutex also guards the pid and
+// status of every Process, because a pid that was waited for may be reused at once.
 struct Everyone {
   std::recursive_mutex mutex;
   std::vector<Process*> processes;
@@ -177,7 +177,7 @@ std::string Process::line(std::chrono::milliseconds at_most) {
     const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(end - Clock::now());
     pollfd entry{output_, POLLIN, 0};
     if (left.count() <= 0 || ::poll(&entry, 1, static_cast<int>(left.count())) == 0)
-      throw std::runtime_error(name_ + " says nothing any more");
+      throw std::runtime_error(name_ + " has stopped answering");
     char bytes[4096];
     const ssize_t count = ::read(output_, bytes, sizeof bytes);
     if (count == 0) throw std::runtime_error(name_ + " has ended unexpectedly");

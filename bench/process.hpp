@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Process: a program that the benchmark starts, and that never outlives it. Role: what a process of the benchmark's own
-// binary does, by name.
+// Process: a program started by the benchmark, which never outlives it. Role: the function of a
+// process of the benchmark's own binary, by name.
 //
-//   agnocast-bench %NAME ARGUMENTS…      as a role; for Process alone, not for people
+//   agnocast-bench %NAME ARGUMENTS…      runs a role; only for Process, not for users
 //
-// A case that needs processes of its own registers what they do at namespace scope:
+// A case with processes of its own registers their roles at namespace scope:
 //
 //   const RegisterRole dying("death-publisher", [](const std::vector<std::string>& arguments) { … return 0; });
 //   Process process({.command = as_role("death-publisher", {"argument"})});
@@ -24,16 +24,16 @@ namespace agnocast::bench {
 class Process {
  public:
   struct Options {
-    std::vector<std::string> command;           ///< looked for in PATH unless it has a slash
-    std::vector<std::string> environment = {};  ///< NAME=value, beside the caller's own
-    std::vector<int> descriptors = {};  ///< inherited under the same numbers; nothing else is
+    std::vector<std::string> command;           ///< searched in PATH unless it has a slash
+    std::vector<std::string> environment = {};  ///< NAME=value, in addition to the caller's
+    std::vector<int> descriptors = {};  ///< inherited under the same numbers; no others are
     std::string output = {};            ///< file for both streams, appended; empty: the caller's
-    bool has_pipes = false;             ///< its standard input and output are send() and line()
-    int end_signal = 9;                 ///< what the destructor sends, and the kernel when we die
-    void (*at_end)() = nullptr;         ///< after its end, for what it may have left
+    bool has_pipes = false;             ///< send() and line() use its input and output
+    int end_signal = 9;                 ///< sent by the destructor, and by the kernel at our death
+    void (*at_end)() = nullptr;         ///< called after its end, to remove leftovers
   };
-  /// Throws std::system_error when there is no process; that the program is missing shows as status 127. It dies with
-  /// the thread that calls this.
+  /// Throws std::system_error if no process can be made; a missing program appears as status 127.
+  /// The process dies with the thread that calls this.
   explicit Process(Options options);
   /// end(end_signal), if it still runs.
   ~Process();
@@ -41,22 +41,25 @@ class Process {
   Process& operator=(Process&&) = delete;
 
   pid_t pid() const noexcept { return pid_; }
-  /// Its exit status, 128 + N after signal N; empty while it runs.
+  /// Returns its exit status, 128 + N after signal N; empty while it runs.
   std::optional<int> status();
-  /// Waits; empty when the time is up.
+  /// Waits; returns empty when the time is up.
   std::optional<int> wait(std::chrono::milliseconds at_most);
-  /// Sends `signal` and waits; SIGKILL after ten seconds. Its status.
+  /// Sends `signal` and waits; sends SIGKILL after ten seconds. Returns its status.
   int end(int signal);
-  /// SIGKILL, and waits.
+  /// Sends SIGKILL, and waits.
   void kill() { (void)end(9); }
 
-  /// What the destructors of all of them would do: for who ends without any. Those who die of SIGKILL come first, as a daemon
-  /// gives back what its clients had, and waits for those who live. From then on Process is of no use: whoever uses it blocks.
+  /// Does the work of all destructors, for an end without any. Processes ended by SIGKILL go
+  /// first, because a daemon releases the resources of its clients, and waits for living ones.
+  /// After it, Process is unusable: every call blocks.
   static void end_all() noexcept;
 
-  /// With pipes: a line to its standard input. False when it reads no more, to a caller who ignores SIGPIPE.
+  /// With pipes: writes a line to its standard input. Returns false if it reads no more and the
+  /// caller ignores SIGPIPE.
   bool send(std::string_view line);
-  /// With pipes: the next line of its standard output. Throws when it ended, or after `at_most`.
+  /// With pipes: returns the next line of its standard output. Throws if it has ended, or after
+  /// `at_most`.
   std::string line(std::chrono::milliseconds at_most = std::chrono::seconds(60));
 
  private:
@@ -68,15 +71,15 @@ class Process {
   std::string name_, buffer_;
 };
 
-/// Of this very program, as a role.
+/// Returns the command of this very program in a role.
 std::vector<std::string> as_role(std::string_view role, std::vector<std::string> arguments = {});
 
 using RoleMain = int (*)(const std::vector<std::string>& arguments);
-/// One object of it at namespace scope for each role.
+/// Registers a role; one object at namespace scope for each.
 struct RegisterRole {
   RegisterRole(std::string_view name, RoleMain main);
 };
-/// Null: there is no such role.
+/// Returns null if there is no such role.
 RoleMain find_role(std::string_view name);
 
 }  // namespace agnocast::bench

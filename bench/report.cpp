@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Report: what cases say to people goes to stdout line by line, what they say to machines is kept until the end. How far
-// they are is a line on the terminal that the next one of either kind replaces.
+// Report: prints text for users to stdout line by line, and keeps results for machines until the
+// end. The progress is a line on the terminal that the next output replaces.
 
 #include <bench/case.hpp>
 
@@ -14,7 +14,8 @@
 namespace agnocast::bench {
 namespace {
 
-// As many as a violin needs, drawn at random so that its shape stays; both ends stay too.
+// Keeps as many values as a violin needs, drawn at random so that its shape stays; also both
+// ends.
 nlohmann::json thinned(const nlohmann::json& values) {
   constexpr std::size_t kept_max = 2000;
   if (values.size() <= kept_max) return values;
@@ -59,7 +60,7 @@ void Report::add(Plot plot) {
 void Report::progress(std::size_t done, std::size_t all, std::string_view what) {
   if (bar_ == nullptr) return;
   const auto now = std::chrono::steady_clock::now();
-  if (done == 0) began_ = now;  // steps are counted from here, and so is time
+  if (done == 0) began_ = now;  // steps and time are counted from here
   clear_bar();
   if (done >= all) return;
   const std::chrono::duration<double> gone = now - began_;

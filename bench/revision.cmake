@@ -1,5 +1,6 @@
-# Writes OUTPUT, which says what is in the tree SOURCE, when that has changed: cmake -DSOURCE=… -DOUTPUT=… -P revision.cmake
-# A lock of the index is not waited for, nor taken: somebody may be at work there.
+# Writes OUTPUT, with the revision of the tree SOURCE, if that has changed: cmake -DSOURCE=…
+# -DOUTPUT=… -P revision.cmake Neither waits for the lock of the index nor takes it: another
+# program may be using it.
 cmake_minimum_required(VERSION 3.25)
 set(ENV{GIT_OPTIONAL_LOCKS} 0)
 execute_process(COMMAND git describe --always --dirty WORKING_DIRECTORY ${SOURCE}

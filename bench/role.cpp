@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Roles "sender" and "receiver": what the processes of a run do.
+// Roles "sender" and "receiver": the processes of a run.
 //
-//   sender     makes its side, waits for the match and the word, then for each message: prepare and mark (not measured),
-//              stamp, send, stamp, wait until every receiver has seen it
-//   receiver   makes its side, and for each message: stamp, then prove that all of the payload is what was sent
+//   sender     makes its side, waits for the match and the start, then for each message: prepare
+//              and mark (not measured), stamp, send, stamp, wait until every receiver has seen it
+//   receiver   makes its side, and for each message: stamp, then verify the whole payload
 //
-// On one core a receiver preempts the sender, so a message is in hand before the publish call returns; that is meant:
-// what is compared there is the way, without the interrupt from one core to the other.
+// On one core a receiver preempts the sender, so it has a message before the publish call
+// returns; that is intended: the comparison there excludes the interrupt from one core to the
+// other.
 
 #include <bench/conductor.hpp>
 #include <bench/cpus.hpp>
@@ -33,7 +34,7 @@ namespace {
 
 constexpr std::int64_t patience_ns = 10'000'000'000;
 
-/// Of the whole process.
+/// Returns the processor time of the whole process.
 std::int64_t cpu_ns() noexcept {
   timespec time{};
   ::clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &time);
@@ -45,7 +46,8 @@ void sleep_until(std::int64_t when_ns) noexcept {
   while (::clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &when, nullptr) == EINTR) continue;
 }
 
-// Repeats `attempt` until it says yes. Without a pause it only lets those go first who share its core.
+// Repeats `attempt` until it succeeds. Without a pause it only yields to processes on the same
+// core.
 template <class Attempt>
 void insist(const std::string& what, std::int64_t pause_ns, Attempt attempt) {
   const std::int64_t end_ns = now_ns() + patience_ns;
@@ -60,7 +62,7 @@ void insist(const std::string& what, std::int64_t pause_ns, Attempt attempt) {
   }
 }
 
-// Back to back, the next message does not wait for a nap to end.
+// Without a period, the next message does not wait for the end of a nap.
 std::int64_t nap_ns(const Plan& plan) noexcept { return plan.period_ns > 0 ? 50'000 : 0; }
 
 void send_one(const Lane& lane, Sender& sender, std::uint64_t number) {
@@ -70,7 +72,7 @@ void send_one(const Lane& lane, Sender& sender, std::uint64_t number) {
          [&] { return (payload = sender.prepare()) != nullptr; });
   mark(payload, lane.plan().bytes, number);
   Lane::Sent& sent = lane.sent(number);
-  sent.begin_ns = now_ns();  // once: what is refused first and sent later is late
+  sent.begin_ns = now_ns();  // once: a message that is refused first and sent later is late
   insist(name + " is not sent", nap_ns(lane.plan()), [&] {
     const bool is_sent = sender.send();
     sent.end_ns = now_ns();
@@ -78,8 +80,9 @@ void send_one(const Lane& lane, Sender& sender, std::uint64_t number) {
   });
 }
 
-// Sleeps a period before it looks whether a message was seen, so as not to disturb it on its way; and on, until a slow one
-// has been seen for a period too: the next one meets receivers that are as much at rest. A period of 0 is none of this.
+// Sleeps a period before it checks whether a message was seen, so as not to disturb it on its
+// way; and continues until a slow message has been seen for a period too, so that the next one
+// meets receivers equally at rest. Not with a period of 0.
 void send_all(const Lane& lane, Sender& sender) {
   const std::int64_t period_ns = lane.plan().period_ns;
   std::int64_t cpu_before_ns = cpu_ns();
@@ -147,7 +150,7 @@ int be_receiver(const std::vector<std::string>& arguments) {
     return lane.head().has_error == 0 ? 0 : 1;
   } catch (const std::exception& error) {
     lane.set_error(error.what());
-    std::_Exit(1);  // the stopper may wait still
+    std::_Exit(1);  // the stopper may still wait
   }
 }
 
@@ -162,7 +165,7 @@ void take_place(const Lane& lane, const System& system, bool is_sender) {
   if (!pin_to(is_sender || plan.cores == Cores::one ? cpus().first : cpus().second))
     throw std::runtime_error(std::string("pinning to a CPU: ") + std::strerror(errno));
   if (!plan.is_real_time || (!is_sender && system.is_spinning)) return;
-  // A receiver comes before the sender, so that on one core nothing is in its way.
+  // A receiver has a higher priority than the sender, so that on one core nothing delays it.
   sched_param priority{};
   priority.sched_priority = is_sender ? 50 : 51;
   if (::sched_setscheduler(0, SCHED_FIFO, &priority) != 0) lane.head().is_without_fifo.store(1);

@@ -31,8 +31,8 @@ constexpr auto patience = std::chrono::seconds(10);
 
 struct Part {
   std::string_view name;
-  std::string_view from_bin;  // directory, as installed
-  std::string_view built;     // by the tree that this program is of
+  std::string_view from_bin;  // directory, if installed
+  std::string_view built;     // in the build tree of this program
 };
 constexpr Part parts[] = {
     {"agnocastd", ".", AGNOCAST_BENCH_BUILT_DAEMON},

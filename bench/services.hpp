@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What systems need beside their own processes: where the parts of agnocast are, a private agnocastd, and whatever else
-// has to run first. Everything lives in a directory of its own and ends with the benchmark.
+// Requirements of systems beside their own processes: the installed parts of agnocast, a private
+// agnocastd, and other services. Everything is in a directory of its own and ends with the
+// benchmark.
 #pragma once
 
 #include <bench/process.hpp>
@@ -15,11 +16,13 @@
 
 namespace agnocast::bench {
 
-/// "agnocastd", "agnocast-ctl", "agnocast-bridge", "libagnocast_heaphook.so": beside this program as it is installed, else
-/// in the tree that built it, else (programs) in PATH. Throws std::runtime_error when it is nowhere.
+/// Returns the path of "agnocastd", "agnocast-ctl", "agnocast-bridge" or
+/// "libagnocast_heaphook.so": beside this program if installed, else in its build tree, else
+/// (programs) in PATH. Throws std::runtime_error if it is in none of them.
 std::string path_of(std::string_view part);
 
-/// A directory below $TMPDIR, which everybody may look into; removed with this, by the process that made it.
+/// A directory below $TMPDIR, readable by all users; the process that made it removes it with
+/// this object.
 class Directory {
  public:
   Directory();
@@ -32,18 +35,19 @@ class Directory {
   std::string path_;
 };
 
-/// Removes every Directory that there is: for who ends without destructors.
+/// Removes every Directory, for an end without destructors.
 void remove_directories() noexcept;
 
 /// A daemon for this run alone.
 class Daemon {
  public:
-  /// `config` is the text of agnocastd.toml. Returns when it serves; throws with its log when it does not.
+  /// `config` is the text of agnocastd.toml. Returns when the daemon serves; throws with its log
+  /// if it does not.
   explicit Daemon(std::string_view config = default_config);
   const std::string& socket() const noexcept { return socket_; }
-  /// "AGNOCAST_SOCKET=…", for those who are to find it.
+  /// Returns "AGNOCAST_SOCKET=…", for the processes that use it.
   std::string variable() const { return "AGNOCAST_SOCKET=" + socket_; }
-  /// Of the supervisor; what serves is its child.
+  /// Returns the supervisor; its child serves.
   Process& process() noexcept { return *process_; }
   std::string log_path() const { return directory_.path() + "/log"; }
   std::string log() const;
@@ -56,13 +60,15 @@ class Daemon {
   std::unique_ptr<Process> process_;
 };
 
-/// Starts each service of System::service when it is asked for first, and keeps it to its own end.
+/// Starts each service of System::service when it is first needed, and keeps it until its own
+/// end.
 class Services {
  public:
-  /// NAME=value for processes that use it. "" needs nothing. Throws std::runtime_error.
+  /// Returns NAME=value for processes that use a service. "" needs nothing. Throws
+  /// std::runtime_error.
   std::vector<std::string> variables(std::string_view service);
-  /// False: it does not run here, which leave_out() has been told; what needs it is to be left out. There is always an agnocastd,
-  /// or this throws.
+  /// Returns false, after leave_out(), if the service does not run here; then leave out systems
+  /// that need it. agnocastd always runs, or this throws.
   bool has(std::string_view service);
 
  private:
@@ -72,9 +78,10 @@ class Services {
   std::set<std::string, std::less<>> missing_;
 };
 
-/// How a service other than agnocastd is started, by whoever owns the systems that need it; once, at namespace scope.
+/// Registers the start of a service other than agnocastd; once, at namespace scope, in the file
+/// of its systems.
 struct RegisterService {
-  /// In `directory`, which is the service's own. Returns when it serves, or throws std::runtime_error.
+  /// Starts it in its own `directory`. Returns when it serves, or throws std::runtime_error.
   using Start = std::unique_ptr<Process> (*)(const std::string& directory);
   RegisterService(std::string_view name, Start start);
 };

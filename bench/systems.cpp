@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Which systems this build has.
+// The systems of this build.
 
 #include <bench/system.hpp>
 

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Subscription core: link, take, release, unlink, sleep. docs/protocol.md §3.2, §3.3, §3.5 and §4.1
-// have the same numbers.
+// Subscription core: link, take, release, unlink, sleep. docs/protocol.md §3.2, §3.3, §3.5 and
+// §4.1 use the same numbers.
 //
-// A link is how one subscription stands towards one publisher. A take publishes a hold bit and only
-// then looks whether the entry is still the one it wanted (the reader's half of the handshake whose
-// writer's half is P6…P10). The caller holds the subscription's private mutex. Whatever the
-// publisher wrote is input: loaded once, checked, and every loop is bounded by 2 × ring entries.
+// A link is the state of one subscription towards one publisher. A take publishes a hold bit and
+// only then checks that the entry is still the wanted one (the reader's half of the handshake
+// whose writer's half is P6…P10). The caller holds the subscription's private mutex. All words of
+// the publisher are input: loaded once and checked, and every loop is bounded by 2 × ring
+// entries.
 #pragma once
 
 #include <dataplane/steps.hpp>
@@ -42,7 +43,7 @@ class LinkCore {
     abi::Qos offered;
     abi::Qos requested;
     std::uint64_t
-        message_bytes;  // sizeof the message object; 0 = any (tools that do not know the type)
+        message_bytes;  // sizeof the message object; 0 = any (for tools that do not know the type)
     std::uint64_t message_alignment = 1;  // a power of two
     std::uint64_t subscription = 0;       // own index in the topic
   };
@@ -50,13 +51,13 @@ class LinkCore {
   explicit LinkCore(const Identity& identity) noexcept
       : self_(identity), cursor_(identity.first_sequence + 1) {}
 
-  /// J6. `from_start`: the publisher joined later than the subscription, so everything it committed
-  /// is wanted. False when the board no longer shows the announced publisher: rule RU excludes
-  /// that, so it is an invariant broken by a peer, and nothing is linked.
+  /// J6. `from_start`: the publisher joined after the subscription, which therefore wants
+  /// everything it committed. Returns false, and links nothing, if the board no longer shows the
+  /// announced publisher. Rule RU excludes that: a peer has broken an invariant.
   bool link(bool from_start) noexcept {
     std::uint64_t head = abi::pack_entry(self_.first_sequence, 0);
     // [sync:join] seq_cst; behind J3 in the single total order, so a publisher that missed J3
-    // looked at an earlier head.
+    // saw an earlier head.
     AGNOCAST_STEP(J6_head) head = self_.publisher.head().load(std::memory_order_seq_cst);
     const bool history = M::holds(steps::J6_history,
                                   self_.offered.transient_local && self_.requested.transient_local);
@@ -77,31 +78,32 @@ class LinkCore {
     return false;
   }
 
-  /// No message of this link may be held. After it the caller may tell the daemon UNLINKED.
+  /// Unlinks; no message of this link may be held. Then the caller may send UNLINKED to the
+  /// daemon.
   void unlink() noexcept {
     AGNOCAST_STEP(U1_generation)
     self_.line.publisher_generation().store(0, std::memory_order_release);
     AGNOCAST_STEP(U2_cursor) self_.line.cursor().store(0, std::memory_order_release);
   }
 
-  /// The next message, held, or nothing. `windows` knows the publisher's heap: open() makes it
-  /// accessible up to the frontiers that the publisher has stored, place_of(address, size) says
-  /// whether a message there can be read.
+  /// Takes and holds the next message, or returns nothing. `windows` is the publisher's heap:
+  /// open() makes it accessible up to the stored frontiers, place_of(address, size) returns
+  /// whether a message there is readable.
   template <class Windows>
   std::optional<Taken> take(Windows& windows) noexcept {
     std::uint64_t head = look();
     return take(windows, head);
   }
 
-  /// The look at the publisher by which several messages can be taken: its head.
+  /// Loads the publisher's head, by which several messages can be taken.
   std::uint64_t look() noexcept {
     const std::uint64_t head = newest();
     pass_over_history(abi::sequence_of(head));
     return head;
   }
-  /// take() behind a look that was had before: each is a take that was slow between T1 and T2. Where
-  /// the publisher was faster it looks again, and `head` is the newer look; with `only_next` it does not:
-  /// then what is taken is what next_stamp(head) was said of, and otherwise something was lost.
+  /// Takes a message by an earlier look(): like a take() that was slow between T1 and T2. If the
+  /// publisher was faster, it looks again and updates `head`. With `only_next` it does not: it
+  /// returns the message that next_stamp(head) described, or counts a loss.
   template <bool only_next = false, class Windows>
   std::optional<Taken> take(Windows& windows, std::uint64_t& head) noexcept {
     const std::uint64_t stored_cursor = cursor_;
@@ -126,7 +128,8 @@ class LinkCore {
         lose(1);
         continue;
       }
-      // [sync:publish] acquire; pairs with P3. Only saves a pin on a message that is gone already.
+      // [sync:publish] acquire; pairs with P3. Only avoids a hold on a message that is already
+      // gone.
       if (!M::holds(steps::T3_live,
                     self_.publisher.slot_id(slot).load(std::memory_order_acquire) == wanted)) {
         lose(1);
@@ -143,9 +146,9 @@ class LinkCore {
         AGNOCAST_STEP(T5_undo)
         self_.line.hold(slot / 64).fetch_and(~bit, std::memory_order_release);
       };
-      // [sync:hold] seq_cst, behind T4; pairs with E1 and the fence of a later pass: either this sees that
-      // it is served no more, or that pass sees the hold. Ahead of the look at the slot: what was freed
-      // before it was served again is gone there.
+      // [sync:hold] seq_cst, behind T4; pairs with E1 and the fence of a later scan: either this
+      // load sees the withdrawal, or that scan sees the hold. Before the check of the slot:
+      // messages freed before the publisher resumed serving are gone there.
       if (M::holds(steps::T5_withdrawn, is_withdrawn())) {
         undo();
         unusual_ |= is_withdrawn_here;
@@ -181,7 +184,7 @@ class LinkCore {
     return std::nullopt;
   }
 
-  /// Unread messages that lie in the window: what take() can still deliver.
+  /// Returns the number of unread messages in the window: those that take() can still deliver.
   std::uint64_t unread() noexcept {
     const std::uint64_t end = abi::sequence_of(newest()) + 1;
     pass_over_history(end - 1);
@@ -189,10 +192,10 @@ class LinkCore {
         std::max(cursor_, region::minus_at_least(end, abi::window_of(self_.requested), 0));
     return end > from ? end - from : 0;
   }
-  /// Stamp of the message that take() would try next, if there is one. Orders the links of a
-  /// subscription; a hint, unvalidated.
+  /// Returns the stamp of the message that take() would try next, if there is one. Orders the
+  /// links of a subscription; a hint, unvalidated.
   std::optional<std::uint64_t> next_stamp() const noexcept { return next_stamp(newest()); }
-  /// By the look that was had.
+  /// The same by an earlier look().
   std::optional<std::uint64_t> next_stamp(std::uint64_t head) const noexcept {
     const std::uint64_t newest_sequence = abi::sequence_of(head);
     if (newest_sequence < cursor_) return std::nullopt;
@@ -203,10 +206,10 @@ class LinkCore {
                                     : self_.publisher.order(wanted).load(std::memory_order_acquire);
     const std::uint64_t slot = abi::slot_of(entry);
     if (abi::sequence_of(entry) != wanted || slot >= M::slot_capacity)
-      return 0;  // gone: look at this link first
+      return 0;  // gone: try this link first
     return self_.publisher.slot_stamp(slot).load(std::memory_order_relaxed);
   }
-  /// Gives up the next unread message: it counts as lost. How a subscription keeps its depth over
+  /// Skips the next unread message and counts it as lost. Keeps a subscription's depth over
   /// several publishers.
   void skip() noexcept {
     const std::uint64_t end = abi::sequence_of(newest()) + 1;
@@ -218,7 +221,7 @@ class LinkCore {
     store_cursor();
   }
 
-  /// L1. Commit and effect are one instruction. Any thread of the process that holds the
+  /// L1. Commit and effect are one instruction. For any thread of the process with the
   /// subscription's mutex or the last reference.
   void release(std::uint64_t slot) noexcept {
     // [sync:hold] release; pairs with the acquire at P9: everything read from the message was read
@@ -228,26 +231,26 @@ class LinkCore {
                                          std::memory_order_release);
   }
 
-  /// Takes no more, and there is no daemon to say so: publishers wait for nothing of it but for what
-  /// is held.
+  /// Stops taking while there is no daemon to report it to: publishers then wait for nothing but
+  /// its held messages.
   void stand_aside() noexcept {
     cursor_ = abi::cursor_aside;
     self_.line.cursor().store(cursor_, std::memory_order_release);
   }
-  /// Of what was published in an earlier membership, no more than the newest `count` is for this
-  /// subscription. The rest is passed over, and not lost.
+  /// Limits history: of the messages published in a previous session, this subscription gets only
+  /// the newest `count`. The others are skipped, and do not count as lost.
   void want_history(std::uint64_t count) noexcept { history_wanted_ = count; }
 
-  /// S3: is there anything to take? Called between S2 and the sleep.
+  /// S3: returns whether there is a message to take. Call it between S2 and the sleep.
   bool has_news() const noexcept { return has_news(newest()); }
-  /// By the look that was had.
+  /// The same by an earlier look().
   bool has_news(std::uint64_t head) const noexcept { return abi::sequence_of(head) >= cursor_; }
 
-  /// Something was committed here, ever.
+  /// Returns whether the publisher has ever committed a message.
   bool has_begun() const noexcept { return abi::sequence_of(newest()) > self_.first_sequence; }
 
-  /// Learns whether the publisher is gone. From then on only what the daemon recorded as committed
-  /// is taken.
+  /// Checks whether the publisher has ended. If so, only messages up to the head recorded by the
+  /// daemon are taken from now on.
   void observe_publisher() noexcept {
     if ((unusual_ & is_orphaned) != 0) return;
     const std::uint64_t word = publisher_word();
@@ -258,14 +261,15 @@ class LinkCore {
                       .load(std::memory_order_relaxed);
     unusual_ |= is_orphaned;
   }
-  /// True once the publisher is gone and everything it committed has been taken or lost.
+  /// Returns whether the publisher has ended and all its committed messages were taken or lost.
   bool drained() const noexcept {
     return (unusual_ & is_orphaned) != 0 && abi::sequence_of(newest()) < cursor_;
   }
-  /// A take has found that the publisher serves this subscription no more. It may serve it again.
+  /// Returns whether a take found that the publisher stopped serving this subscription. It may
+  /// resume.
   bool withdrawn() const noexcept { return (unusual_ & is_withdrawn_here) != 0 && is_withdrawn(); }
 
-  /// The last take() left a message because the announcement of its window is missing.
+  /// Returns whether the last take() left a message because its window was not announced yet.
   bool is_awaiting_window() const noexcept { return awaiting_ != 0; }
   std::uint64_t cursor() const noexcept { return cursor_; }
   std::uint64_t lost() const noexcept { return lost_; }
@@ -283,12 +287,12 @@ class LinkCore {
     AGNOCAST_STEP(T1_head) head = self_.publisher.head().load(std::memory_order_acquire);
     return head;
   }
-  /// Behind each look at head, and up to there: history may be on its way, and what is committed
-  /// after a look at `inherited` would pass for news.
+  /// Called behind each look at head, up to that head: history may still be arriving, and
+  /// messages committed after a load of `inherited` would count as news.
   void pass_over_history(std::uint64_t newest_sequence) noexcept {
     if (history_wanted_ == all_history) return;
-    // [sync:publish] relaxed, behind the acquire of T1; pairs with the store ahead of each commit of
-    // history.
+    // [sync:publish] relaxed, behind the acquire of T1; pairs with the store before each commit
+    // of history.
     const std::uint64_t last = self_.publisher.inherited().load(std::memory_order_relaxed);
     if (last < cursor_ + history_wanted_) return;
     const std::uint64_t next = std::min(last - history_wanted_, newest_sequence) + 1;
@@ -319,7 +323,7 @@ class LinkCore {
   }
 
   static constexpr std::uint64_t is_orphaned = 1;
-  static constexpr std::uint64_t is_withdrawn_here = 2;  // seen so, and to be looked at again
+  static constexpr std::uint64_t is_withdrawn_here = 2;  // seen once; check again
   static constexpr std::uint64_t all_history = ~std::uint64_t{0};
 
   Identity self_;
@@ -333,7 +337,7 @@ class LinkCore {
   std::uint64_t final_head_ = 0;
 };
 
-/// An executor's sleep word. Order of a sleep: arm() → look at every link → block on the doorbell →
+/// An executor's sleep word. To sleep: arm() → check every link → block on the doorbell →
 /// disarm().
 template <class M>
 class SleepCore {
@@ -341,8 +345,8 @@ class SleepCore {
   SleepCore(typename M::Region region, std::uint64_t offset) noexcept
       : region_(region), offset_(offset) {}
 
-  /// S1, S2. From here on a publisher rings; what was committed before is seen by the look that
-  /// follows.
+  /// S1, S2. From here on a publisher rings; the check that follows sees what was committed
+  /// before.
   void arm() noexcept {
     // [sync:sleep] relaxed, then a fence; pairs with P6, P8. The generation is 64 bits wide: a
     // narrow one loses a wake by wrapping.

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Asks /add_two_ints for the sum of two numbers. Waits for the service, until a signal. Needs the heap hook: agnocast-run add_two_ints_client 2 3.
+// Requests the sum of two numbers from /add_two_ints. Waits for the service until a signal. Needs
+// the heap hook: agnocast-run add_two_ints_client 2 3.
 
 #include <agnocast/agnocast.hpp>
 #include <examples/options.hpp>
@@ -39,7 +40,7 @@ int main(int argc, char** argv) try {
   auto client = node.create_client<AddTwoInts>("add_two_ints");
   while (!client->wait_for_service(std::chrono::seconds(1))) {
     if (!client->is_active()) {
-      std::fputs("add_two_ints_client: agnocast is switched off, or has put this process out\n", stderr);
+      std::fputs("add_two_ints_client: agnocast is switched off, or agnocastd has revoked this process\n", stderr);
       return 1;
     }
     std::puts("Service not available, waiting again…"), std::fflush(stdout);
@@ -48,7 +49,8 @@ int main(int argc, char** argv) try {
   request->a = a;
   request->b = b;
   auto sent = client->async_send_request(std::move(request));
-  // A thread of the library runs the node's callbacks; with an executor it would be spin_until_future_complete(sent).
+  // A thread of the library runs the node's callbacks; with an executor, call
+  // spin_until_future_complete(sent).
   std::printf("Sum: %lld\n", static_cast<long long>(sent.get()->sum));
   return 0;
 } catch (const agnocast::Error& error) {

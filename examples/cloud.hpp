@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A PointCloud2 whose every member follows from its number and, for a replayed scan, from the file; and
-// the check that it does.
+// A PointCloud2 whose content follows from its number and, for a replayed scan, from the file;
+// and a check of that content.
 #pragma once
 
 #include <sensor_msgs/msg/point_cloud2.hpp>
@@ -17,10 +17,10 @@ namespace example {
 using Cloud = sensor_msgs::msg::PointCloud2;
 
 inline constexpr const char* field_names[] = {"x", "y", "z", "intensity", "ring"};
-// x y z intensity ring, as nuScenes has them; KITTI has no ring, others neither of the two.
+// x y z intensity ring, as in nuScenes; KITTI has no ring, other files have x y z only.
 inline constexpr std::size_t fields_min = 3, fields_max = 5;
 
-/// The points of a file: so many float32 each, the first of field_names.
+/// The points of a file: `fields` float32 each, the first of field_names.
 struct Scan {
   std::vector<float> values;
   std::size_t fields = fields_max;
@@ -28,7 +28,8 @@ struct Scan {
 
 inline float value_of(std::uint64_t number, std::uint64_t i) { return static_cast<float>((number * 2654435761u + i * 40503u) % 1000003u) / 1000.0f; }
 
-/// Fills in an order that nobody plans for: push_back, resize, assign and insert mixed, so that the vectors grow as they like.
+/// Fills it in an arbitrary way: push_back, resize, assign and insert mixed, so that the vectors
+/// reallocate as in real code.
 inline void fill(Cloud& cloud, std::uint64_t number, std::uint64_t points, const Scan& scan) {
   const auto put = [&](float value) {
     unsigned char bytes[sizeof value];
@@ -61,8 +62,8 @@ inline void fill(Cloud& cloud, std::uint64_t number, std::uint64_t points, const
   cloud.is_dense = true;
 }
 
-/// A raw scan. Its size must say whether its points have 4 or 5 fields, unless the caller knows: `fields` is not 0. Returns what is wrong,
-/// or nothing.
+/// Reads a raw scan. If `fields` is 0, the size of the file must show whether points have 4 or 5
+/// fields. Returns an error, or an empty string.
 inline std::string read_scan(const std::string& path, std::size_t fields, Scan& scan) {
   std::ifstream file(path, std::ios::binary | std::ios::ate);
   if (!file) return "cannot be read";
@@ -70,7 +71,7 @@ inline std::string read_scan(const std::string& path, std::size_t fields, Scan& 
   if (end <= 0) return "no points";
   const auto bytes = static_cast<std::size_t>(end);
   const auto fits = [&](std::size_t count) { return bytes % (count * sizeof(float)) == 0; };
-  if (fields == 0 && fits(4) && fits(5)) return "its size fits 4 and 5 float32 per point: say --fields 4 or --fields 5";
+  if (fields == 0 && fits(4) && fits(5)) return "its size fits 4 and 5 float32 per point: give --fields 4 or --fields 5";
   if (fields == 0 && !fits(4) && !fits(5)) return "not a scan of 4 or 5 float32 per point: x y z intensity [ring]";
   if (fields == 0) fields = fits(5) ? 5 : 4;
   if (!fits(fields)) return "not a scan of " + std::to_string(fields) + " float32 per point";
@@ -80,7 +81,8 @@ inline std::string read_scan(const std::string& path, std::size_t fields, Scan& 
   return file.read(reinterpret_cast<char*>(scan.values.data()), end) ? "" : "cannot be read";
 }
 
-/// True when every member is what fill() made: of a replayed scan if `scan` has one.
+/// Returns whether every member equals the result of fill(), for a replayed scan if `scan` has
+/// one.
 inline bool check(const Cloud& cloud, std::uint64_t number, const Scan& scan) {
   if (cloud.header.frame_id != "lidar_top of cloud number " + std::to_string(number)) return false;
   if (cloud.header.stamp.sec != static_cast<std::int32_t>(number)) return false;

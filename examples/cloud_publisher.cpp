@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Publishes PointCloud2 messages that are built with push_back, resize, assign and insert; or replays a raw scan of 3 to 5
-// float32 per point (x y z intensity ring). Needs the heap hook: agnocast-run cloud_publisher.
+// Publishes PointCloud2 messages built with push_back, resize, assign and insert; or replays a
+// raw scan of 3 to 5 float32 per point (x y z intensity ring). Needs the heap hook: agnocast-run
+// cloud_publisher.
 
 #include <agnocast/agnocast.hpp>
 #include <examples/cloud.hpp>
@@ -16,7 +17,7 @@ int main(int argc, char** argv) try {
   const example::Options options = example::parse(argc, argv, "points", " [--points N | --scan FILE [--fields N]]");
   example::Scan scan;
   if (const std::string wrong = options.scan.empty() ? "" : example::read_scan(options.scan, options.fields, scan); !wrong.empty()) {
-    std::fprintf(stderr, "cloud_publisher: %s: %s\nhint: cloud_publisher --help says which files can be replayed\n", options.scan.c_str(), wrong.c_str());
+    std::fprintf(stderr, "cloud_publisher: %s: %s\nhint: cloud_publisher --help describes the files\n", options.scan.c_str(), wrong.c_str());
     return 1;
   }
   agnocast::Node node("cloud_publisher");

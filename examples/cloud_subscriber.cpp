@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Receives the clouds of cloud_publisher and checks every member of each. Ends with status 1 if one was wrong. With --scan FILE they
-// have to be replays of that file.
+// Receives the clouds of cloud_publisher and checks every member of each. Exits with status 1 if
+// one was wrong. With --scan FILE the clouds must be replays of that file.
 
 #include <agnocast/agnocast.hpp>
 #include <examples/cloud.hpp>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Receives what talker says and checks it. Ends with status 1 if a message was wrong.
+// Receives and checks the messages of talker. Exits with status 1 if one was wrong.
 
 #include <agnocast/agnocast.hpp>
 #include <examples/options.hpp>

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The table by which a client library steers the hook (include/agnocast/abi/heaphook.h, where each function is described).
+// The function table of the hook for a client library (include/agnocast/abi/heaphook.h describes
+// each function).
 
 #include "route.hpp"
 #include "shared_heap.hpp"
@@ -31,7 +32,7 @@ void enter() { ++thread_state.depth; }
 
 void leave() {
   if (thread_state.depth == 0) {
-    shared_heap::note_internal_error();  // one leave too many would otherwise open the scope for ever
+    shared_heap::note_internal_error();  // an extra leave would otherwise open the scope for ever
     return;
   }
   --thread_state.depth;

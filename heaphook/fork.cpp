@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What a child of fork may do with the parent's messages: look, and change its own copy.
+// Rights of a forked child on the parent's messages: it may read them, and change its own copy.
 //
 //                        parent                              child
 //   memory of a window   MAP_SHARED, MADV_DONTFORK           MAP_PRIVATE of the read-only descriptor, up to the frontier
@@ -9,18 +9,21 @@
 //   free(shared)         to the arena                        nothing
 //   realloc(shared)      in the arena, else copied to libc   copied to libc
 //
-// Three pairs of handlers run at fork. pthread_atfork calls `prepare` handlers last-registered-first and the others
-// first-registered-first, so registering inner, allocator, outer gives
+// Three pairs of handlers run at fork. pthread_atfork calls `prepare` handlers
+// last-registered-first and the others first-registered-first, so registering inner, allocator,
+// outer gives
 //
 //   prepare:        outer: this thread is `forking`  →  jemalloc locks its arenas  →  inner: lock growth
 //   parent, child:  inner: unlock growth (child: map the private view)  →  jemalloc unlocks  →  outer: done forking
 //
-// While `forking`, handlers of other libraries may run with the allocator locked: their allocations go to libc and shared
-// blocks that they free are put aside in a list, which the parent works off afterwards and the child forgets.
+// While `forking`, handlers of other libraries may run with the allocator locked: their
+// allocations go to libc. Shared blocks that they free are put into a list, which the parent
+// frees afterwards and the child discards.
 //
-// vfork, posix_spawn and exec never get here: they run on the parent's memory for an instant and leave. A child made by
-// _Fork or a raw clone gets no handlers: it owns nothing (owner word), and has no windows at all (MADV_DONTFORK) – touching a
-// message there faults, which is better than writing into the parent's.
+// vfork, posix_spawn and exec never get here: they run on the parent's memory for an instant and
+// leave. A child made by _Fork or a raw clone gets no handlers: it is no owner (owner word), and
+// has no windows at all (MADV_DONTFORK) – touching a message there faults, which is better than
+// writing into the parent's memory.
 
 #include "fork.hpp"
 
@@ -33,8 +36,9 @@
 namespace agnocast::heaphook::fork_rules {
 namespace {
 
-// Whether the process that is forking owns the windows: a child's child inherits ordinary private memory and needs nothing.
-// Guarded by the growth lock, which is held from inner_prepare to inner_parent or inner_child.
+// Whether the forking process owns the windows: a grandchild inherits ordinary private memory and
+// needs no view. Guarded by the growth lock, which is held from inner_prepare to inner_parent or
+// inner_child.
 constinit bool forks_from_owner = false;
 
 void inner_prepare() {

@@ -5,7 +5,8 @@
 
 namespace agnocast::heaphook::fork_rules {
 
-// Before and after the allocator registers its own handlers: ours enclose them. False when the system refused.
+// Register handlers before and after the allocator registers its own: ours enclose them. Return
+// false if the system refuses.
 bool register_inner();
 bool register_outer();
 

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The malloc family as every program of the process sees it: each function forwards to route.hpp and does nothing else.
+// The interposed malloc family of the process: each function forwards to route.hpp and does
+// nothing else.
 //
-// The declarations are our own: libc's headers carry attributes (malloc, nonnull) from which the compiler may conclude things
-// that hold for callers and not for the implementation.
+// The declarations are our own: libc's headers have attributes (malloc, nonnull) from which the
+// compiler may conclude facts that hold for callers but not for the implementation.
 
 #include "route.hpp"
 
@@ -35,7 +36,7 @@ AGNOCAST_INTERPOSED void* valloc(std::size_t size) { return route::allocate_page
 AGNOCAST_INTERPOSED void* pvalloc(std::size_t size) { return route::allocate_whole_pages(size); }
 AGNOCAST_INTERPOSED std::size_t malloc_usable_size(void* block) { return route::usable_size(block); }
 
-// C23; programs built on a newer libc call them. The size is advice that neither heap needs.
+// C23; programs built on a newer libc call them. Neither heap needs the size.
 AGNOCAST_INTERPOSED void free_sized(void* block, std::size_t) { route::release(block); }
 AGNOCAST_INTERPOSED void free_aligned_sized(void* block, std::size_t, std::size_t) { route::release(block); }
 }

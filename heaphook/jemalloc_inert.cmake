@@ -1,14 +1,15 @@
-# Makes jemalloc_inert.o: Debian's libjemalloc_pic.a as one object file that does nothing by itself.
+# Makes jemalloc_inert.o: Debian's libjemalloc_pic.a as one object file that is inert until it is
+# called.
 #
 #   cmake -DARCHIVE=libjemalloc_pic.a -DOUTPUT=jemalloc_inert.o -DCOMPILER=… -DAR=… -DNM=… -DOBJCOPY=…
 #     -P jemalloc_inert.cmake
 #
-# As a library of its own jemalloc would take over malloc of the whole process, start in a constructor and read the user's
-# MALLOC_CONF. Here
+# A separate jemalloc library would take over malloc of the whole process, start in a constructor
+# and read the user's MALLOC_CONF. Here
 #   - its C++ operators are left out (they need libstdc++; ours are in operators.cpp),
-#   - every symbol gets the prefix agnocast_je_, so that nothing of it is found by, or finds, another jemalloc,
-#   - the functions by which it would read outside configuration, and those of libm and libgcc_s that only its profiler
-#     uses, are renamed too: jemalloc_inert.cpp answers them,
+#   - every symbol gets the prefix agnocast_je_, so that it does not clash with another jemalloc,
+#   - the functions that read outside configuration, and those of libm and libgcc_s that only its
+#     profiler uses, are renamed too: jemalloc_inert.cpp replaces them,
 #   - its constructor is dropped: it starts with the first call, at attach.
 cmake_minimum_required(VERSION 3.25)
 

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The part of jemalloc's interface that we use, under the names that jemalloc_inert.cmake gives it (prefix agnocast_je_), so
-// that nothing of it is visible outside this library or meets another jemalloc in the process. Declared here instead of
-// including jemalloc.h, whose macros rename malloc itself. Meanings: jemalloc(3), version 5.3.
+// The used part of jemalloc's interface, under the names that jemalloc_inert.cmake gives it
+// (prefix agnocast_je_), so that nothing of it is visible outside this library or clashes with
+// another jemalloc in the process. Declared here instead of including jemalloc.h, whose macros
+// rename malloc itself. Meanings: jemalloc(3), version 5.3.
 #pragma once
 
 #include <cstddef>
@@ -30,7 +31,8 @@ struct agnocast_je_extent_hooks {
                 bool committed, unsigned arena);
 };
 
-// What "experimental.arenas_create_ext" takes: unlike "arenas.create" it lets an arena keep its metadata out of its extents.
+// Argument of "experimental.arenas_create_ext": unlike "arenas.create" it lets an arena keep its
+// metadata out of its extents.
 struct agnocast_je_arena_config {
   agnocast_je_extent_hooks* extent_hooks;
   bool metadata_use_hooks;
@@ -47,18 +49,19 @@ std::size_t agnocast_je_malloc_usable_size(const void* block);
 int agnocast_je_mallctl(const char* name, void* old_value, std::size_t* old_size, void* new_value, std::size_t new_size);
 
 extern const char* agnocast_je_malloc_conf;
-// Off before the first call: large blocks then start on a page and need no extra one, so a 1 MiB message takes 1 MiB of the
-// window. 5.3.0 documents the option and has the variable, but does not know it in its configuration string.
+// Set to false before the first call: large blocks then start on a page and need no extra one, so
+// a 1 MiB message takes 1 MiB of the window. 5.3.0 documents the option and has the variable, but
+// does not accept it in its configuration string.
 extern bool agnocast_je_internal_opt_cache_oblivious;
 
-// Two internals of 5.3.0, for one purpose (shared_heap.cpp, never_without_threads): the table of arenas, and the count of
-// threads that are bound to one.
+// Two internals of 5.3.0, for one purpose (shared_heap.cpp, never_without_threads): the table of
+// arenas, and the increment of an arena's count of bound threads.
 extern void* agnocast_je_internal_arenas[];
 void agnocast_je_internal_arena_nthreads_inc(void* arena, bool internal);
 
 extern void (*agnocast_je_malloc_message)(void* context, const char* text);
 
-// Functions of libc that jemalloc would call and that we answer instead (jemalloc_inert.cpp).
+// Functions of libc that jemalloc would call, replaced in jemalloc_inert.cpp.
 char* agnocast_je_secure_getenv(const char* name);
 ssize_t agnocast_je_readlink(const char* path, char* buffer, std::size_t size);
 double agnocast_je_exp(double);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Look-up of the next malloc family, and the bootstrap buffer that serves the look-up. See libc_heap.hpp.
+// Looks up the next malloc family, with a bootstrap buffer that serves the look-up. See
+// libc_heap.hpp.
 
 #include "libc_heap.hpp"
 
@@ -49,7 +50,7 @@ void* bootstrap_calloc(std::size_t count, std::size_t size) {
     errno = ENOMEM;
     return nullptr;
   }
-  return bootstrap_malloc(bytes);  // the buffer is zero and every byte is handed out once
+  return bootstrap_malloc(bytes);  // the buffer is zero and every byte is used once
 }
 
 void* bootstrap_realloc(void* old, std::size_t size) {
@@ -86,7 +87,8 @@ constexpr Functions bootstrap_functions = {
     .malloc_usable_size = bootstrap_size_of,
 };
 
-// Several threads may look up at the same time; they store the same values, so each store only has to be whole.
+// Several threads may look up at the same time; they store the same values, so each store only
+// has to be atomic.
 template <typename F>
 void look_up(F& slot, const char* name) {
   void* const found = dlsym(RTLD_NEXT, name);
@@ -123,7 +125,8 @@ const Functions& resolve() {
 }
 
 namespace {
-// 101 is the first priority that is not the implementation's: before the constructors of this library's users.
+// 101 is the first priority for applications: this runs before the constructors of this library's
+// users.
 [[gnu::constructor(101)]] void resolve_early() { next(); }
 }  // namespace
 

@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Libc heap: the *next* definition of the malloc family behind ours (libc's, or that of another preloaded allocator).
+// Libc heap: the *next* definition of the malloc family behind ours (libc's, or that of another
+// preloaded allocator).
 //
-// The definitions are looked up once, by dlsym(RTLD_NEXT), in a constructor; whoever allocates before that constructor ran
-// does the look-up itself. dlsym may allocate: while a thread is inside the look-up its requests are served from a small
-// static buffer that is never given back. After the look-up a call costs one load and one indirect jump.
+// A constructor looks the definitions up once, by dlsym(RTLD_NEXT); a thread that allocates
+// before that constructor does the look-up itself. dlsym may allocate: a thread inside the
+// look-up gets memory from a small static buffer that is never freed. After the look-up a call
+// costs one load and one indirect jump.
 #pragma once
 
 #include <atomic>
@@ -26,14 +28,16 @@ struct Functions {
   std::size_t (*malloc_usable_size)(void*);
 };
 
-// 16 KiB: glibc's dlsym needs about 100 bytes (the text of a failed look-up); the rest is for other libcs and loaders.
+// 16 KiB: glibc's dlsym needs about 100 bytes (the text of a failed look-up); the rest is for
+// other libcs and loaders.
 inline constexpr std::size_t bootstrap_size_bytes = 16 * 1024;
 extern char bootstrap_buffer[bootstrap_size_bytes];
 
 extern constinit Functions next_functions;
 extern constinit std::atomic<bool> next_ready;
 
-// Looks the next definitions up, or answers the bootstrap functions to a thread that is doing so.
+// Looks up the next definitions and returns them; returns the bootstrap functions to a thread
+// inside the look-up.
 const Functions& resolve();
 
 inline const Functions& next() {
@@ -46,7 +50,7 @@ inline bool from_bootstrap(const void* address) {
          bootstrap_size_bytes;
 }
 
-// Bytes that may be used at a bootstrap block.
+// Returns the usable bytes of a bootstrap block.
 std::size_t bootstrap_usable_size(const void* block);
 
 }  // namespace agnocast::heaphook::libc_heap

@@ -2,17 +2,18 @@
 //
 // C++ operator new and delete, all replaceable forms.
 //
-// new tries the windows when the thread is in scope; everything else is the *next* definition (RTLD_NEXT: libstdc++'s, or one
-// of the user's libraries), so bad_alloc is thrown and new-handlers are called by whoever does it without us, and the hook
-// itself needs no C++ runtime. A program that defines operator new itself is never reached here.
+// new tries the windows if the thread is in scope; otherwise it calls the *next* definition
+// (RTLD_NEXT: libstdc++'s, or one of the user's libraries). That one throws bad_alloc and calls
+// new-handlers as it would without the hook, which therefore needs no C++ runtime. A program that
+// defines operator new itself never gets here.
 //
-// A C program may load C++ later and privately (python and its extension modules): then no next definition is in sight when we
-// look, and what we do instead is what libstdc++ does, malloc and free; only when malloc fails is the runtime that must be
-// there by then asked for its operator new, which throws. That choice is made once, because a block has to be deleted the way
-// it was made.
+// A C program may load C++ later and privately (python and its extension modules): the look-up
+// then finds no next definition. In that case the hook does what libstdc++ does, malloc and free;
+// only if malloc fails does it call operator new of the runtime, which must be loaded by then, to
+// throw. The choice is made once, because a block must be deleted the way it was made.
 //
-// An exception of the next definition, or of on_no_room, passes through these frames: the file is built with unwind tables, and nothing here
-// needs cleaning up.
+// An exception of the next definition, or of on_no_room, passes through these frames: the file is
+// built with unwind tables, and nothing here needs cleaning up.
 
 #include "libc_heap.hpp"
 #include "route.hpp"
@@ -26,7 +27,8 @@
 #include <cstddef>
 #include <new>
 
-// Through the dynamic symbol, not route:: — the program may have a malloc of its own, and that one owns such blocks.
+// Through the dynamic symbol, not route:: — the program may have a malloc of its own, which owns
+// such blocks.
 extern "C" void* malloc(std::size_t size);
 extern "C" void free(void* block);
 extern "C" int posix_memalign(void** result, std::size_t alignment, std::size_t size);
@@ -107,17 +109,18 @@ const Next& next() {
   return next_operators;
 }
 
-// 102: after the malloc family, before everybody else's constructors.
+// 102: after the malloc family, before the constructors of applications.
 [[gnu::constructor(102)]] void look_up_early() { next(); }
 
-// Out of memory without a next operator new: the runtime that the caller was built with is loaded by now, if privately.
+// Out of memory without a next operator new: the runtime of the caller is loaded by now, possibly
+// privately.
 void* fail_as_the_runtime_does(std::size_t size) {
   for (const char* name : {"libstdc++.so.6", "libc++.so.1"}) {
     void* const runtime = dlopen(name, RTLD_LAZY | RTLD_NOLOAD);
     if (runtime == nullptr) continue;
     void* (*runtime_new)(std::size_t) = nullptr;
     const bool found = look_up(runtime_new, runtime, "_Znwm");
-    dlclose(runtime);  // NOLOAD took one more reference to a library that stays
+    dlclose(runtime);  // releases the reference of NOLOAD; the library stays
     if (found) return runtime_new(size);
   }
   return nullptr;
@@ -146,7 +149,7 @@ template <typename... Rest>
 inline void* form_of_new(void* (*Next::*member)(std::size_t, Rest...), void* shared, void* (*plain)(std::size_t),
                          std::size_t size, Rest... rest) {
   if (shared != nullptr) return shared;
-  constexpr bool throws = sizeof...(Rest) == 0;  // and has, where it is refused
+  constexpr bool throws = sizeof...(Rest) == 0;  // then it has thrown where it is refused
   if (!throws && route::is_refused()) return nullptr;
   const auto function = next().*member;
   return function != nullptr ? function(size, rest...) : plain(size);

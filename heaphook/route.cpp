@@ -14,13 +14,13 @@ constinit std::atomic<bool> scope_all{false};
 
 namespace {
 
-// Bytes that may be read at a block that is not shared.
+// Returns the readable bytes of a block that is not shared.
 std::size_t private_usable_size(void* block) {
   if (libc_heap::from_bootstrap(block)) return libc_heap::bootstrap_usable_size(block);
   return libc_heap::next().malloc_usable_size(block);
 }
 
-// Copies a block to a new home and frees it; a null home (no memory) leaves it as it is.
+// Copies a block to a new home and frees it; if the home is null (no memory), keeps it.
 void* move_to(void* home, void* block, std::size_t usable, std::size_t size) {
   if (home == nullptr) return nullptr;
   memcpy(home, block, usable < size ? usable : size);
@@ -38,7 +38,7 @@ void* try_shared_aligned(std::size_t alignment, std::size_t size) {
   return is_power_of_two(alignment) && wants_shared() ? shared_heap::allocate_aligned(alignment, size) : nullptr;
 }
 
-// Nothing is open here that an exception would leave open.
+// The callers hold no resource that an exception would leak.
 [[gnu::noinline, gnu::cold]] void say_no_room() {
   if (thread_state.no_room != nullptr) thread_state.no_room();
 }
@@ -54,7 +54,7 @@ void* allocate_zeroed(std::size_t count, std::size_t size) {
 void* reallocate(void* block, std::size_t size) {
   if (block == nullptr) return allocate(size);
   if (windows::window_of(block) != nullptr) {
-    if (size == 0) {  // as glibc: realloc(p, 0) is free
+    if (size == 0) {  // as in glibc: realloc(p, 0) is free
       release(block);
       return nullptr;
     }

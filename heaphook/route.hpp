@@ -1,13 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Route: the one decision of the hook, shared heap or libc.
+// Route: the decision of the hook between shared heap and libc.
 //
-//   allocate          by the calling thread's scope; what the windows cannot hold comes from libc
+//   allocate          by the calling thread's scope; if the windows have no room, from libc
 //   free, usable_size by address, in any thread
-//   realloc           a shared block stays shared whatever the scope (its owner is a message); a libc block moves into the
-//                     windows when the thread is in scope; where the wish cannot be met the content is copied to libc
+//   realloc           a shared block stays shared in any scope (it belongs to a message); a libc
+//                     block moves into the windows if the thread is in scope; if that is
+//                     impossible, the content is copied to libc
 //
-// Errors and odd arguments are libc's business: it is asked whenever a request is not plainly servable, so return values and
+// Every request that the windows cannot serve goes to libc, also invalid ones, so return values
+// and errno are libc's own. The hook adds no failures of its own.
 // errno are its own. Nothing here can fail in a way of its own.
 #pragma once
 
@@ -23,17 +25,17 @@ namespace agnocast::heaphook::route {
 
 extern constinit std::atomic<bool> scope_all;
 
-// Whether the calling thread's next allocation tries the windows.
+// Returns whether the calling thread's next allocation tries the windows.
 inline bool wants_shared() {
   const ThreadState& thread = thread_state;
   if (thread.depth == 0 && !scope_all.load(std::memory_order_relaxed)) [[likely]] return false;
   return thread.blocked == 0 && windows::is_owner();
 }
 
-// The shared part of an allocation, for operator new as well: null means "ask the next definition".
+// The shared part of an allocation, also for operator new: null means "call the next definition".
 inline void* try_shared(std::size_t size) { return wants_shared() ? shared_heap::allocate(size) : nullptr; }
 void* try_shared_aligned(std::size_t alignment, std::size_t size);
-// For new: where there is no room the thread may have said that it wants libc's memory in no case.
+// For new: whether the thread has forbidden libc's memory where the windows have no room.
 inline bool is_refused() { return thread_state.no_room != nullptr && wants_shared(); }
 void say_no_room();
 inline void* try_shared_or_throw(std::size_t size) {
@@ -56,7 +58,7 @@ void* allocate_zeroed(std::size_t count, std::size_t size);
 void* reallocate(void* block, std::size_t size);
 void* reallocate_array(void* block, std::size_t count, std::size_t size);
 int allocate_posix(void** result, std::size_t alignment, std::size_t size);
-// `next` is the libc function of the same meaning: aligned_alloc or memalign.
+// `next` is the corresponding libc function: aligned_alloc or memalign.
 void* allocate_aligned(std::size_t alignment, std::size_t size, void* (*next)(std::size_t, std::size_t));
 void* allocate_pages(std::size_t size);
 void* allocate_whole_pages(std::size_t size);

@@ -22,30 +22,32 @@ namespace {
 enum class State : std::uint32_t { inert, attaching, attached, broken };
 constinit std::atomic<State> state{State::inert};
 
-// Arenas of the windows, oldest first; guarded by there being one caller of attach and add_window.
+// Arenas of the windows, oldest first; attach and add_window have one caller at a time.
 constinit unsigned arenas[AGNOCAST_HEAPHOOK_WINDOWS_MAX] = {};
-// [sync:fresh] The arena that blocks come from, and above it the number of its first window: one word, stored with release, so that
-// whoever has got a block of a fresh window also finds the windows before it given up. arena_count goes first.
+// [sync:fresh] The arena that blocks come from, and above it the number of its first window: one
+// word, stored with release, so that a thread with a block of a fresh window also sees the
+// earlier windows closed for allocation. arena_count is stored first.
 constinit std::atomic<std::uint64_t> current{0};
 constinit std::atomic<std::uint32_t> arena_count{0};
 constexpr std::uint64_t packed(std::uint32_t window, unsigned arena) { return std::uint64_t{window} << 32 | arena; }
 constexpr unsigned arena_of(std::uint64_t word) { return static_cast<unsigned>(word); }
 constexpr std::uint32_t first_of(std::uint64_t word) { return static_cast<std::uint32_t>(word >> 32); }
-// The windows before this one only take blocks back.
+// Windows before this one only take blocks back.
 bool is_given_up(const windows::Window& window) {
   return windows::number_of(window) < first_of(current.load(std::memory_order_acquire));
 }
 
 constinit std::atomic<std::uint32_t> purging{0};  // calls of purge() in progress
 
-// Blocks of this size and more are counted while they live: what they have taken at most since somebody looked is what they want.
-// They are few, and begin on a page, so that a free of a small block is known for one by its address.
+// Blocks of this size and more are counted while they live: the maximum of their bytes since the
+// last idle() is the demand. They are few, and begin on a page, so their address tells them from
+// small blocks at free.
 constexpr std::size_t counted_min = std::size_t{64} << 10;
 constexpr std::size_t page_min = 4096;
 constinit std::atomic<std::uint64_t> counted_bytes{0};
 constinit std::atomic<std::uint64_t> counted_bytes_max{0};  // since the last idle()
 
-// Only then it is worth asking the allocator for the size.
+// Returns whether asking the allocator for the size is worthwhile.
 bool may_be_counted(const void* block) {
   return reinterpret_cast<std::uintptr_t>(block) % page_min == 0 && counted_bytes.load(std::memory_order_relaxed) != 0;
 }
@@ -65,16 +67,17 @@ constinit std::atomic<std::uint64_t> internal_error_count{0};
 
 constexpr int no_cache = 1 << 8;  // MALLOCX_TCACHE_NONE
 
-// What hand_over() passes on; guarded by there being one caller of attach and add_window.
+// The address that hand_over() passes on; attach and add_window have one caller at a time.
 constinit std::uintptr_t handed_address = 0;
 
-// The arena gets addresses only from hand_over(), which asks for exactly what it has to give.
+// The arena gets addresses only from hand_over(), which requests exactly the size that it passes
+// on.
 void* extent_alloc(agnocast_je_extent_hooks*, void* new_address, std::size_t, std::size_t, bool* zero, bool* commit, unsigned) {
   if (!thread_state.handing_over || new_address != nullptr || handed_address == 0) return nullptr;
   void* const extent = reinterpret_cast<void*>(handed_address);
   handed_address = 0;
   *zero = true;     // the memfd reads as zero
-  *commit = false;  // nothing is open yet: the arena asks extent_commit for what it uses
+  *commit = false;  // nothing is open yet: the arena calls extent_commit for the part that it uses
   return extent;
 }
 
@@ -82,10 +85,10 @@ bool extent_commit(agnocast_je_extent_hooks*, void* address, std::size_t, std::s
   return thread_state.handing_over || !windows::open(static_cast<char*>(address) + offset, length);
 }
 
-// Refusing makes the arena keep the extent for its next need.
+// A refusal makes the arena keep the extent for later use.
 bool extent_dalloc(agnocast_je_extent_hooks*, void*, std::size_t, bool, unsigned) { return true; }
 
-// What is idle is closed, so that extent_commit is asked before it is used again: until then its pages belong to nobody.
+// Closes an idle extent, so that the arena calls extent_commit before it uses it again.
 bool extent_decommit(agnocast_je_extent_hooks*, void* address, std::size_t, std::size_t offset, std::size_t length, unsigned) {
   if (purging.load(std::memory_order_relaxed) == 0) {
     note_internal_error();
@@ -94,8 +97,8 @@ bool extent_decommit(agnocast_je_extent_hooks*, void* address, std::size_t, std:
   return !windows::shut(static_cast<char*>(address) + offset, length);
 }
 
-// Extents are only addresses to us, so any part of a window can be split and any two neighbours joined. Neighbours in
-// different windows must stay apart: they belong to different files.
+// Extents are only addresses here, so any part of a window can be split and any two neighbours
+// joined. Neighbours in different windows must stay apart: they belong to different files.
 bool extent_split(agnocast_je_extent_hooks*, void*, std::size_t, std::size_t, std::size_t, bool, unsigned) { return false; }
 bool extent_merge(agnocast_je_extent_hooks*, void* a, std::size_t, void* b, std::size_t, bool, unsigned) {
   return windows::window_of(a) != windows::window_of(b);
@@ -126,7 +129,8 @@ bool set(const char* name, T value) {
   return agnocast_je_mallctl(name, nullptr, nullptr, &value, sizeof value) == 0;
 }
 
-// "arena.1.purge" and the like. Arena numbers are small: narenas:1 makes our first number 1.
+// Builds "arena.1.purge" and the like. Arena numbers are small: narenas:1 makes our first number
+// 1.
 struct ArenaName {
   char text[64];
   ArenaName(const char* before, unsigned arena, const char* after) { append(append(text, before), arena, after); }
@@ -149,19 +153,20 @@ struct ArenaName {
   }
 };
 
-// Tells the allocator that this thread takes from the shared arena; a thread that only frees needs no binding.
+// Binds this thread to the shared arena for allocations; a thread that only frees needs no
+// binding.
 void bind_thread() {
   const std::uint64_t now = current.load(std::memory_order_acquire);
   if (thread_state.bound == arena_of(now)) [[likely]] return;
-  // Free blocks of windows that were given up go back there, not to the next caller.
+  // Returns cached free blocks of earlier windows to those, not to the next caller.
   if (first_of(now) != 0) agnocast_je_mallctl("thread.tcache.flush", nullptr, nullptr, nullptr, 0);
-  // Not bound (out of memory): this allocation comes from libc, and the next one tries again.
+  // If unbound (out of memory), this allocation comes from libc, and the next one tries again.
   thread_state.bound = set("thread.arena", arena_of(now)) ? arena_of(now) : 0;
 }
 
-// A thread that is ending loses its binding when the allocator cleans up after it; destructors of thread data that run later
-// would get private memory of arena 0; one that could not be bound anew, a window that was given up. That is given back, and libc
-// serves them.
+// The allocator's cleanup removes the binding of an ending thread; later destructors of thread
+// data would get private memory of arena 0. A thread whose rebinding failed would get memory of
+// an earlier window. Such blocks are freed again, and libc serves the request.
 void* if_in_window(void* block) {
   if (block == nullptr) return nullptr;
   const windows::Window* const window = windows::window_of(block);
@@ -170,7 +175,8 @@ void* if_in_window(void* block) {
   return nullptr;
 }
 
-// libc aligns every block to 16 bytes and compilers rely on it; the allocator's class of 8 bytes would not.
+// libc aligns every block to 16 bytes and compilers rely on it; the allocator's 8-byte class
+// would not.
 constexpr std::size_t size_min = 16;
 constexpr std::size_t at_least_min(std::size_t size) { return size < size_min ? size_min : size; }
 
@@ -178,15 +184,15 @@ constexpr std::size_t at_least_min(std::size_t size) { return size < size_min ? 
 
 void* or_refused(void* block, std::size_t size) {
   if (block != nullptr) [[likely]] {
-    // A size class is less than twice what was asked for.
+    // A size class is less than twice the requested size.
     if (size >= counted_min / 2) [[unlikely]] count_made(block);
     return block;
   }
   ++thread_state.spilled;
-  // What is idle is out of reach while it is given back, and there again afterwards: the heap is not full, and that is no
-  // reason for another window.
+  // Idle memory is unavailable while purge() returns it, and available again afterwards: the heap
+  // is not full, and needs no further window.
   if (purging.load(std::memory_order_relaxed) != 0) return nullptr;
-  // Nor is it full because something larger than a window was asked for.
+  // Nor is it full if the request is larger than a window.
   const std::uint32_t window_count = windows::count.load(std::memory_order_acquire);
   if (window_count != 0 && size <= windows::table[window_count - 1].length) refused_count.fetch_add(1, std::memory_order_relaxed);
   auto& refused_max = windows::counters.refused_bytes_max;
@@ -196,7 +202,7 @@ void* or_refused(void* block, std::size_t size) {
   return nullptr;
 }
 
-// The allocator sets errno where libc will be asked next and may succeed.
+// Restores errno: the allocator sets it, although libc is called next and may succeed.
 class KeepErrno {
  public:
   KeepErrno() : place_(&errno), value_(*place_) {}
@@ -209,8 +215,8 @@ class KeepErrno {
   int value_;
 };
 
-// Whether `size` more bytes of private memory may be mapped: PROT_NONE costs nothing and counts as locked, and as addresses (RLIMIT_AS),
-// all the same.
+// Returns whether `size` more bytes of private memory may be mapped: a PROT_NONE mapping uses no
+// memory, but counts as locked and against RLIMIT_AS.
 enum agnocast_heaphook_status room_for(std::size_t size) {
   void* const probe = mmap(nullptr, size, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
   if (probe == MAP_FAILED) return errno == EAGAIN ? AGNOCAST_HEAPHOOK_LOCK_LIMIT : AGNOCAST_HEAPHOOK_OS;
@@ -218,11 +224,11 @@ enum agnocast_heaphook_status room_for(std::size_t size) {
   return AGNOCAST_HEAPHOOK_OK;
 }
 
-// Private addresses of one more arena, 2 MiB of its own and what its first blocks take.
+// Private addresses of one more arena: 2 MiB of its own and the needs of its first blocks.
 constexpr std::size_t arena_bytes = std::size_t{8} << 20;
 
-// What the allocator counts as allocated includes what thread caches keep. Threads that only free are not bound and show up
-// with arena 0, whose own blocks are never in a cache.
+// The allocator counts thread caches as allocated. Threads that only free are not bound and count
+// with arena 0, whose own blocks are never cached.
 std::uint64_t live_bytes() {
   std::size_t allocated = 0;
   std::size_t cached = 0;
@@ -244,8 +250,9 @@ std::uint64_t live_bytes() {
   return cached < allocated ? allocated - cached : 0;
 }
 
-// When the last bound thread of an arena ends, jemalloc gives all its idle pages back, in that thread. Ours must keep them warm
-// until purge(), so the arena gets one bound thread more than there are.
+// When the last thread bound to an arena ends, jemalloc returns all idle pages of the arena, in
+// that thread. Ours must keep them until purge(), so this increments the arena's thread count by
+// one.
 bool never_without_threads(unsigned number) {
   void* const arena = __atomic_load_n(&agnocast_je_internal_arenas[number], __ATOMIC_ACQUIRE);
   if (arena == nullptr) return false;
@@ -260,7 +267,7 @@ void start_allocator() {
   agnocast_je_internal_opt_cache_oblivious = false;
 }
 
-// A shared arena without addresses; 0 when there is no memory for it.
+// Makes a shared arena without addresses; returns 0 if there is no memory for it.
 unsigned make_arena() {
   agnocast_je_arena_config config = {.extent_hooks = &extent_hooks, .metadata_use_hooks = false};
   unsigned arena = 0;
@@ -269,10 +276,11 @@ unsigned make_arena() {
   return never_without_threads(arena) ? arena : 0;
 }
 
-// Gives the arena the addresses of a window, closed. jemalloc never joins extents that it got by separate calls, so asking for
-// memory piece by piece would leave a window of pieces in which no large message fits. Instead one block of the whole size is
-// requested: the arena calls extent_alloc, gets the window, asks extent_commit to open it, is refused, keeps the addresses as
-// a closed extent and answers null. Sizes are those of its size classes, four to a doubling; most windows are one.
+// Passes the addresses of a window to the arena, closed. jemalloc never joins extents from
+// separate calls, so passing memory piece by piece would leave a window of pieces too small for a
+// large message. Instead it requests one block of the whole size: the arena calls extent_alloc,
+// gets the window, calls extent_commit to open it, is refused, keeps the addresses as a closed
+// extent and returns null. Sizes are its size classes, four per doubling; most windows are one.
 bool hand_over(const windows::Window& window, unsigned arena) {
   const int flags = static_cast<int>((arena + 1) << 20) | no_cache;
   thread_state.handing_over = true;
@@ -280,7 +288,7 @@ bool hand_over(const windows::Window& window, unsigned arena) {
   std::size_t offset = 0;
   while (taken && offset < window.length) {
     const std::size_t left = window.length - offset;
-    const std::size_t class_distance = std::size_t{1} << (61 - __builtin_clzl(left));  // a quarter of the power of two below
+    const std::size_t class_distance = std::size_t{1} << (61 - __builtin_clzl(left));  // a quarter of the next lower power of two
     const std::size_t size = left & ~(class_distance - 1);
     handed_address = window.base + offset;
     taken = agnocast_je_mallocx(size, flags) == nullptr && handed_address == 0;
@@ -291,7 +299,7 @@ bool hand_over(const windows::Window& window, unsigned arena) {
   return taken;
 }
 
-// From now on blocks come from this window, in an arena of its own.
+// Makes blocks come from this window from now on, in an arena of its own.
 bool begin_arena(const windows::Window& window) {
   const unsigned arena = make_arena();
   if (arena == 0 || !hand_over(window, arena)) return false;
@@ -334,12 +342,12 @@ void* reallocate(void* block, std::size_t size) {
   {
     const KeepErrno keep;
     const LibcOnly inside;
-    // In place, or not at all; in a window that was given up it may only shrink.
+    // In place, or not at all; in an earlier window it may only shrink.
     const std::size_t before = usable_size(block);
     room = is_given_up(*windows::window_of(block)) ? before : agnocast_je_xallocx(block, at_least_min(size), 0, 0);
     count_block(before, room);
   }
-  // A block that shrinks stays where it is while that wastes little.
+  // A block that shrinks stays in place if that wastes little.
   const bool fits = room >= size;
   if (fits && (room <= 4096 || room / 2 <= size)) return block;
   void* const moved = allocate(size);
@@ -375,11 +383,11 @@ void give_back(void* block, const windows::Window& window) {
 
 void release(void* block, const windows::Window& window) {
   if (!windows::is_owner()) return;
-  if (!windows::is_mapped(window, block)) [[unlikely]] {  // beyond the frontier nothing was ever handed out
+  if (!windows::is_mapped(window, block)) [[unlikely]] {  // no block was ever beyond the frontier
     note_internal_error();
     return;
   }
-  if (thread_state.forking) [[unlikely]] {  // the allocator is locked: fork.cpp comes back for it
+  if (thread_state.forking) [[unlikely]] {  // the allocator is locked: fork.cpp frees it later
     *static_cast<void**>(block) = thread_state.deferred;
     thread_state.deferred = block;
     return;
@@ -412,7 +420,7 @@ enum agnocast_heaphook_status attach(const struct agnocast_heaphook_window& wind
     state.store(State::inert, std::memory_order_release);
     return refused;
   }
-  // From here on failures are final: fork handlers cannot be taken back.
+  // From here on failures are final: fork handlers cannot be unregistered.
   start_allocator();
   if (!fork_rules::register_inner() || !begin_arena(windows::table[0]) || !fork_rules::register_outer() ||
       !windows::become_owner()) {
@@ -490,16 +498,17 @@ std::uint64_t purge() {
 
 namespace {
 
-// Classes of sizes, as the allocator counts them: the slabs that small blocks lie in, and blocks of whole pages.
+// Size classes, as the allocator counts them: slabs of small blocks, and blocks of whole pages.
 struct Classes {
   const char *all, *description, *size, *group, *taken;
   std::size_t size_end;
 };
 constexpr Classes slabs = {"arenas.nbins", "arenas.bin.", ".slab_size", ".bins.", ".nslabs", ~std::size_t{0}};
-// Without those that count_block() follows.
+// Without those counted by count_block().
 constexpr Classes pages = {"arenas.nlextents", "arenas.lextent.", ".size", ".lextents.", ".nmalloc", counted_min};
 
-// Adds the bytes that were taken from an arena for these classes so far, each time anew. False when the allocator does not say.
+// Adds the bytes of all allocations of these classes in an arena so far, reuse included. Returns
+// false if the allocator has no numbers.
 bool add_taken(unsigned arena, const Classes& classes, std::uint64_t& bytes) {
   unsigned count = 0;
   if (!get(classes.all, count)) return false;
@@ -535,7 +544,7 @@ std::uint64_t idle() {
   }
   const std::uint64_t now = counted_bytes.load(std::memory_order_relaxed);
   const std::uint64_t most = counted_bytes_max.exchange(now, std::memory_order_relaxed);
-  static constinit std::uint64_t taken_before = 0;  // there is one caller
+  static constinit std::uint64_t taken_before = 0;  // one caller at a time
   const std::uint64_t wanted = (most > now ? most - now : 0) + (taken - taken_before);
   taken_before = taken;
   return (bytes > wanted ? bytes - wanted : 0) + windows::grown_back();

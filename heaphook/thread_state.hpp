@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What the hook knows about the calling thread. Initial-exec TLS in zero-initialised static storage: reading it can neither
-// allocate nor call the dynamic loader, so it is safe inside the very first malloc of a thread.
+// The hook's state of the calling thread. Initial-exec TLS in zero-initialised static storage:
+// reading it can neither allocate nor call the dynamic loader, so it is safe inside the very
+// first malloc of a thread.
 #pragma once
 
 #include <cstdint>
@@ -10,19 +11,19 @@ namespace agnocast::heaphook {
 
 struct ThreadState {
   std::uint32_t depth;     // open shared scopes (enter - leave)
-  std::uint32_t blocked;   // > 0: libc only. Counts pause(), calls into the allocator, and a fork in progress
-  std::uint32_t bound;     // arena that the allocator takes this thread's blocks from; 0: not told yet
-  bool resolving;          // inside the look-up of the next malloc: serve from the bootstrap buffer
-  bool forking;            // between our fork handlers: the allocator's locks are held, see fork.cpp
-  bool handing_over;       // adding a window: extents are passed on and not opened, see shared_heap.cpp
-  std::uint64_t spilled;   // attempts of this thread to allocate from the windows that found no room
-  void (*no_room)();       // what operator new calls where the windows have none; null: libc serves
+  std::uint32_t blocked;   // > 0: libc only. Counts pause(), allocator calls, a fork in progress
+  std::uint32_t bound;     // arena of the allocator for this thread's blocks; 0: not bound
+  bool resolving;          // inside the look-up of the next malloc: use the bootstrap buffer
+  bool forking;            // between our fork handlers: the allocator is locked, see fork.cpp
+  bool handing_over;       // adding a window: extents stay closed, see shared_heap.cpp
+  std::uint64_t spilled;   // allocations of this thread that found no room in the windows
+  void (*no_room)();       // called by operator new if the windows have no room; null: libc serves
   void* deferred;          // shared blocks freed while forking, linked through their first word
 };
 
 inline constinit thread_local ThreadState thread_state [[gnu::tls_model("initial-exec")]] = {};
 
-// While one of these lives, every nested allocation of this thread is libc's.
+// While an object lives, every nested allocation of this thread comes from libc.
 class LibcOnly {
  public:
   LibcOnly() { ++thread_state.blocked; }

@@ -25,13 +25,15 @@ constinit const std::atomic<std::uint32_t> nobody{0};
 // 2 MiB: one huge page, so that a window can be backed by huge pages from its start.
 constexpr std::size_t window_granule = std::size_t{2} << 20;
 
-// A step is an eighth of what is open, at least 2 MiB and at most 64 MiB. Locked memory then exceeds the used memory by an
-// eighth or 2 MiB; a reader makes one mmap (12 us) a step: 8 up to 16 MiB, about 30 more up to 512 MiB, 16 per GiB later.
+// A step is an eighth of the open part, at least 2 MiB and at most 64 MiB. Locked memory then
+// exceeds the used memory by an eighth or 2 MiB; a reader makes one mmap (12 us) per step: 8 up
+// to 16 MiB, about 30 more up to 512 MiB, 16 per GiB later.
 constexpr std::size_t step_min = std::size_t{2} << 20;
 constexpr std::size_t step_max = std::size_t{64} << 20;
 
-// Without priority inheritance: whoever gets here has passed the allocator's own locks, which have none, so it would bound
-// nothing; and such a lock names its holder's thread, which in a child of fork is nobody who could unlock it.
+// Without priority inheritance: it would bound nothing, because callers have passed the
+// allocator's own locks, which have none; and such a lock records its holder's thread, which in a
+// forked child does not exist and cannot unlock it.
 constinit pthread_mutex_t growth_mutex = PTHREAD_MUTEX_INITIALIZER;
 constinit agnocast_heaphook_grown grown_callback = nullptr;  // guarded by growth_mutex
 constinit void* grown_context = nullptr;
@@ -46,24 +48,25 @@ bool same_file(int fd, const Window& window) {
 }
 
 void* address_in(const Window& window, std::size_t offset) {
-  // An address that came as a number (the ABI's fixed base) has to become a pointer somewhere: here.
+  // The only place that makes a pointer from the window's numeric base.
   return reinterpret_cast<void*>(window.base + offset);
 }
 
-// The file is as long as what is mapped of it: a reader that touches a hole makes a page, and beyond the end it can touch nothing.
+// The file is as long as its mapped part: a reader that touches a hole allocates a page, but
+// cannot touch anything beyond the end.
 bool lengthen(const Window& window, std::size_t target) {
   struct stat status;
   if (fstat(window.write_fd, &status) != 0) return false;
   if (static_cast<std::size_t>(status.st_size) >= target) return true;
   struct rlimit limit;
   if (getrlimit(RLIMIT_FSIZE, &limit) == 0 && limit.rlim_cur != RLIM_INFINITY && target > limit.rlim_cur) {
-    errno = EFBIG;  // asked for it, the kernel would send SIGXFSZ as well
+    errno = EFBIG;  // ftruncate would send SIGXFSZ as well
     return false;
   }
   return ftruncate(window.write_fd, static_cast<off_t>(target)) == 0;
 }
 
-// Opens [frontier, target) of the window. Errno is the kernel's when false.
+// Opens [frontier, target) of the window. Returns false with the kernel's errno.
 bool open_to(Window& window, std::uint32_t index, std::size_t target) {
   const std::size_t frontier = window.frontier.load(std::memory_order_relaxed);
   if (!same_file(window.write_fd, window)) {
@@ -72,7 +75,8 @@ bool open_to(Window& window, std::uint32_t index, std::size_t target) {
   }
   if (!lengthen(window, target)) return false;
   void* const wanted = address_in(window, frontier);
-  // MAP_FIXED replaces the caller's PROT_NONE reservation; MAP_FIXED_NOREPLACE refuses to replace anybody else's memory.
+  // MAP_FIXED replaces the caller's PROT_NONE reservation; MAP_FIXED_NOREPLACE refuses to replace
+  // any other mapping.
   const int placement = window.reserved ? MAP_FIXED : MAP_FIXED_NOREPLACE;
   void* const piece = mmap(wanted, target - frontier, PROT_READ | PROT_WRITE, MAP_SHARED | placement, window.write_fd,
                            static_cast<off_t>(frontier));
@@ -83,9 +87,11 @@ bool open_to(Window& window, std::uint32_t index, std::size_t target) {
     errno = reason;
     return false;
   }
-  // Where the system leaves it to us (shmem_enabled is advise) a large message faults once in 2 MiB. Refused elsewhere, which is as good.
+  // Where the system leaves it to us (shmem_enabled is advise) a large message faults once per 2
+  // MiB. Failure elsewhere is harmless.
   madvise(piece, target - frontier, MADV_HUGEPAGE);
-  // Announced before the arena hands out an address beyond the old frontier, hence before any message points there.
+  // Announced before the arena returns an address beyond the old frontier, so before any message
+  // points there.
   window.frontier.store(target, std::memory_order_release);
   grown_callback(grown_context, index, target);
   return true;
@@ -100,7 +106,7 @@ bool grow(Window& window, std::uint32_t index, std::size_t needed) {
   std::size_t target = round_up(frontier + step > needed ? frontier + step : needed, step_min);
   if (target > window.length) target = window.length;
   if (open_to(window, index, target)) return true;
-  // A lock limit may have room for what is needed and not for the whole step.
+  // A lock limit may have room for the needed bytes but not for the whole step.
   const auto page = static_cast<std::size_t>(sysconf(_SC_PAGESIZE));
   const std::size_t least = round_up(needed, page);
   if (least < target && open_to(window, index, least)) return true;
@@ -129,7 +135,7 @@ enum agnocast_heaphook_status check(const struct agnocast_heaphook_window& windo
   if (fstat(window.write_fd, &status) != 0 || fstat(window.read_fd, &read_status) != 0) return AGNOCAST_HEAPHOOK_OS;
   const int write_flags = fcntl(window.write_fd, F_GETFL);
   const int read_flags = fcntl(window.read_fd, F_GETFL);
-  const int seals = fcntl(window.write_fd, F_GET_SEALS);  // -1 of what has none: all of them
+  const int seals = fcntl(window.write_fd, F_GET_SEALS);  // -1 for a file without seals: all bits set
   if (status.st_dev != read_status.st_dev || status.st_ino != read_status.st_ino || status.st_size < 0 ||
       ((seals & F_SEAL_GROW) != 0 && static_cast<std::size_t>(status.st_size) < window.length) ||
       (write_flags & O_ACCMODE) != O_RDWR || (read_flags & O_ACCMODE) != O_RDONLY) {
@@ -150,7 +156,7 @@ constexpr std::size_t map_bytes(std::size_t length) { return (length / bit_bytes
 
 bool is_closed(const Window& window, std::size_t bit) { return (window.closed[bit / 64] >> bit % 64 & 1) != 0; }
 
-// Under the growth lock.
+// Call it under the growth lock.
 void mark(Window& window, std::size_t offset, std::size_t length, bool closed) {
   if (!closed && window.closed_bytes == 0) return;
   for (std::size_t bit = offset / bit_bytes; bit < (offset + length) / bit_bytes; ++bit) {
@@ -242,7 +248,7 @@ void remove_first() {
   Window& window = table[0];
   const std::size_t frontier = window.frontier.load(std::memory_order_relaxed);
   munmap(address_in(window, 0), frontier);
-  if (window.reserved) {  // the addresses were reserved before us and stay so
+  if (window.reserved) {  // the addresses were reserved before us: keep them reserved
     mmap(address_in(window, 0), frontier, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE | MAP_FIXED_NOREPLACE, -1, 0);
   }
   munmap(window.closed, map_bytes(window.length));
@@ -271,13 +277,14 @@ bool open(void* address, std::size_t length) {
 
 namespace {
 
-// Whoever maps the same memfd, a growing malloc here or a reader in another process, waits while the kernel makes a hole: for 2 MiB about
-// half a millisecond, for a large extent at once as much for each of them.
+// While the kernel punches a hole, every process that maps the same memfd waits, a growing malloc
+// here or a reader elsewhere: about half a millisecond for 2 MiB, and as much for each 2 MiB of a
+// large extent at once.
 constexpr std::size_t slice_bytes = std::size_t{2} << 20;
 
 bool punch_slice(char* address, std::size_t length) {
   if (madvise(address, length, MADV_REMOVE) == 0) return true;
-  // Refused for locked memory (mlockall); a hole in the file is not.
+  // Refused for locked memory (mlockall); a hole in the file is allowed.
   const Window* const window = window_of(address);
   if (errno != EINVAL || window == nullptr || !same_file(window->write_fd, *window)) return false;
   const std::size_t offset = reinterpret_cast<std::uintptr_t>(address) - window->base;
@@ -287,7 +294,7 @@ bool punch_slice(char* address, std::size_t length) {
 
 bool punch(void* address, std::size_t length) {
   char* const begin = static_cast<char*>(address);
-  // Slices end where a huge page does.
+  // Slices end at huge page boundaries.
   std::size_t done = 0;
   while (done < length) {
     const std::size_t to_boundary = slice_bytes - (reinterpret_cast<std::uintptr_t>(begin) + done) % slice_bytes;
@@ -300,7 +307,8 @@ bool punch(void* address, std::size_t length) {
   return true;
 }
 
-// What there is beyond what is in use. Memory that is in use and was never touched makes it less.
+// Returns the allocated bytes beyond those in use. Used memory that was never touched makes the
+// result smaller.
 std::size_t grown_back_in(const Window& window) {
   struct stat status;
   if (!same_file(window.write_fd, window) || fstat(window.write_fd, &status) != 0) return 0;
@@ -311,7 +319,7 @@ std::size_t grown_back_in(const Window& window) {
   return more < unused ? more : unused;
 }
 
-// Is not in use: was given back, or never used.
+// Returns whether the page is not in use: it was returned, or never used.
 bool is_unused(const Window& window, std::size_t offset) {
   return offset >= window.used.load(std::memory_order_relaxed) || is_closed(window, offset / bit_bytes);
 }
@@ -347,7 +355,8 @@ void punch_unused() {
     const bool has_grown = grown_back_in(window) > window.stuck_bytes;
     unlock_growth();
     if (!has_grown) continue;
-    // The lock is let go of after each slice: whoever opens memory meanwhile waits for one.
+    // Releases the lock after each slice, so a thread that opens memory waits for one slice at
+    // most.
     const std::size_t end = window.frontier.load(std::memory_order_relaxed);
     for (std::size_t slice = 0; slice < end; slice += slice_bytes) {
       lock_growth();

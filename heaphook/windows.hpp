@@ -1,17 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Windows: the shared memory itself. Which addresses are ours, what of them is mapped, and who may write it.
+// Windows: the shared memory itself. Records its addresses, its mapped part, and the process that
+// may write it.
 //
 //      base                          used          frontier                                    base + length
 //       |  opened for the shared arena |  mapped     |  not mapped: nothing, or the caller's PROT_NONE  |
 //       |<------ MAP_SHARED, MADV_DONTFORK --------->|
 //
-// The arena has all addresses of a window from the start and takes the lowest that fit; `used` is the end of what it ever
-// opened, `frontier` runs ahead of that in steps. Both only grow.
-// Pages beyond the frontier cost nothing: no memory under mlockall, no part of RLIMIT_MEMLOCK (unless reserved).
+// The arena has all addresses of a window from the start and takes the lowest that fit; `used` is
+// the end of the part that it ever opened, `frontier` runs ahead of that in steps. Both only
+// grow. Pages beyond the frontier cost nothing: no memory under mlockall, no part of
+// RLIMIT_MEMLOCK (unless reserved).
 //
-// Memory is opened by mapping the next piece of the memfd, not by mprotect of one large mapping: mlockall and RLIMIT_MEMLOCK
-// count the addresses of a mapping even where it is PROT_NONE. Adjacent pieces merge to one mapping in the kernel.
+// Memory is opened by mapping the next piece of the memfd, not by mprotect of one large mapping:
+// mlockall and RLIMIT_MEMLOCK count the addresses of a mapping even if it is PROT_NONE. The
+// kernel merges adjacent pieces to one mapping.
 #pragma once
 
 #include <agnocast/abi/heaphook.h>
@@ -22,7 +25,8 @@
 
 namespace agnocast::heaphook::windows {
 
-// base, length, descriptors and identity are set before the window counts and never change; used <= frontier <= length.
+// base, length, descriptors and identity are set before the window counts and never change; used
+// <= frontier <= length.
 struct alignas(64) Window {
   std::uintptr_t base;
   std::size_t length;
@@ -30,27 +34,29 @@ struct alignas(64) Window {
   std::atomic<std::size_t> frontier;
   int write_fd;  // our duplicates, close-on-exec
   int read_fd;
-  std::uint64_t device;  // identity of the memfd: a program may close our descriptors and reuse their numbers
+  std::uint64_t device;  // identity of the memfd: a program may close our numbers and reuse them
   std::uint64_t inode;
   bool reserved;
   // Guarded by the growth lock: a bit for each page of 4 KiB that was in use and is closed.
   std::uint64_t* closed;
   std::size_t closed_bytes;
-  std::size_t stuck_bytes;  // what seemed to have grown back after the last punch_unused()
+  std::size_t stuck_bytes;  // regrown bytes that remained after the last punch_unused()
 };
 
 extern constinit Window table[AGNOCAST_HEAPHOOK_WINDOWS_MAX];
 // [sync:window] stored with release after the window's fields; window_of() loads it with acquire.
 extern constinit std::atomic<std::uint32_t> count;
 
-// 1 in the process that attached, 0 before and in every child of it, whatever kind of fork made the child: after attach it
-// lies in a page that the kernel wipes at fork (MADV_WIPEONFORK). Points to a constant 0 while inert.
+// 1 in the process that attached, 0 before and in every child of it, however it was forked: after
+// attach the word is in a page that the kernel wipes at fork (MADV_WIPEONFORK). Points to a
+// constant 0 while inert.
 extern constinit std::atomic<const std::atomic<std::uint32_t>*> owner_word;
 inline bool is_owner() {
   return owner_word.load(std::memory_order_acquire)->load(std::memory_order_relaxed) != 0;
 }
 
-// The window of an address, mapped or not; null for all other memory. The loop is empty while inert.
+// Returns the window of an address, mapped or not; null for all other memory. The loop is empty
+// while inert.
 inline const Window* window_of(const void* address) {
   const std::uint32_t window_count = count.load(std::memory_order_acquire);
   for (std::uint32_t i = 0; i < window_count; ++i) {
@@ -65,27 +71,28 @@ inline bool is_mapped(const Window& window, const void* address) {
   return reinterpret_cast<std::uintptr_t>(address) - window.base < window.frontier.load(std::memory_order_acquire);
 }
 
-// Makes this process the owner. Errno is set when the kernel refuses.
+// Makes this process the owner. Returns false with errno if the kernel refuses.
 bool become_owner();
 
-// The first window or a further one: checks it, keeps duplicates of its descriptors, opens its first piece, announces the
-// frontier. Nothing is left behind on refusal.
+// Adds a window: checks it, keeps duplicates of its descriptors, opens its first piece, announces
+// the frontier. Leaves nothing behind on refusal.
 enum agnocast_heaphook_status add(const struct agnocast_heaphook_window& window);
 // Undoes the add() of the only window, for an attach that fails later.
 void remove_first();
 
 void set_grown(agnocast_heaphook_grown grown, void* context);
 
-// Opens part of a window for use: mapped and announced when this returns true. False when the system refuses.
+// Opens part of a window for use: maps and announces it. Returns false if the system refuses.
 bool open(void* address, std::size_t length);
 
-// Gives the pages back until open() is called for them; they read as zero from now on. False when the kernel refuses.
+// Returns pages to the kernel until open() is called for them; they read as zero from now on.
+// Returns false if the kernel refuses.
 bool shut(void* address, std::size_t length);
 
-// A reader has a descriptor of the file: touching a hole through a mapping makes a page that nobody uses. How many bytes of such pages there
-// are, about, beyond those that punch_unused() could not take away.
+// A reader that touches a hole through its mapping allocates a page that no message uses. Returns
+// about how many bytes such pages have, without those that punch_unused() could not remove.
 std::uint64_t grown_back();
-// Makes holes of everything up to the frontier that is not in use, if something has grown back.
+// Punches all unused memory up to the frontier, if such pages have appeared.
 void punch_unused();
 
 // Counters of agnocast_heaphook_usage that belong to the windows.
@@ -100,7 +107,8 @@ extern constinit Counters counters;
 // For fork.cpp.
 void lock_growth();
 void unlock_growth();
-// In the child: a private copy-on-write view of every window, where MADV_DONTFORK left a hole.
+// In the child: maps a private copy-on-write view of every window, where MADV_DONTFORK left a
+// hole.
 void map_private_view();
 
 }  // namespace agnocast::heaphook::windows

@@ -1,15 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Announce set: who was told about one generation of something that can be used again (rule RU,
+// Announce set: the processes notified about one generation of a reusable object (rule RU,
 // docs/protocol.md §3.6).
 //
-// A publisher index, an extent, a client region, a heap window or its addresses are used again only
-// when every process that was ever sent an announcement of that generation has said UNLINKED or is
-// dead. The set is part of the daemon's journaled tables; it is never inferred from shared memory.
-// Four details are mandatory:
-//   (a) tell() is journaled before the announcement is sent        (b) a client says UNLINKED after
-//   its link is gone (c) a restarted daemon sends every member its announcement again   (d) a
-//   client answers a repeated one with UNLINKED again
+// A publisher index, an extent, a client region, a heap window or its addresses may be reused
+// only when every process that was ever sent an announcement of that generation has sent UNLINKED
+// or is dead. The set is part of the daemon's logged tables; it is never inferred from shared
+// memory. Four details are mandatory:
+//   (a) tell() is logged before the announcement is sent
+//   (b) a client sends UNLINKED after its link is gone
+//   (c) a restarted daemon sends every process its announcements again
+//   (d) a client answers a repeated one with UNLINKED again
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
@@ -20,18 +21,18 @@
 
 namespace agnocast::journal {
 
-/// Plain data, all of it: lies in the daemon's tables as it is.
+/// Plain data: stored in the daemon's tables as it is.
 template <class M, std::uint32_t client_capacity = abi::client_count_max>
 class AnnounceSet {
  public:
-  /// A new generation. Only when reusable().
+  /// Begins a new generation. Only if reusable().
   void begin(std::uint64_t generation) noexcept { generation_ = generation; }
   std::uint64_t generation() const noexcept { return generation_; }
 
   void tell(std::uint64_t client) noexcept {
     AGNOCAST_STEP(R1_tell) members_[client / 64] |= bit(client);
   }
-  /// UNLINKED from a client. What speaks of another generation is late and means nothing.
+  /// Removes a client that sent UNLINKED. A packet about another generation is late and ignored.
   void let_go(std::uint64_t client, std::uint64_t generation) noexcept {
     if (!M::holds(steps::R2_generation, generation == generation_)) return;
     AGNOCAST_STEP(R2_let_go) members_[client / 64] &= ~bit(client);
@@ -57,8 +58,8 @@ class AnnounceSet {
   std::uint64_t members_[(client_capacity + 63) / 64] = {};
 };
 
-/// The client's side: what to do with an announcement. One per index; plain data, private to the
-/// process.
+/// The client's side: decides what to do with an announcement. One per index; plain data, private
+/// to the process.
 template <class M>
 class AnnouncementBook {
  public:
@@ -69,7 +70,7 @@ class AnnouncementBook {
     return generation == linked_ ? Action::nothing : Action::link;
   }
   void linked(std::uint64_t generation) noexcept { AGNOCAST_STEP(R6_link) linked_ = generation; }
-  /// After the link is gone, before UNLINKED is sent.
+  /// Call it after the link is gone, before sending UNLINKED.
   void unlinked(std::uint64_t generation) noexcept {
     AGNOCAST_STEP(R7_unlinked) unlinked_ = generation;
     linked_ = 0;

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Board steps: how the daemon changes the membership of one topic. docs/protocol.md §2.1,
+// Board steps: the daemon's changes to the endpoints of one topic. docs/protocol.md §2.1,
 // §3.5–§3.7.
 //
-// Descriptor, then word (release), then epoch (seq_cst), always in this order: whoever sees the
-// epoch sees the word, whoever sees the word sees the descriptor. Every function may be repeated
-// after a crash of the daemon: an extra epoch is harmless.
+// Descriptor, then word (release), then epoch (seq_cst), always in this order: a process that
+// sees the epoch sees the word, and one that sees the word sees the descriptor. Every function
+// may be repeated after a crash of the daemon: an extra epoch is harmless.
 #pragma once
 
 #include <journal/steps.hpp>
@@ -92,7 +92,7 @@ class BoardSteps {
     AGNOCAST_STEP(J3_epoch) bump_epoch();
   }
 
-  /// Leaving, revoked, dead or free again: the word is all that changes.
+  /// Sets a subscription to leaving, revoked, dead or free; changes only the word.
   void set_subscription(std::uint64_t index, std::uint64_t generation,
                         abi::MemberState state) noexcept {
     AGNOCAST_STEP(D2_word)
@@ -101,8 +101,8 @@ class BoardSteps {
     AGNOCAST_STEP(D2_epoch) bump_epoch();
   }
 
-  /// The publisher publishes no more (it died or left); what it committed up to `final_head` is
-  /// still delivered.
+  /// Ends a publisher that publishes no more (it died or left); its messages up to `final_head`
+  /// are still delivered.
   void orphan_publisher(std::uint64_t index, std::uint64_t generation,
                         std::uint64_t final_head) noexcept {
     using Entry = abi::PublisherEntry;
@@ -115,7 +115,7 @@ class BoardSteps {
     set_publisher(index, generation, abi::MemberState::free);
   }
 
-  /// Everybody looks again.
+  /// Makes all processes check the topic again.
   void renew() noexcept { AGNOCAST_STEP(J3_epoch) bump_epoch(); }
 
  private:

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Cases: how recovery decides. Tables of rows; a row has a label, a pattern over what may be found,
-// and a decision. docs/recovery.md says of each label which crash causes it and why the decision is
-// right.
+// Cases: the decisions of recovery. Tables of rows; a row has a label, a pattern over the facts
+// found, and a decision. docs/recovery.md gives for each label the crash that causes it and the
+// reason for the decision.
 //
-// What is found is brought into few kinds first, one bit each; a pattern is a set of kinds for every
-// field. For every combination exactly one row matches (tests/unit/journal/recovery_table_test.cpp
-// feeds them all), so the order of the rows means nothing. What no honest process and no crash can
-// leave has a row as well: what is done when it is found all the same.
+// Each fact is first reduced to a few kinds, one bit each; a pattern is a set of kinds for every
+// fact. For every combination exactly one row matches (tests/unit/journal/recovery_table_test.cpp
+// tries them all), so the order of the rows has no meaning. Combinations that no honest process
+// and no crash can leave have rows as well.
 #pragma once
 
 #include <array>
@@ -31,7 +31,7 @@ struct CaseRow {
   }
 };
 
-/// The row for what was found; there always is one.
+/// Returns the row for the facts; there always is one.
 template <class Decision, std::size_t field_count, std::size_t row_count>
 constexpr const CaseRow<Decision, field_count>& case_of(
     const CaseRow<Decision, field_count> (&rows)[row_count],
@@ -61,13 +61,14 @@ inline constexpr CaseRow<D, 3> rows[] = {
 };
 }  // namespace intent
 
-// --- S: what a message that a member may still ask for means to its publisher. The shipped pass
-// (dataplane/publisher_core.hpp) decides; the test holds it against this table.
+// --- S: the meaning of a subscription for a message that its publisher may want to free. The
+// reclamation scan (dataplane/publisher_core.hpp) decides; the test compares it with this table.
 
 enum class RemainsDecision : std::uint8_t { keep, free };
 
 namespace remains {
-// the member's word on the board · its region mapped by the publisher · its line · hold bit · cursor
+// the subscription's word on the board · its region mapped by the publisher · its line · hold bit
+// · cursor
 inline constexpr std::uint8_t active = 1, leaving = 2, over = 4;  // over: dead, revoked or free
 inline constexpr std::uint8_t mapped = 1, unmapped = 2;
 inline constexpr std::uint8_t linked = 1, unlinked = 2;
@@ -88,7 +89,7 @@ inline constexpr CaseRow<D, 5> rows[] = {
 };
 }  // namespace remains
 
-// --- L: the redo log as a starting daemon finds it
+// --- L: the redo log at the start of a daemon
 
 enum class LogDecision : std::uint8_t { go_on, redo, refuse_layout, refuse_damaged };
 
@@ -109,13 +110,13 @@ inline constexpr CaseRow<D, 4> rows[] = {
 };
 }  // namespace log
 
-// --- U: one announcement after the connection was lost. What the daemon does follows from the
-// announce set, what the client does from its book (announce_set.hpp); the test runs both.
+// --- U: one announcement after the connection was lost. The daemon's action follows from the
+// announce set, the client's from its book (announce_set.hpp); the test runs both.
 
 enum class AnnounceDecision : std::uint8_t { nothing, link, ignore, say_unlinked, impossible };
 
 namespace announce {
-// in the announce set · has the client read it? · the client's book for this generation
+// in the announce set · read by the client · the client's book for this generation
 inline constexpr std::uint8_t told = 1, untold = 2;
 inline constexpr std::uint8_t delivered = 1, lost = 2;
 inline constexpr std::uint8_t never = 1, linked = 2, unlinked = 4;
@@ -132,17 +133,17 @@ inline constexpr CaseRow<D, 3> rows[] = {
 };
 }  // namespace announce
 
-// --- Q: a request, and what the tables say of it. `again`: the client lost the connection before an
-// answer came.
+// --- Q: a request, and its state in the tables. `again`: the client lost the connection before
+// the answer.
 
 enum class RequestDecision : std::uint8_t { carry_out, answer_as_before, say_done, refuse };
 
 namespace request {
-// what · asked · in the tables
+// kind of request · asked · in the tables
 inline constexpr std::uint8_t create = 1, open_window = 2, open_executor = 4, leave = 8,
                               drained = 16;
 inline constexpr std::uint8_t first = 1, again = 2;
-// done: carried out before; used: and something was built on the answer, which therefore was read
+// done: carried out before; used: and a later request used the answer, so the client has read it
 inline constexpr std::uint8_t not_done = 1, done = 2, used = 4;
 using D = RequestDecision;
 inline constexpr CaseRow<D, 3> rows[] = {
@@ -163,7 +164,7 @@ constexpr RequestDecision decide_request(std::uint8_t what, bool asked_again,
       .decision;
 }
 
-// --- J: a process that says rejoin
+// --- J: a process that sends rejoin
 
 enum class RejoinDecision : std::uint8_t {
   take_back,
@@ -174,8 +175,8 @@ enum class RejoinDecision : std::uint8_t {
 };
 
 namespace rejoin {
-// fingerprint · who says it is who connected · incarnation · its place has its generation ·
-// state of the place (dead: no member any more) · the process behind the stored pidfd
+// fingerprint · the process is the one that connected · incarnation · generation of its index ·
+// state of its index (dead: its session has ended) · the process behind the stored pidfd
 inline constexpr std::uint8_t same = 1, other = 2;
 inline constexpr std::uint8_t alive = 1, dead = 2, free = 4;
 using D = RejoinDecision;
@@ -191,7 +192,7 @@ inline constexpr CaseRow<D, 6> rows[] = {
 };
 }  // namespace rejoin
 
-/// What can be said before the stored pidfd is looked at; `take_back` is final only with it.
+/// The facts known before the stored pidfd is checked; `take_back` is final only with that check.
 struct RejoinFacts {
   bool same_layout = false;
   bool confirmed = false;
@@ -208,23 +209,23 @@ constexpr RejoinDecision decide_rejoin(const RejoinFacts& facts) noexcept {
       .decision;
 }
 
-// --- D: kept descriptors against the tables at a start
+// --- D: stored descriptors compared with the tables, at a start
 
 enum class StoredDecision : std::uint8_t {
-  take,           // go on with it
-  remove,         // it belongs to nobody any more
+  take,           // use it
+  remove,         // it has no owner any more
   make_anew,      // as on a first start
-  start_anew,     // nothing else in the store can be used: a new incarnation
-  owner_is_lost,  // its process is treated as one that died
+  start_anew,     // nothing else in the store is usable: begin a new incarnation
+  owner_is_lost,  // treat its process as dead
   do_without,
 };
 
 namespace stored {
-// what · in the store · the record it belongs to
+// kind · in the store · the record it belongs to
 inline constexpr std::uint8_t tables = 1, listening = 2, memory = 4, process = 8, bell = 16,
-                              stranger = 32;  // tables: board or journal; memory: region or window
+                              stranger = 32;  // tables: board or redo log; memory: region or window
 inline constexpr std::uint8_t present = 1, absent = 2;
-inline constexpr std::uint8_t alive = 1, dead = 2, none = 4, revoked = 8;  // revoked: and not ended
+inline constexpr std::uint8_t alive = 1, dead = 2, none = 4, revoked = 8;  // revoked: not yet ended
 using D = StoredDecision;
 inline constexpr CaseRow<D, 3> rows[] = {
     {"@D1", {tables, present, any}, D::take},
@@ -256,19 +257,19 @@ constexpr StoredDecision decide_stored(std::uint8_t what, bool is_there,
   return case_of(stored::rows, {what, is_there ? stored::present : stored::absent, owner}).decision;
 }
 
-// --- P: a process that the tables know, at a start
+// --- P: a process in the tables, at a start
 
 enum class FoundDecision : std::uint8_t {
-  expect,            // it is a member without a connection, and will say rejoin
-  recover,           // it has ended: its reap begins
-  finish,            // its reap was begun and is made again
-  finish_and_watch,  // likewise, and its place stays its own
-  watch,             // nothing is left but its place, until it ends
-  settle,            // its place is free when nobody has anything of it
+  expect,            // it has a session without a connection, and will send rejoin
+  recover,           // it has ended: begin its reap
+  finish,            // its reap was begun: repeat it
+  finish_and_watch,  // likewise, and keep its index
+  watch,             // only its index is left: keep it until the process ends
+  settle,            // free its index when no process has anything of it
 };
 
 namespace found {
-// the record's state · its reason · the process; it counts as ended when it cannot be looked after (D)
+// state of the record · its reason · the process; "ended" if the daemon cannot watch it (D)
 inline constexpr std::uint8_t alive = 1, dead = 2, forgotten = 4;
 inline constexpr std::uint8_t gone = 1, revoked = 2;
 inline constexpr std::uint8_t lives = 1, ended = 2;
@@ -291,17 +292,17 @@ constexpr FoundDecision decide_found(std::uint8_t state, bool is_revoked, bool l
       .decision;
 }
 
-// --- C: a connection has ended, or the process behind it has, or it is looked at once more
+// --- C: a connection or its process has ended, or the daemon checks it once more
 
 enum class EndDecision : std::uint8_t {
-  drop,       // nobody was a member by it
-  wait,       // it is a process without a connection
-  recover,    // it is reaped
-  free_place  // it was reaped when it was revoked; its place is not its own any more
+  drop,       // the connection had no session
+  wait,       // the process stays without a connection
+  recover,    // reap it
+  free_place  // it was reaped when it was revoked: free its index
 };
 
 namespace end {
-// whose · the process · its mapping of its region (maps: also when it cannot be known now)
+// the connection's process · whether it lives · whether it maps its region (maps: or unknown now)
 inline constexpr std::uint8_t stranger = 1, member = 2, revoked = 4;
 inline constexpr std::uint8_t lives = 1, ended = 2;
 inline constexpr std::uint8_t maps = 1, let_go = 2;
@@ -322,7 +323,7 @@ constexpr EndDecision decide_end(std::uint8_t whose, bool has_ended, bool has_le
       .decision;
 }
 
-// --- W: a window that its owner brings to a daemon that knows nobody
+// --- W: a window that its owner brings to a daemon with empty tables
 
 enum class BroughtDecision : std::uint8_t {
   take,
@@ -334,8 +335,8 @@ enum class BroughtDecision : std::uint8_t {
 };
 
 namespace brought {
-// its number · the base of the window that has this number · its group · room in the limits · the
-// descriptor · its place in the arena
+// its number · the base of the window with this number · its window set · room in the limits ·
+// the descriptor · its place in the arena
 inline constexpr std::uint8_t known = 1, next = 2, later = 4;
 inline constexpr std::uint8_t same = 1, other = 2;
 inline constexpr std::uint8_t possible = 1, impossible = 2;

@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Record: one decision of the daemon as it lies in the redo log, and what its numbers mean.
+// Record: one decision of the daemon in the redo log, and the meaning of its numbers.
 //
-// A record says what the daemon is about to change; redo_log.hpp keeps them, daemon/state/registry_apply.cpp
-// carries them out. Some numbers are there for the reader of the flight recorder alone: whose an
-// endpoint was, why it ended, the new value of a counter. Nothing else is decided by those. Records about readers say
-// what nothing else keeps: a uid and a pid, which are still there when the place has been given to another process.
+// A record describes a change before the daemon makes it; redo_log.hpp stores records,
+// daemon/state/registry_apply.cpp applies them. Some numbers are only for readers of the flight
+// recorder: the owner of an endpoint, the reason of its end, the new value of a counter. Records
+// about readers keep a uid and a pid, which stay valid after the index was given to another
+// process.
 #pragma once
 
 #include <cstddef>
@@ -51,7 +52,7 @@ enum class RecordType : std::uint32_t {
 #undef AGNOCAST_RECORD_ENUMERATOR
 };
 
-/// Empty when there is no such type.
+/// Returns the name of a type; empty if there is no such type.
 constexpr std::string_view name_of(RecordType type) noexcept {
   switch (type) {
 #define AGNOCAST_RECORD_NAME(name, number, arguments) \
@@ -63,7 +64,7 @@ constexpr std::string_view name_of(RecordType type) noexcept {
   return {};
 }
 
-/// Names of the arguments, with blanks between them.
+/// Returns the names of the arguments, separated by blanks.
 constexpr std::string_view arguments_of(RecordType type) noexcept {
   switch (type) {
 #define AGNOCAST_RECORD_ARGUMENTS(name, number, arguments) \
@@ -83,19 +84,19 @@ enum class EndpointState : std::uint32_t {
   active = 1,
   leaving = 2,  // subscription: takes no more, still holds
   orphan = 3,   // publisher: publishes no more, is being drained
-  over = 4,     // publisher: everybody else has let go. subscription: its owner has let go
+  over = 4,     // publisher: all peers have unmapped it. subscription: its owner has
   dead = 5,     // subscription of a dead process
 };
 
-/// Why a process is no member any more: `reason` of client_dead.
+/// Why the session of a process has ended: `reason` of client_dead.
 enum class DeathReason : std::uint64_t {
-  died = 0,     // its pidfd says so
-  let_go = 1,   // it lives, but has no trace of its region any more: exec, or a shut library
-  revoked = 2,  // its membership was ended from outside; it lives
+  died = 0,     // its pidfd is readable
+  let_go = 1,   // alive, but without a trace of its region: exec, or a shut library
+  revoked = 2,  // alive, session ended from outside
 };
 
-/// Why nobody publishes there any more: `cause` of leave_publisher. The last four are what was
-/// decided about the intent of a process that is gone (recovery.hpp).
+/// Why a publisher has ended: `cause` of leave_publisher. The last four are decisions about the
+/// intent of a dead process (recovery.hpp).
 enum class LeaveCause : std::uint64_t {
   left = 0,
   nothing_open = 1,
@@ -119,7 +120,7 @@ static_assert(sizeof(Record) == 128 && offsetof(Record, stamp_ns) == 16 &&
               offsetof(Record, argument) == 24 && std::is_trivially_copyable_v<Record>);
 static_assert(std::has_unique_object_representations_v<Record>);
 
-/// Where in a record of this type the argument of this name is; argument_count: it has none.
+/// Returns the position of an argument in records of this type; argument_count: there is none.
 constexpr std::size_t argument_index(RecordType type, std::string_view name) noexcept {
   std::string_view rest = arguments_of(type);
   for (std::size_t i = 0; !rest.empty(); ++i) {

@@ -3,12 +3,13 @@
 // Recovery of a dead publisher's queue: roll back or roll forward. docs/protocol.md §3.7 (D3) and
 // its crash table.
 //
-// The commit is one store (head, P5), so the intent beside head decides every interruption: rows @A to
-// @F of cases.hpp; docs/recovery.md says why each is right.
+// The commit is one store (head, P5), so the intent beside head decides every interruption: rows
+// @A to
+// @F of cases.hpp; docs/recovery.md has the reason of each.
 //
-// Whatever the dead process wrote is input: copied once, checked, and after a death still writable
-// by a vfork child of it, so the result (the final head) goes to the board, which only the daemon
-// writes.
+// The words of the dead process are input: copied once and checked. A vfork child of it may still
+// write them after its death, so the result (the final head) goes to the board, which only the
+// daemon writes.
 #pragma once
 
 #include <journal/cases.hpp>
@@ -27,7 +28,7 @@ struct IntentCopy {
   std::uint64_t head = 0;  // commit word
 };
 
-/// The row of cases.hpp for it.
+/// Returns the matching row of cases.hpp.
 constexpr const CaseRow<IntentDecision, 3>& intent_case(const IntentCopy& copy,
                                                         std::uint64_t slot_count) noexcept {
   const std::uint64_t committed = abi::sequence_of(copy.head);
@@ -43,8 +44,8 @@ constexpr IntentDecision decide(const IntentCopy& copy, std::uint64_t slot_count
   return intent_case(copy, slot_count).decision;
 }
 
-/// Carries out the decision on the dead publisher's queue and returns what was decided;
-/// `final_head` is the commit word to record.
+/// Applies the decision to the dead publisher's queue and returns it; `final_head` receives the
+/// commit word to record.
 template <class M>
 IntentDecision recover_queue(const region::PublisherWords<M>& words, std::uint64_t slot_count,
                              std::uint64_t& final_head) noexcept {

@@ -52,7 +52,7 @@ void RedoLog::create(std::uint64_t fingerprint, std::uint64_t incarnation) noexc
   word(incarnation_offset).store(incarnation, std::memory_order_relaxed);
   word(shape_offset).store(own_shape, std::memory_order_relaxed);
   word(magic_offset)
-      .store(magic_value, std::memory_order_release);  // last: a half-made log is none
+      .store(magic_value, std::memory_order_release);  // last, so that an incomplete log has none
 }
 
 RedoLog::State RedoLog::state(std::uint64_t fingerprint) const noexcept {
@@ -63,12 +63,12 @@ RedoLog::State RedoLog::state(std::uint64_t fingerprint) const noexcept {
 
 const char* RedoLog::damage() const noexcept {
   if (word(magic_offset).load(std::memory_order_acquire) != magic_value)
-    return "the journal does not begin like one";
+    return "the redo log has no valid header";
   const std::uint64_t committed = committed_lsn();
   const std::uint64_t done = applied_lsn();
   if (committed != done && committed != done + 1)
-    return "the journal has applied what it has not committed, or the other way round";
-  if (committed != done && !read(committed)) return "the last record of the journal is not whole";
+    return "committed and applied numbers of the redo log contradict each other";
+  if (committed != done && !read(committed)) return "the last record of the redo log is not whole";
   return nullptr;
 }
 

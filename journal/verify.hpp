@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Verify: the invariants of a topic as code. Reads shared regions like any other input and changes
-// nothing.
+// Verify: the invariants of a topic as code. Reads shared regions like any other input and
+// changes nothing.
 //
-// Called after every step of the tests, after recoveries, and by `agnocast-ctl verify`. A publisher
-// or subscription that is in the middle of an operation may break some of them for a moment; the
-// caller says which endpoints are at rest. The table also names what holds for the system as a whole;
-// ctl/snapshot/audit.cpp checks that.
+// Called after every step of the tests, after recoveries, and by `agnocast-ctl verify`. A
+// publisher or subscription in the middle of an operation may break some of them for a moment;
+// the caller passes which endpoints are at rest. The table also names invariants of the whole
+// system, which ctl/snapshot/audit.cpp checks.
 #pragma once
 
 #include <region/views.hpp>
@@ -22,28 +22,28 @@ namespace agnocast::journal {
   X(queue_head, "head is not older than the first sequence of its generation")               \
   X(queue_slot_committed, "a used slot carries a sequence between the first and head")       \
   X(queue_slot_unique, "no two slots carry the same sequence")                               \
-  X(queue_order, "a ring entry says nothing newer than head")                                \
+  X(queue_order, "a ring entry is not newer than head")                                      \
   X(queue_order_slot, "the ring entry of a live slot names that slot")                       \
   X(queue_intent, "the intent of a publisher at rest is idle")                               \
   X(link_cursor, "a cursor lies between the first sequence and one past head")               \
   X(link_unlinked_zero, "a line that is not linked is zero")                                 \
   X(hold_slot_used, "a held slot is in use")                                                 \
-  X(hold_behind_cursor, "what is held was taken: its sequence is behind the cursor")         \
-  X(queue_intent_known, "an intent is one that exists")                                      \
+  X(hold_behind_cursor, "a held message was taken: its sequence is behind the cursor")       \
+  X(queue_intent_known, "an intent has a known value")                                       \
   X(queue_address, "the message of a used slot lies in a window, below its frontier")        \
   X(link_generation, "a line is linked to the publisher that has its index, or to none")     \
-  X(hold_quota, "a subscription holds no more of a publisher than it asked for")             \
-  X(region_header, "a client region says whose it is")                                       \
+  X(hold_quota, "a subscription holds no more of a publisher than its quota")                \
+  X(region_header, "a client region names its process")                                      \
   X(region_readable, "a region is as long as its extents")                                   \
-  X(window_header, "a process describes its windows as the daemon gave them")                \
+  X(window_header, "a process describes its windows as the daemon assigned them")            \
   X(window_frontier, "a frontier is a whole number of pages and lies in its window")         \
   X(window_inside, "every window lies in the arena")                                         \
   X(window_overlap, "no two windows overlap")                                                \
   X(extent_inside, "an extent begins with a page and lies in its region, behind the header") \
   X(extent_overlap, "no two extents of a process overlap")                                   \
-  X(board_endpoint, "the board says of an endpoint what the daemon knows")                   \
-  X(board_free, "a place that nobody has is free on the board")                              \
-  X(endpoint_process, "an endpoint belongs to a process that is there")
+  X(board_endpoint, "an endpoint's entry on the board is as the daemon knows it")            \
+  X(board_free, "an unused index is free on the board")                                      \
+  X(endpoint_process, "an endpoint belongs to a registered process")
 
 enum class Invariant : std::uint8_t {
 #define AGNOCAST_INVARIANT_ENUMERATOR(name, sentence) name,
@@ -60,14 +60,15 @@ constexpr const char* sentence_of(Invariant invariant) noexcept {
   return sentences[static_cast<std::uint8_t>(invariant)];
 }
 
-/// What was found wrong: the same words again are the same fault, not another operation under way.
+/// The wrong words: equal ones in a second check are the same fault, not another operation in
+/// progress.
 struct Witness {
   std::uint64_t place = 0;  // slot, ring entry or hold word
-  std::uint64_t word = 0;   // what it says
+  std::uint64_t word = 0;   // its value
 };
 
-/// One publisher's queue. `at_rest`: no operation of the publisher is under way (or its process is
-/// dead and recovered).
+/// Checks one publisher's queue. `at_rest`: the publisher has no operation in progress (or its
+/// process is dead and recovered).
 template <class M>
 Invariant verify_queue(const region::PublisherWords<M>& words, std::uint64_t first_sequence,
                        std::uint64_t slot_count, bool at_rest,
@@ -107,7 +108,7 @@ Invariant verify_queue(const region::PublisherWords<M>& words, std::uint64_t fir
   return Invariant::none;
 }
 
-/// One link line of a subscription at rest against the queue it is linked to.
+/// Checks one link line of a subscription at rest against the queue it is linked to.
 template <class M>
 Invariant verify_link(const region::LinkWords<M>& link,
                       const region::PublisherWords<M>& words, std::uint64_t generation,
@@ -124,7 +125,7 @@ Invariant verify_link(const region::LinkWords<M>& link,
   if (linked == 0 && cursor != 0) return broken(Invariant::link_unlinked_zero, 0, cursor);
   if (is_linked && (cursor <= first_sequence || cursor > head + 1))
     return broken(Invariant::link_cursor, 0, cursor);
-  // The words of the line itself may hold bits beyond the slots there are; those are wrong as well.
+  // The words of the line itself may have bits beyond the last slot; those are wrong as well.
   const std::uint64_t end = std::max<std::uint64_t>(slot_count, M::near_slot_count());
   for (std::uint64_t word = 0; word * 64 < end; ++word) {
     for (std::uint64_t bits = link.hold(word).load(std::memory_order_acquire); bits != 0;

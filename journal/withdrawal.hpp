@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Why a publisher serves a subscription no more (docs/protocol.md, withdrawing), for people and for programs: the
-// daemon's log, the flight recorder and agnocast-ctl say it in the same words.
+// Why a publisher stopped serving a subscription (docs/protocol.md, withdrawing), as a name and
+// as a sentence: the daemon's log, the flight recorder and agnocast-ctl use the same words.
 #pragma once
 
 #include <agnocast/abi/words.hpp>
 
 namespace agnocast::journal {
 
-/// "over_share": as docs/protocol.md names it.
+/// Returns the name in docs/protocol.md: "over_share".
 constexpr const char* name_of(abi::Withdrawal why) noexcept {
   switch (why) {
     case abi::Withdrawal::none:
@@ -23,7 +23,7 @@ constexpr const char* name_of(abi::Withdrawal why) noexcept {
   return "unknown";
 }
 
-/// "its user kept too much of the heap"; about the subscription.
+/// Returns a sentence about the subscription: "its user kept too much of the heap".
 constexpr const char* sentence_of(abi::Withdrawal why) noexcept {
   switch (why) {
     case abi::Withdrawal::over_quota:

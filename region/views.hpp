@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Views: where in a region which word lies, for one endpoint each. No state and no rules; the
+// Views: the position of each word in a region, for one endpoint each. No state and no rules; the
 // layouts are in abi/.
 #pragma once
 
@@ -34,12 +34,12 @@ struct PublisherWords {
   decltype(auto) intent_slot() const noexcept {
     return at(offsetof(abi::PublisherEndpoint, intent_slot));
   }
-  /// The word that says of this subscription of the topic, among others, whether it is served no more.
+  /// Returns the word that contains the withdrawal bits of this subscription of the topic.
   decltype(auto) withdrawn(std::uint64_t subscription) const noexcept {
     return at(offsetof(abi::PublisherEndpoint, withdrawn) +
               subscription / abi::withdrawals_per_word * sizeof(abi::SharedWord));
   }
-  /// One of the counters behind the intent.
+  /// Returns one of the counters behind the intent.
   decltype(auto) counter(std::size_t field) const noexcept { return at(field); }
   decltype(auto) order(std::uint64_t sequence) const noexcept {
     return at(abi::order_offset(sequence & (M::ring_count() - 1)));
@@ -66,7 +66,7 @@ struct PublisherWords {
   }
 };
 
-/// Words by which one subscription stands towards one publisher.
+/// Words of one subscription's link to one publisher.
 template <class M>
 struct LinkWords {
   typename M::Region region;
@@ -77,7 +77,7 @@ struct LinkWords {
     return at(offsetof(abi::LinkLine, publisher_generation));
   }
   decltype(auto) cursor() const noexcept { return at(offsetof(abi::LinkLine, cursor)); }
-  /// The hold word of slots 64×word … 64×word+63; the first ones share the link line.
+  /// Returns the hold word of slots 64×word … 64×word+63; the first ones share the link line.
   decltype(auto) hold(std::uint64_t word) const noexcept {
     const std::uint64_t near_words = M::near_slot_count() / 64;
     const std::uint64_t offset =
@@ -94,7 +94,7 @@ struct LinkWords {
   }
 };
 
-/// Counters of one subscription, and its lineage.
+/// Counters of one subscription, and its persistent endpoint id.
 template <class M>
 struct SubscriptionWords {
   typename M::Region region;
@@ -133,7 +133,7 @@ struct TopicWords {
   decltype(auto) at(std::uint64_t field) const noexcept { return M::word(board, offset + field); }
 };
 
-/// a - b, at least floor: sequence numbers near the start of a generation.
+/// Returns a - b, at least floor: for sequence numbers near the start of a generation.
 constexpr std::uint64_t minus_at_least(std::uint64_t a, std::uint64_t b,
                                        std::uint64_t floor) noexcept {
   return a < b || a - b < floor ? floor : a - b;

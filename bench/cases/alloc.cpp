@@ -1,18 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// alloc: what malloc and free cost in the shared heap, beside the same in private memory. One process for each heap, all
-// idle but the one whose turn it is; rounds of all heaps alternate, and ratios are of one round, their median over all:
+// alloc: the cost of malloc and free in the shared heap, beside the same in private memory. One
+// process for each heap; only the measured one runs at a time; rounds of all heaps alternate, and
+// ratios are per round, with their median over all:
 //
 //   shared     with the heap hook, in a loan's scope
-//   private    the same allocator, by the same calls, on private memory: once the shared heap has grown, private memory is
-//              mapped over its window; what the allocator knows is outside of it, so it notices nothing
+//   private    the same allocator, with the same calls, on private memory: once the shared heap
+//              has grown, private memory is mapped over its window; the allocator's metadata are
+//              outside, so it notices nothing
 //   outside    with the heap hook, out of scope: libc's malloc behind it
-//   jemalloc   Debian's libjemalloc in place of libc's malloc, with its own settings, where it is installed
+//   jemalloc   Debian's libjemalloc instead of libc's malloc, with its own settings, if installed
 //   libc       libc's malloc
 //
-// All memory is warm: every heap has had each page of what is measured before. The aim is about the rows that write to
-// their blocks: allocator and calls being the same, the others can hardly differ between shared and private memory, and stand
-// beside it.
+// All memory is warm: every heap has touched each measured page before. The aim covers the rows
+// that write to their blocks: with the same allocator and calls the others can hardly differ
+// between shared and private memory, and are printed beside it.
 
 #include <bench/case.hpp>
 #include <bench/cases/looking.hpp>
@@ -51,11 +53,11 @@ using Clock = std::chrono::steady_clock;
 
 // --- a heap's process
 
-// Called through pointers that the compiler does not know, or it would leave out what is allocated for nothing.
+// Called through volatile pointers, so that the compiler keeps allocations without a use.
 void* (*volatile allocate)(std::size_t) = std::malloc;
 void (*volatile release)(void*) = std::free;
 
-/// Threads that this opens allocate from the shared heap; of the other heaps it does nothing.
+/// Threads that open it allocate from the shared heap; for other heaps it does nothing.
 class Scope {
  public:
   explicit Scope(const agnocast_heaphook_table* hook) : hook_(hook) {
@@ -75,7 +77,7 @@ void touch(void* block, std::size_t bytes) {
   for (std::size_t i = 0; i < bytes; i += 4096) static_cast<volatile char*>(block)[i] = 1;
 }
 
-// Room for eight threads' live sets, and what is under way between them.
+// Room for eight threads' live sets, and blocks passed between them.
 constexpr std::size_t warm_bytes = std::size_t{512} << 20;
 std::atomic<std::uint64_t> frontier{0};
 double attach_ns = 0;
@@ -155,7 +157,7 @@ void live_set(std::size_t count, std::uint64_t seed, Size size) {
 }
 constexpr std::size_t small_max = 1024;
 std::size_t small_size(std::uint64_t word) { return 16 + word % (small_max - 15); }
-// 16 bytes to 64 KiB, small ones far more often.
+// Returns 16 bytes to 64 KiB, small sizes far more often.
 std::size_t mixed_size(std::uint64_t word) {
   return std::size_t{16} << (word % 64 == 0 ? (word >> 8) % 13 : (word >> 8) % 6);
 }
@@ -184,7 +186,7 @@ class Belt {
   std::array<std::atomic<void*>, 64> places_{};
 };
 
-/// What one of several threads does `count` times.
+/// The work of one thread, `count` times.
 void work(const std::string& what, std::size_t bytes, std::size_t thread, std::size_t count,
           std::vector<Belt>& belts) {
   if (what == "pairs") return pairs(bytes, count);
@@ -195,7 +197,8 @@ void work(const std::string& what, std::size_t bytes, std::size_t thread, std::s
   thread % 2 == 0 ? belt.put(bytes, count) : belt.take(count);
 }
 
-/// From when the first of them begins until the last one is done, for each of all their calls.
+/// Measures from the start of the first thread until the last one is done, per call of all
+/// threads.
 double ns_each(const std::string& what, std::size_t bytes, std::size_t threads, std::size_t count,
                const agnocast_heaphook_table* hook) {
   std::vector<Belt> belts((threads + 1) / 2);
@@ -237,10 +240,10 @@ const RegisterRole role("alloc-heap", be_heap);
 // --- the conductor
 
 struct Work {
-  const char* what;  // as the heap's process knows it
+  const char* what;  // name of the work in the heap's process
   std::size_t bytes;
   const char* title;
-  std::size_t count;  // calls of a turn, all threads together
+  std::size_t count;  // calls per measurement, all threads together
   std::vector<std::size_t> threads;
   std::string name() const { return what + ("-" + std::to_string(bytes)); }
   bool writes() const {
@@ -303,7 +306,7 @@ std::vector<Heap> make_heaps(Report& report) {
 
 using HeapTimes = std::map<std::string, std::vector<double>>;  // of each round
 
-// Of the first to the second; those of a heap that is not there are left out.
+// Ratios of the first to the second; pairs with a missing heap are left out.
 constexpr std::pair<const char*, const char*> compared[] = {
     {"shared", "private"}, {"shared", "jemalloc"}, {"shared", "libc"}, {"outside", "libc"}};
 
@@ -373,7 +376,7 @@ class Rows {
  private:
   using Pair = std::pair<std::string, std::string>;
   struct Row {
-    std::vector<double> ratios;  // of each round
+    std::vector<double> ratios;  // per round
     std::string text;
     bool writes;
   };
@@ -382,7 +385,7 @@ class Rows {
     return std::any_of(heaps_.begin(), heaps_.end(),
                        [&](const Heap& heap) { return heap.name == name; });
   }
-  /// Of each round.
+  /// Returns one mean per round.
   std::vector<double> geometric_means(const std::vector<Row>& rows, bool writes) const {
     std::vector<double> means;
     for (std::size_t round = 0; round < rounds_; ++round) {

@@ -1,21 +1,22 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// bridge: what a message costs that goes through agnocast-bridge, beside the same message sent natively through Cyclone
-// DDS. One run, taking turns message by message, so what disturbs one disturbs all:
+// bridge: the cost of a message through agnocast-bridge, beside the same message sent natively
+// through Cyclone DDS. One run, alternating message by message, so that a disturbance meets all:
 //
 //   native   sender ── dds_write ───────────────────────────────────────▶ dds_take ── receiver
 //   out      sender ── agnocast publish ──▶ agnocast-bridge ──▶ DDS ────▶ dds_take ── receiver
 //   in       sender ── dds_write ──▶ DDS ──▶ agnocast-bridge ──▶ agnocast callback ── receiver
 //
-// PointCloud2, reliable, keep-last 1; sender and receiver are the same two processes on all roads (bridge_ends.cpp), and
-// the native ones use idlc's type. Time is from before the sender's call until the receiver has the whole message in its
-// hands; its content is checked after that. The ratio of a size is the median over rounds of median / median. Beside it,
-// the processor time of the bridge for each message (a process clock, so Cyclone's threads count): until the receiver has
-// it, and what it does after that, such as giving the message back, until the next one. All of it is done once with packets
-// of the size that Cyclone DDS has by default, and once with large ones, as many configure it for large messages. The receive
-// buffer is large in both.
+// PointCloud2, reliable, keep-last 1; sender and receiver are the same two processes for all ways
+// (bridge_ends.cpp), and the native ones use idlc's type. Time is from before the sender's call
+// until the receiver has the whole message; its content is checked after that. The ratio of a
+// size is the median over rounds of median / median. Beside it, the processor time of the bridge
+// per message (a process clock, so Cyclone's threads count): until the receiver has it, and from
+// then until the next one, such as for releasing the message. Everything is measured once with
+// Cyclone DDS's default packet size, and once with large packets, a common configuration for
+// large messages. The receive buffer is large in both.
 //
-// No time is asserted: it fails only for a message that was changed or does not come.
+// Asserts no time: it fails only if a message was changed or does not arrive.
 
 #include <bench/case.hpp>
 #include <bench/cases/looking.hpp>
@@ -48,8 +49,8 @@ constexpr std::chrono::milliseconds between_attempts{50};
 // So that threads have gone to sleep before the next message, as at a sensor's rate.
 constexpr std::chrono::milliseconds between_messages{3};
 
-// On the loopback interface, found without multicast, apart from every other DDS here, and with a large receive buffer;
-// the rest as by default.
+// On the loopback interface, without multicast, separate from every other DDS on this host, and
+// with a large receive buffer; otherwise the defaults.
 constexpr const char* dds_configuration = R"(<CycloneDDS><Domain id="any">
   <General><Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces>
     <AllowMulticast>false</AllowMulticast>PACKETS</General>
@@ -73,7 +74,7 @@ class Roads {
         sender_(
             {.command = as_role("bridge-sender"), .environment = variables(), .has_pipes = true}) {}
 
-  /// Nanoseconds on that road; nothing if it does not come within `wait`.
+  /// Returns nanoseconds for that way; nothing if the message does not arrive within `wait`.
   std::optional<double> send(const char* road, std::size_t bytes, std::chrono::milliseconds wait) {
     const std::uint64_t number = ++number_;
     if (!sender_.send(std::string(road) + ' ' + std::to_string(bytes) + ' ' +
@@ -82,8 +83,8 @@ class Roads {
     const std::string began = sender_.line();
     std::int64_t began_ns = 0;
     if (std::from_chars(began.data(), began.data() + began.size(), began_ns).ec != std::errc())
-      throw std::runtime_error(std::string(road) + ": the sender says " + began);
-    // The receiver answers when it has that one, or says "late" when the time is up.
+      throw std::runtime_error(std::string(road) + ": the sender reports: " + began);
+    // The receiver answers when it has the message, or "late" when the time is up.
     if (!receiver_.send(std::string(road) + ' ' + std::to_string(number) + ' ' +
                         std::to_string(wait.count())))
       throw std::runtime_error("the receiver has ended");
@@ -91,7 +92,7 @@ class Roads {
     if (answer == "late") return std::nullopt;
     std::int64_t came_ns = 0;
     if (std::from_chars(answer.data(), answer.data() + answer.size(), came_ns).ec != std::errc())
-      throw std::runtime_error("the receiver says: " + answer);
+      throw std::runtime_error("the receiver reports: " + answer);
     return static_cast<double>(came_ns - began_ns);
   }
 
@@ -109,10 +110,10 @@ class Roads {
     }
   }
 
-  /// Of one size and round, by road.
+  /// Results of one size and round, by way.
   struct Turn {
     std::map<std::string, std::vector<double>> ns;
-    // Of the processor, each message: until it is there, and between that and the next one.
+    // Processor time per message: until it has arrived, and from then until the next one.
     std::map<std::string, double> bridge_ns, bridge_after_ns;
   };
   Turn turn(std::size_t size, std::size_t messages) {

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Sender and receiver of the case bridge, each on all roads at once.
+// Sender and receiver of the case bridge, each for all ways at once.
 //
-//   bridge-sender     "ROAD BYTES NUMBER" is answered with when it began to send, or with why it could not
-//   bridge-receiver   "ROAD NUMBER MILLISECONDS" is answered with when that one came, "late", or that one was changed
+//   bridge-sender     answers "ROAD BYTES NUMBER" with the time of sending, or with an error
+//   bridge-receiver   answers "ROAD NUMBER MILLISECONDS" with the time of arrival, "late", or
+//                     that it was changed
 
 #include <bench/process.hpp>
 #include <examples/demo/content.hpp>
@@ -35,7 +36,7 @@ std::int64_t now_ns() {
 }
 
 int fail(const std::string& why) {
-  std::cout << why << std::endl;  // as an answer to whatever is asked first
+  std::cout << why << std::endl;  // as the answer to the first command
   return 1;
 }
 
@@ -72,7 +73,7 @@ int be_sender(const std::vector<std::string>&) {
   return 0;
 }
 
-/// What has come, for who waits for it.
+/// The received messages, for the waiting thread.
 class Inbox {
  public:
   void put(const std::string& road, std::uint64_t number, std::int64_t time, bool is_intact) {

@@ -1,20 +1,26 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// death: what a death costs those who live. Real processes, the real daemon and its supervisor, SIGKILL. No time is
-// asserted; what does not happen within ten seconds ends it with a sentence, and so does a lost message. death_peer.cpp is
-// the peer of whoever dies and measures, death_client.cpp those who die. All durations begin before kill():
+// death: the cost of a death for the remaining processes. Real processes, the real daemon and its
+// supervisor, SIGKILL. Asserts no time; it fails with a sentence if an event takes more than ten
+// seconds or a message is lost. death_peer.cpp is the peer of the dying process and measures,
+// death_client.cpp has the dying processes. All durations begin before kill():
 //
-//   ended      its pidfd is readable: the kernel has taken its memory down. What comes before is not ours
-//   told       the peer's event callback runs: nobody is matched any more
-//   back       the publisher's message that the dead subscriber held is destroyed, its memory free again
-//   free       the daemon has given back everything: place, addresses, descriptors; the peer has unmapped
-//   creation meanwhile   with a large heap: the longest of the creations that the peer asks for all the time until then
-//   answered   a creation that was asked for just after the daemon's death is answered
+//   ended      its pidfd is readable: the kernel has released its memory. The time before is the
+//              kernel's
+//   told       the peer's event callback runs: it is unmatched
+//   back       the publisher's message that the dead subscriber held is destroyed, its memory
+//              free again
+//   free       the daemon has released everything: index, addresses, descriptors; the peer has
+//              unmapped
+//   creation meanwhile   with a large heap: the longest of the creations that the peer requests
+//                        until then
+//   answered   a creation requested just after the daemon's death is answered
 //   all back   every client has rejoined
 //
-// Beside the daemon's deaths a stream of 1 kHz: in turn a second with a death and a creation every 200 ms, and a second with
-// the creations alone. --rounds are deaths of each kind of client (200); half as many with the large heap, a quarter with
-// idle neighbours and of the daemon. --sizes is what the large heap has mapped and touched (1 GiB).
+// Beside the daemon's deaths a stream of 1 kHz: alternating seconds with a death and a creation
+// every 200 ms, and with the creations alone. --rounds is the number of deaths of each kind of
+// client (200); half as many with the large heap, a quarter with idle neighbours and of the
+// daemon. --sizes is the mapped and touched size of the large heap (1 GiB).
 
 #include <bench/case.hpp>
 #include <bench/cases/looking.hpp>
@@ -33,9 +39,10 @@
 namespace agnocast::bench {
 namespace {
 
-// Budgets of death_peer.cpp are for many deaths; between two lines of it there is one of them at most.
+// Time limits in death_peer.cpp are for many deaths; at most one happens between two of its
+// lines.
 constexpr std::chrono::minutes patience{20};
-// What it says it does next; the last step is its end.
+// Number of its "step" lines; the last step is its end.
 constexpr std::size_t steps = 9;
 
 class Death {
@@ -98,7 +105,8 @@ class Death {
     for (const double value : ns) values.push_back(value / 1e6);
     plot_of(name).series.push_back({{"label", label_of(name)}, {"values", std::move(values)}});
   }
-  /// "publisher dies, small heap: ended" is a violin "ended" in the picture of what comes before.
+  /// Returns "ended" for "publisher dies, small heap: ended": a violin in the plot named by the
+  /// part before.
   static std::string label_of(const std::string& series) {
     const std::size_t colon = series.rfind(": ");
     const std::string stream = "1 kHz stream, ";
@@ -110,7 +118,8 @@ class Death {
     report_.add(nlohmann::json{{"system", "agnocast-executor"}, {"part", name}, {"value", value}});
   }
 
-  /// One picture for each who and how; those of the stream and of the daemon with what is beside them.
+  /// One plot for each kind of death; those of the stream and of the daemon include the
+  /// comparison without deaths.
   Plot& plot_of(const std::string& series) {
     std::string title = series.substr(0, series.rfind(": "));
     std::string name = "death-";
@@ -138,7 +147,7 @@ class Death {
   }
 
   Report& report_;
-  Directory directory_;  // the peer's are below it, as it may end without removing them
+  Directory directory_;  // contains the peer's, which may end without removing them
   Process peer_;
   std::map<std::string, Plot> plots_;
 };

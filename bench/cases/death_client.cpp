@@ -35,7 +35,7 @@ void say_ready() {
 
 [[noreturn]] void be_publisher(const std::string& bytes) {
   Node node("publisher");
-  // Transient local: it stays in the queue when it has been read.
+  // Transient local: it stays in the queue after it was read.
   const auto publisher =
       create_publisher<Sample>(node, topic_of_dying_publisher, QoS(1).transient_local());
   auto message = publisher->borrow_loaned_message();

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Who dies in the case death, and who stands by: the message, the topics, and roles of processes. Each says "ready" when it
-// has what it is about.
+// The dying processes and the bystanders of the case death: the message, the topics, and roles of
+// processes. Each prints "ready" when it has done its work:
 //
 //   death-publisher BYTES    has published a message of that size, which stays in its queue
-//   death-subscriber         holds the first message that comes, and has read it
+//   death-subscriber         holds the first message that arrives, and has read it
 //   death-stream             publishes every millisecond
 //   death-idle TOPIC         has a publisher and a subscription
 #pragma once
@@ -30,14 +30,14 @@ struct Sample {
   std::uint64_t number = 0;
   std::vector<std::uint8_t> bytes;
   ~Sample();
-  /// When the last one of this process was destroyed; 0: none was since it was set.
+  /// Time of the last destruction in this process; 0: none since it was reset.
   static inline std::atomic<std::int64_t> destroyed_ns{0};
 };
 
 constexpr const char* topic_of_dying_publisher = "/death/heard";
 constexpr const char* topic_of_dying_subscriber = "/death/held";
 constexpr const char* topic_of_stream = "/death/stream";
-constexpr std::size_t stream_depth = 500;  // half a second: what is lost is lost, and not late
+constexpr std::size_t stream_depth = 500;  // half a second: a lost message is lost, not late
 
 /// Reads a byte of each page.
 void touch(const Sample& sample) noexcept;

@@ -1,16 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The peer of whoever dies in the case death: it subscribes to the dying publisher and publishes to the dying subscriber, a
-// process of its own because it publishes. What it has measured it says line by line:
+// The peer of the dying process in the case death: it subscribes to the dying publisher and
+// publishes to the dying subscriber; a process of its own because it publishes. It prints its
+// measurements line by line:
 //
 //   series NAME        and on the next line nanoseconds, one for each death or gap
 //   number NAME        and on the next line a figure
-//   step WHAT          what it does next
-//   failed WHY         something did not happen within ten seconds, or a message was lost; then it ends
+//   step WHAT          its next step
+//   failed WHY         an event took more than ten seconds, or a message was lost; then it ends
 //   done
 //
-// All durations begin before kill(); see death.cpp for what they are. told and back are taken where they happen; ended and
-// free (a line of the daemon's log) are looked for every 100 µs.
+// All durations begin before kill(); death.cpp defines them. It records told and back at the
+// event itself; it polls for ended and free (a line of the daemon's log) every 100 µs.
 
 #include <bench/cases/death_client.hpp>
 #include <bench/cases/looking.hpp>
@@ -52,7 +53,7 @@ void say(const std::string& what, const std::string& name) {
 }
 [[noreturn]] void give_up(const std::string& why) {
   say("failed", why);
-  ::_exit(1);  // destructors would wait for what does not happen
+  ::_exit(1);  // destructors would wait for the missing event
 }
 
 /// Durations of one kind.
@@ -69,7 +70,7 @@ void wait_until(Condition holds, const std::string& what) {
   }
 }
 
-/// What the daemon has written since begin().
+/// The daemon's log lines since begin().
 class LogTail {
  public:
   explicit LogTail(const std::string& path) : file_(::open(path.c_str(), O_RDONLY | O_CLOEXEC)) {}
@@ -92,7 +93,7 @@ class LogTail {
   std::string text_;
 };
 
-/// What the peer is told about who matches it, and when.
+/// Matched events of the peer, with their times.
 struct Matched {
   std::atomic<std::int64_t> gone_ns{0};
   std::atomic<std::size_t> count{0};
@@ -205,7 +206,7 @@ class Peer {
       for (std::size_t i = 0; i < restarts_in_a_row; ++i)
         paced([&] { kill_daemon(answered, all_back); });
     }
-    // What is under way is received before it is said that nothing was lost.
+    // Receives the messages in transit before it counts losses.
     std::this_thread::sleep_for(std::chrono::milliseconds(20));
     subscription.reset();
     source.reset();
@@ -266,12 +267,12 @@ class Peer {
 
   struct DeathFigures {
     Series &ended, &told, &free;
-    Series* meanwhile;  // null: nothing is created meanwhile
+    Series* meanwhile;  // null: no creations meanwhile
   };
   void kill(Process& victim, Matched& peer, const DeathFigures& figures, Series* back) {
     const UniqueFd pidfd(static_cast<int>(::syscall(SYS_pidfd_open, victim.pid(), 0)));
     if (pidfd.get() < 0) give_up("a living process has no pidfd");
-    std::this_thread::sleep_for(std::chrono::milliseconds(3));  // what its start caused is over
+    std::this_thread::sleep_for(std::chrono::milliseconds(3));  // lets the effects of its start end
     log_.begin();
     peer.gone_ns = 0;
     std::int64_t ended_ns = 0, free_ns = 0, longest_ns = 0;
@@ -346,13 +347,13 @@ class Peer {
 /// ROUNDS LARGE_BYTES IDLE
 int be_peer(const std::vector<std::string>& arguments) {
   ::prctl(PR_SET_TIMERSLACK, 1UL);
-  // It has the hook already; the daemon is to be as it always is.
+  // It has the hook already; the daemon must run without it, as usual.
   ::unsetenv("LD_PRELOAD");
   const std::size_t rounds = std::stoul(arguments.at(0));
   const std::size_t large = std::stoul(arguments.at(1));
   const std::size_t idle = std::stoul(arguments.at(2));
   const auto part = [rounds](std::size_t of) { return std::max<std::size_t>(rounds / of, 1); };
-  // The seconds are what a loaded machine may take for 200 rounds; then there are fewer samples.
+  // The seconds allow a loaded machine 200 rounds; beyond that there are fewer samples.
   const double unit = std::max(1.0, static_cast<double>(rounds) / 200);
   try {
     Daemon daemon(

@@ -1,14 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Case fanout: one sender, 1 to 16 receivers. What does the publish call cost for each further one, and when does the last
-// one have the message? The sender is on one core, all receivers are on the other, one after the other.
+// Case fanout: one sender, 1 to 16 receivers. Measures the cost of the publish call for each
+// further one, and when the last one has the message. The sender is on one core, all receivers
+// are on the other, one after the other.
 //
-//   asleep  every receiver has to be woken: the publish call beside as many bare futex wakes. The call itself wakes two of
-//           agnocast's, and leaves the others to the control thread of its process, and with them the look at what may be freed:
-//           so beside the call there are the processor time of the whole sender and the time until the last one has the message
-//   awake   nobody has to be: the publish call beside the one with a single receiver. Receivers that never sleep share their
-//           core by time slices, so when the last one has it says nothing of the system; table and picture say so. One of them
-//           runs at a time: the call meets no more readers at once than one, which favours whoever has lines for each reader
+//   asleep  every receiver must be woken: the publish call beside as many bare futex wakes. The
+//           call itself wakes two of agnocast's, and leaves the others, and the reclamation scan,
+//           to the control thread of its process: so the table also has the processor time of the
+//           whole sender and the time until the last one has the message
+//   awake   none must be woken: the publish call beside the one with a single receiver. Receivers
+//           that never sleep share their core by time slices, so the arrival time at the last one
+//           depends on the scheduler; table and plot note that. One of them runs at a time: the
+//           call meets one reader at once, which favours systems with a cache line for each
+//           reader
 
 #include <bench/comparison.hpp>
 #include <bench/cpus.hpp>
@@ -57,16 +61,16 @@ class Fanout {
     aims_.add_information(where + ", until the slowest has it / the floor's",
                           of_ours(&Series::ratios_to));
     report_.say(
-        "  agnocast's call wakes two sleepers; the control thread of its process wakes the others "
-        "and frees what is old:\n  that is in the sender's CPU, and in when the slowest has it");
+        "  agnocast's call wakes two receivers; the control thread of its process wakes the others "
+        "and frees old messages:\n  the sender's CPU and the time of the slowest include that");
   }
 
   void awake() {
-    const auto by_count = measure("awake", awake_, ", by turns on one core");
+    const auto by_count = measure("awake", awake_, ", alternating on one core");
     report_.say(
-        "  those who never sleep share a core by time slices: when the slowest has a message is "
-        "the "
-        "scheduler's doing,\n  what the publish call takes is the system's, with one reader at a "
+        "  receivers that never sleep share a core by time slices: the time of the slowest depends "
+        "on the "
+        "scheduler,\n  the time of the publish call on the system, with one reader at a "
         "time");
     for (const std::string name : {"agnocast-spinning", "agnocast-take"}) {
       const Series *const most = by_count.back().find(name), *const one =
@@ -86,7 +90,7 @@ class Fanout {
 
  private:
   std::string text_of_size() const { return size_text(asleep_.front().plans.front().bytes); }
-  /// One for each number of receivers.
+  /// Returns one measurement for each number of receivers.
   std::vector<Measurement> planned(const std::string& part, bool are_spinning,
                                    std::string_view floor, std::size_t messages) {
     std::vector<const System*> systems = chosen(run_, all_names(), floor, services_);

@@ -1,13 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Case latency: from before the publish call to the message in the receiver's hand, one sender, one receiver.
+// Case latency: from before the publish call to the message in the receiver's hand, one sender,
+// one receiver.
 //
-//   one core        every system that sleeps. Both processes on one CPU, so a wake-up is a switch and nothing else; across
-//                   cores it is mostly the interrupt and the halted CPU, which all systems share and which drown what they
-//                   differ in. This is the comparison of ways to notify.
+//   one core        every system that sleeps. Both processes on one CPU, so a wake-up is a switch
+//                   and nothing else; across cores it is mostly the interrupt and the halted CPU,
+//                   which all systems share and which hide their differences. This compares ways
+//                   to notify.
 //   two cores       every system, by size: does the time depend on the size?
-//   bare calls      publish with nobody asleep, take and release (latency_bare.cpp)
-//   across users    the receiver as another user, who gets a datagram where the same user gets an eventfd
+//   bare calls      publish with no sleeping receiver, take and release (latency_bare.cpp)
+//   across users    the receiver as another user, which gets a datagram instead of an eventfd
 
 #include <bench/cases/latency_bare.hpp>
 #include <bench/comparison.hpp>
@@ -88,7 +90,7 @@ class Latency {
         measure_bare_calls(wishes_.rounds(rounds), wishes_.is_small() ? 160 : 100000, services_,
                            [this] { steps_.next("bare calls"); });
     report_.say(
-        "\nbare calls, nobody asleep, 1 KiB: one thread, warm, both ends in one process,"
+        "\nbare calls, no sleeping receiver, 1 KiB: one thread, warm, both ends in one process,"
         " in batches of eight");
     Table table({"call", "ns", "x (mutex + clock)"});
     table.add({"mutex lock and unlock, one clock read", digits(measured.mutex_clock_ns), "1"});
@@ -195,14 +197,14 @@ class Latency {
     report_.add(std::move(plot));
   }
 
-  /// Empty: that size was not measured.
+  /// Returns the comparison of a size; empty if it was not measured.
   static Comparison of_size(const std::vector<Comparison>& by_size, std::size_t bytes) {
     for (const Comparison& one : by_size) {
       if (one.plan.bytes == bytes) return one;
     }
     return {};
   }
-  /// Of each round; none where one of them took no part.
+  /// Returns one ratio per round; none if one of the systems took no part.
   static std::vector<double> ratios(const Comparison& result, std::string_view system,
                                     std::string_view base) {
     const Series *const one = result.find(system), *const other = result.find(base);
@@ -220,7 +222,7 @@ class Latency {
                      Aims::Sense::at_most, bound, basis_of(result));
   }
 
-  // Like beside like: who sleeps, and who takes again and again.
+  // Compares like with like: systems that sleep, and systems that poll.
   void aim_beside_peers(const Comparison& result) {
     const std::string where = "two cores, 1 MiB: ";
     for (const auto& [peer, own, bound] : {std::tuple("cyclonedds", ours, 40.0),
@@ -231,7 +233,7 @@ class Latency {
                                            {"iceoryx-polling", taking, 1.0}}) {
       const std::string text = text_of(where, peer, own);
       const std::vector<double> of_rounds = ratios(result, peer, own);
-      // The aim is beside Cyclone DDS as it comes.
+      // The aim is for Cyclone DDS with its defaults.
       if (bound == 0) {
         aims_.add_information(text, of_rounds);
       } else {
@@ -240,8 +242,8 @@ class Latency {
     }
   }
 
-  // How much longer the largest takes than the smallest, beside what the same is for the floor in the same round: caches are
-  // the floor's too.
+  // Prints how much longer the largest size takes than the smallest, relative to the floor in the
+  // same round: cache effects occur in the floor too.
   void tell_quotients(const std::vector<Comparison>& by_size) {
     const std::string aim = "size quotient of " + std::string(ours) + " / the floor's";
     if (by_size.empty() || by_size.front().plan.bytes >= by_size.back().plan.bytes)

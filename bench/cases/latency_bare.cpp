@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// One process has both ends: a publisher, and a subscription that is only ever asked by take(); their depth is ROS 2's usual 10.
-// Calls are timed in batches (below the depth, so nothing is lost), because the clock alone takes as long as one of them.
-// Publishers look at all links in every eighth publish only (docs/protocol.md, lazy pass): a batch has one such, unless the
-// control thread has just been there. Medians of all batches, less an empty batch, so what is rarer is not in them: growth of
-// the heap, another thread with the same mutex. What falls out of the queue is destroyed by the next borrow, which is told too.
+// One process has both ends: a publisher, and a subscription used only by take(); their depth is
+// ROS 2's usual 10. Calls are timed in batches (below the depth, so nothing is lost), because the
+// clock alone takes as long as one of them. Publishers run the reclamation scan in every eighth
+// publish only (docs/protocol.md, lazy pass): a batch has one, unless the control thread has just
+// run it. Medians of all batches, minus an empty batch, so rare events are excluded: growth of
+// the heap, another thread with the same mutex. The next borrow destroys messages that leave the
+// queue; the table includes it.
 
 #include <agnocast/agnocast.hpp>
 #include <bench/cases/latency_bare.hpp>
@@ -32,7 +34,7 @@ namespace {
 using Cloud = sensor_msgs::msg::PointCloud2;
 constexpr std::size_t batch = 8, depth = 10, payload_bytes = 1024;
 
-// Nanoseconds of one call, of `batch` of them.
+// Returns nanoseconds per call, measured for `batch` calls.
 template <class Call>
 double time_of(Call call) {
   const std::int64_t begin_ns = now_ns();
@@ -81,7 +83,7 @@ class Bench {
 
 int be_calls(const std::vector<std::string>& arguments) {
   try {
-    (void)pin_to(cpus().first);  // only steadier
+    (void)pin_to(cpus().first);  // only for steadier times
     Bench bench;
     const std::int64_t end_ns = now_ns() + 10'000'000'000;
     while (!bench.is_matched()) {

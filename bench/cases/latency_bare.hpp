@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Bare calls: what borrow, publish, take and release cost by themselves when nobody has to be woken, beside an uncontended
-// lock and unlock of a mutex and one reading of the clock, measured in the same process by turns.
+// Bare calls: the cost of borrow, publish, take and release by themselves without a wake-up,
+// beside an uncontended lock and unlock of a mutex and one reading of the clock, measured
+// alternately in the same process.
 #pragma once
 
 #include <bench/services.hpp>
@@ -15,15 +16,15 @@ namespace agnocast::bench {
 struct BareCall {
   const char* name;
   bool is_judged = false;
-  std::vector<double> ns = {};      ///< of each round, the median of its batches
-  std::vector<double> ratios = {};  ///< the same, to the round's mutex and clock
+  std::vector<double> ns = {};      ///< per round, the median of its batches
+  std::vector<double> ratios = {};  ///< the same, relative to the round's mutex and clock
 };
 struct BareCalls {
   double mutex_clock_ns = 0;    ///< median over the rounds
-  std::vector<BareCall> calls;  ///< one by one, and all of them together
+  std::vector<BareCall> calls;  ///< individually, and all of them together
 };
 
-/// A process for each round; `step` is called before each. Throws std::runtime_error.
+/// Runs a process for each round; calls `step` before each. Throws std::runtime_error.
 BareCalls measure_bare_calls(std::size_t rounds, std::size_t batches, Services& services,
                              const std::function<void()>& step);
 

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Case load: how long a point cloud takes while the machine does other things. stress-ng keeps every CPU busy for a part
-// of the time; sender and receiver are ordinary processes, not pinned and not real-time, and so wait for their turn as
-// those of a robot without tuning do. At each level the systems take turns, round by round.
+// Case load: the latency of a point cloud while the machine does other work. stress-ng keeps
+// every CPU busy for a part of the time; sender and receiver are ordinary processes, not pinned
+// and not real-time, and wait for the CPU like those of a robot without tuning. At each level the
+// systems alternate, round by round.
 
 #include <bench/comparison.hpp>
 #include <bench/options.hpp>
@@ -20,21 +21,21 @@ constexpr std::string_view floor_name = "floor-futex";
 
 bool is_ours(const System& system) { return system.name.starts_with("agnocast"); }
 
-/// Something else to do for all CPUs, `percent` of the time.
+/// Other work for all CPUs, `percent` of the time.
 class Busyness {
  public:
-  /// Its own end, after `at_most`, is for the case that nobody else ends it.
+  /// It ends by itself after `at_most`, in case nothing else ends it.
   Busyness(unsigned percent, std::chrono::seconds at_most) {
     if (percent == 0) return;
     stress_ = std::make_unique<Process>(Process::Options{
         .command = {"stress-ng", "--quiet", "--cpu", "0", "--cpu-load", std::to_string(percent),
                     "--timeout", std::to_string(at_most.count()) + "s"},
         .end_signal = SIGTERM});
-    // Until its processes are there and have found their pace.
+    // Waits until its processes run at a steady pace.
     if (stress_->wait(std::chrono::seconds(1)))
       throw std::runtime_error("stress-ng does not run; Debian has it in the package stress-ng");
   }
-  /// Throws when it has ended meanwhile.
+  /// Throws if it has ended meanwhile.
   void check() const {
     if (stress_ != nullptr && stress_->status())
       throw std::runtime_error("stress-ng has ended in the midst of the measurement");
@@ -44,7 +45,8 @@ class Busyness {
   std::unique_ptr<Process> stress_;
 };
 
-/// Beside each peer of this build, who sleeps beside who sleeps, who takes again and again beside who does.
+/// Adds an aim beside each peer of this build: systems that sleep beside those that sleep,
+/// polling beside polling.
 void aim_beside_peers(const Comparison& comparison, const std::string& where, Aims& aims) {
   for (const System& system : systems()) {
     if (!is_peer(system)) continue;
@@ -68,7 +70,7 @@ std::vector<const System*> compared(const Run& run, Services& services) {
   return chosen(run, names, floor_name, services);
 }
 
-/// Where p99 is judged it wants samples: 42 of 4,200 are beyond it.
+/// A judged p99 needs many samples: 42 of 4,200 are beyond it.
 Plan plan_of(const Run& run, std::size_t bytes, bool is_judged) {
   using std::chrono::milliseconds;
   const std::chrono::nanoseconds period = run.period.value_or(milliseconds(run.is_small ? 1 : 10));

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What cases see of processes from outside: memory, processor time.
+// Observations of processes from outside: memory, processor time.
 #pragma once
 
 #include <bench/services.hpp>
@@ -19,7 +19,8 @@
 
 namespace agnocast::bench {
 
-/// A figure of /proc/…, "RssShmem" of a status or "MemAvailable" of meminfo, in bytes; 0 where there is none.
+/// Returns a figure of /proc/…, "RssShmem" of a status or "MemAvailable" of meminfo, in bytes; 0
+/// if there is none.
 inline std::size_t bytes_in(const std::string& file, const std::string& field) {
   std::ifstream stream(file);
   for (std::string word; stream >> word;) {
@@ -32,11 +33,11 @@ inline std::size_t bytes_in(const std::string& file, const std::string& field) {
 inline std::string status_of(pid_t pid) { return "/proc/" + std::to_string(pid) + "/status"; }
 
 inline std::size_t resident_bytes(pid_t pid) { return bytes_in(status_of(pid), "VmRSS"); }
-/// Of it, what lies in memfds.
+/// Returns its resident bytes in memfds.
 inline std::size_t shared_bytes(pid_t pid) { return bytes_in(status_of(pid), "RssShmem"); }
 inline std::size_t available_bytes() { return bytes_in("/proc/meminfo", "MemAvailable"); }
 
-/// Processor time of all its threads so far.
+/// Returns the processor time of all its threads so far.
 inline double cpu_ns_of(pid_t pid) {
   clockid_t clock{};
   timespec time{};
@@ -45,7 +46,7 @@ inline double cpu_ns_of(pid_t pid) {
   return static_cast<double>(time.tv_sec) * 1e9 + static_cast<double>(time.tv_nsec);
 }
 
-/// Who serves: the child of the supervisor that was started.
+/// Returns the serving process: the child of the started supervisor.
 inline pid_t worker_of(Daemon& daemon) {
   const std::string supervisor = std::to_string(daemon.process().pid());
   std::ifstream children("/proc/" + supervisor + "/task/" + supervisor + "/children");
@@ -55,7 +56,7 @@ inline pid_t worker_of(Daemon& daemon) {
   return child;
 }
 
-/// For processes that publish.
+/// Returns the environment of publishing processes.
 inline std::vector<std::string> variables_of(const Daemon& daemon) {
   return {daemon.variable(), "LD_PRELOAD=" + path_of("libagnocast_heaphook.so")};
 }

@@ -1,17 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// memory: what pages cost, and whether they come back. A publisher's process with the heap hook (the owner) and a
-// subscriber's (the reader), 8 MiB buffers:
+// memory: the cost of pages, and whether memory is returned. A publisher's process with the heap
+// hook (the owner) and a subscriber's (the reader), 8 MiB buffers:
 //
-//   touch     a byte of each page of a buffer that was never used, of one that was, of private memory, and after the
-//             pages were asked for ahead; beside it what copying as much costs
-//   read      the reader's look at each page of a message, for the first time and again
-//   steady    messages made, read and freed for longer than idle memory is kept: no page may go back and come again
-//   spike     1 GiB of messages made and freed: how much of it the system has back, and when, with the process quiet and
-//             with small messages going on
+//   touch     a byte of each page of a buffer that was never used, of one that was, of private
+//             memory, and after the pages were populated ahead; beside it the cost of copying as
+//             much
+//   read      the reader's access to each page of a message, for the first time and again
+//   steady    messages made, read and freed for longer than idle memory is kept: no page may be
+//             returned and faulted again
+//   spike     1 GiB of messages made and freed: how much of it the system gets back, and when,
+//             with the process quiet and with small messages continuing
 //
-// How long idle memory is kept is AGNOCAST_HEAP_IDLE_SECONDS of the owner: ten here, as it is by default. Spikes are made
-// three times each, and the worst of them is judged.
+// Idle memory is kept for AGNOCAST_HEAP_IDLE_SECONDS of the owner: ten here, the default. Each
+// spike is made three times, and the worst of them is judged.
 
 #include <bench/case.hpp>
 #include <bench/cases/looking.hpp>
@@ -135,12 +137,14 @@ class Owner {
     return times;
   }
 
-  // All at once, so that none is another one used again; kept, so that the next call gets others.
+  // Allocates all at once, so that none reuses another; keeps them, so that the next call gets
+  // others.
   std::vector<double> fresh(std::size_t count) {
     kept_.push_back(shared_buffers(count));
     return touched(kept_.back());
   }
-  // MADV_POPULATE_WRITE, which a program can do by itself when it has the time; in turn the asking, and the touch behind it.
+  // MADV_POPULATE_WRITE, which a program can call in advance; alternating results: the call, and
+  // the touch after it.
   std::vector<double> ahead(std::size_t count) {
     constexpr int populate_write = 23;  // Linux 5.14; headers may be older
     kept_.push_back(shared_buffers(count));
@@ -196,7 +200,7 @@ class Owner {
       throw std::runtime_error(std::string("publishing: ") + sentence_of(result.code));
   }
 
-  // Messages, pages that faulted meanwhile, and bytes given back meanwhile.
+  // Returns messages, page faults meanwhile, and bytes returned meanwhile.
   std::vector<double> steady(milliseconds length, milliseconds period) {
     rusage before{}, after{};
     ::getrusage(RUSAGE_SELF, &before);
@@ -256,7 +260,7 @@ int be_owner(const std::vector<std::string>&) {
   return 0;
 }
 
-/// Reads each message as it comes; a line asks for the times so far.
+/// Reads each message as it arrives; prints the times so far for each input line.
 int be_reader(const std::vector<std::string>&) {
   std::mutex mutex;
   std::string times;
@@ -280,7 +284,7 @@ const RegisterRole reader_role("memory-reader", be_reader);
 
 // --- the conductor
 
-/// Pages of all memfds that the process has open, each file once.
+/// Returns the pages of all memfds that the process has open, each file once.
 double heap_bytes_of(pid_t pid) {
   std::set<ino_t> seen;
   double bytes = 0;
@@ -393,7 +397,7 @@ class Memory {
       report_.say("pages cannot be asked for ahead: the kernel is older than 5.14");
   }
 
-  // By turns two messages, as the first is freed when the second was published.
+  // Alternates two messages, because the first is freed when the second was published.
   void reading() {
     std::vector<double> first, again;
     for (std::size_t round = 0; round < rounds_; ++round) {
@@ -413,7 +417,8 @@ class Memory {
   }
 
   void steady() {
-    // What was freed before goes back while the same traffic goes on for the first time; that is not measured.
+    // Memory freed before is returned while the same traffic runs for the first time; not
+    // measured.
     const milliseconds settling = idle_ + seconds(4), length = idle_ + seconds(is_small_ ? 1 : 5);
     const auto traffic = [this](milliseconds time) {
       return ask(owner_, text("steady %lld 10", static_cast<long long>(time.count())));
@@ -434,7 +439,7 @@ class Memory {
                                {"returned_bytes_per_message", figures.at(2) / count}});
   }
 
-  /// What came back of a spike, and when most of it had; longer than was looked: it had not.
+  /// The returned part of a spike, and when most of it was back; longer than observed: never.
   struct Return {
     double share = 0, after_s = 0;
   };

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Case pipeline: Autoware's LiDAR preprocessing, with Cyclone DDS or agnocast on its one edge between processes. What
-// runs is told in pipeline/run.hpp, what is made of its times here; docs/performance.md says how to read it.
+// Case pipeline: Autoware's LiDAR preprocessing, with Cyclone DDS or agnocast on its one edge
+// between processes. pipeline/run.hpp runs it, this file evaluates its times; see
+// docs/performance.md.
 
 #include <bench/case.hpp>
 #include <bench/figures.hpp>
@@ -21,7 +22,8 @@ using pipeline::FrameTimes;
 using pipeline::Measured;
 using pipeline::Settings;
 
-// What is told of response times. The bootstrap of a maximum says little: its upper end is the maximum itself.
+// Statistics of response times. The bootstrap of a maximum has little meaning: its upper end is
+// the maximum itself.
 using Statistic = double (*)(const std::vector<double>&);
 struct NamedStatistic {
   const char* name;
@@ -36,7 +38,8 @@ constexpr std::array<NamedStatistic, 3> statistics{{
      }},
 }};
 
-// What the paper has of Autoware 2024.07 (mean 64.5 to 54.5 ms, maximum 99.5 to 74.3 ms), printed beside ours.
+// Figures of the paper for Autoware 2024.07 (mean 64.5 to 54.5 ms, maximum 99.5 to 74.3 ms),
+// printed beside ours.
 constexpr double paper_change_mean = -0.16, paper_change_max = -0.25;
 
 struct PartOfTime {
@@ -60,7 +63,8 @@ struct Estimate {
 Estimate estimate(const std::vector<double>& samples, Statistic of) {
   return {of(samples), bootstrap(samples, of)};
 }
-/// By how much the second's statistic differs, in parts of the first's. Frames are paired by round, so pairs are drawn.
+/// Returns the relative difference of the second's statistic. Frames are paired by round, so it
+/// draws pairs.
 Estimate change(const std::vector<double>& first, const std::vector<double>& second, Statistic of) {
   const auto change_of = [&](const std::vector<double>& pairs) {
     std::vector<double> a, b;
@@ -103,7 +107,7 @@ std::vector<std::uint32_t> chosen_edges(const Run& run) {
   }
   if (chosen.empty())
     throw std::runtime_error(
-        "it has cyclonedds-tuned and agnocast-executor; say one of them, or both");
+        "it has cyclonedds-tuned and agnocast-executor; name one of them, or both");
   return chosen;
 }
 

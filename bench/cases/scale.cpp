@@ -1,17 +1,22 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// scale: what more of everything costs. Subscriptions and publishers of one topic up to 128 (each in a process of its own,
-// and all in one), topics up to 4,000, processes up to 1,000. A scene is a daemon, one process that publishes, one that
-// joins and leaves, and a crowd (scale_crowd.hpp) that grows from point to point; at each point the same is measured:
+// scale: the cost of larger numbers. Subscriptions and publishers of one topic up to 128 (each in
+// a process of its own, and all in one), topics up to 4,000, processes up to 1,000. A scene is a
+// daemon, one process that publishes, one that joins and leaves, and a crowd (scale_crowd.hpp)
+// that grows from point to point; each point has the same measurements:
 //
-//   publish             the publish call, everybody asleep: its median, and its mean, as one call of eight looks at all links
+//   publish             the publish call, all receivers asleep: its median, and its mean, because
+//                       one call of eight scans all links
 //   wake                from before that call to the callback of the last subscription
-//   subscription        the create_subscription call, and the first message in its callback since before that call
-//   publisher           the create_publisher call, and its first message everywhere since before that call
-//   daemon              resident memory, of it shared (tables, board, regions), processor time for each one that joined
+//   subscription        the create_subscription call, and the first message in its callback since
+//                       before that call
+//   publisher           the create_publisher call, and its first message everywhere since before
+//                       that call
+//   daemon              resident memory, shared part (tables, board, regions), processor time per
+//                       joined process
 //
-// Printed are the points, and the slope of each by least squares. A curve ends early, with a sentence, when memory, a
-// limit or its time is at its end. Any other error is one: the case fails.
+// It prints the points, and the slope of each by least squares. A curve ends early, with a
+// sentence, when memory, a limit or its time is exhausted. Any other error makes the case fail.
 
 #include <bench/case.hpp>
 #include <bench/cases/looking.hpp>
@@ -38,14 +43,15 @@ namespace {
 using Clock = std::chrono::steady_clock;
 using std::chrono::seconds;
 
-// Heaps of a few pages each, as nothing here is large; and more topics than one user is given by default.
+// Heaps of a few pages each, because nothing here is large; and more topics than one user has by
+// default.
 constexpr std::string_view config =
     "[daemon]\nsocket_mode = \"0666\"\n[heap]\nwindow_bytes = \"64MiB\"\n[quota]\ntopics = 4096\n";
 constexpr const char* topic = "/scale/probe";
-// What the machine keeps for everything else.
+// Memory kept free for everything else on the machine.
 constexpr std::size_t spare_bytes = std::size_t{2} << 30;
 
-/// The curve ends here, and why.
+/// Ends the curve here, with the reason.
 struct Stop : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
@@ -54,8 +60,8 @@ struct Metric {
   const char* key;
   const char* head;   // of its column
   const char* title;  // in a sentence or a legend
-  const char* plot;   // those of one name share a picture
-  double unit;        // what is printed is the value divided by it
+  const char* plot;   // metrics with the same name share a plot
+  double unit;        // divisor for printing
   const char* unit_name;
 };
 constexpr std::array<Metric, 10> metrics{{
@@ -73,7 +79,7 @@ constexpr std::array<Metric, 10> metrics{{
 
 struct Effort {
   std::size_t messages, joins;
-  seconds curve;  // a curve takes no longer than this and a step
+  seconds curve;  // a curve takes at most this and one step
 };
 
 class Scene {
@@ -87,7 +93,7 @@ class Scene {
     receivers_ = 1;
   }
 
-  /// All that a curve may want to have more of.
+  /// Functions that enlarge the crowd of a curve.
   void add_subscription_in_its_own_process() {
     crowd_.push_back(start());
     ask(*crowd_.back(), command("subscribe", topic, 1, receivers_++));
@@ -107,7 +113,7 @@ class Scene {
     crowd_.push_back(start());
     ask(*crowd_.back(), command("pairs", "/scale/pair_", number, 1));
   }
-  /// On topics of their own, by turns in this many processes.
+  /// Adds pairs on topics of their own, alternating between so many processes.
   void add_pairs(std::size_t first, std::size_t count, std::size_t processes) {
     while (crowd_.size() < processes) crowd_.push_back(start());
     const std::size_t share = (count + processes - 1) / processes;
@@ -122,7 +128,7 @@ class Scene {
   };
   Point measure(const Effort& effort) {
     Point point;
-    // How many there were.
+    // Returns the number of samples.
     const auto take = [&](Process& who, const std::string& what, const char* call,
                           const char* arrival) {
       const std::vector<double> times = ask(who, what);
@@ -148,7 +154,8 @@ class Scene {
     point.joins +=
         take(*joiner_, command("speak", topic, effort.joins, receivers_, numbers(effort.joins)),
              "join_publisher_p50_ns", "first_publication_p50_ns");
-    // A message of a publisher that has stayed: later ones join and leave, and would find nothing.
+    // Publishes a message of the remaining publisher: later ones join and leave, and would find
+    // nothing.
     ask(*sender_, command("send", topic, 1, receivers_, numbers(1)));
     const pid_t worker = worker_of(daemon_);
     point.of["daemon_resident_bytes"] = static_cast<double>(resident_bytes(worker));
@@ -165,7 +172,7 @@ class Scene {
     ((line << words << ' '), ...);
     return line.str();
   }
-  /// The first of so many that were not used yet.
+  /// Returns the first of `count` unused numbers.
   std::uint64_t numbers(std::size_t count) { return std::exchange(number_, number_ + count); }
 
   std::unique_ptr<Process> start() {
@@ -209,11 +216,11 @@ class Scene {
 };
 
 struct Curve {
-  const char* axis;       // what there is more and more of
-  const char* placement;  // where they are
+  const char* axis;       // the growing quantity
+  const char* placement;  // their processes
   std::vector<std::size_t> counts;
   void (*grow)(Scene&, std::size_t from, std::size_t to);
-  std::size_t first;  // how many a new scene has
+  std::size_t first;  // size of a new scene
 };
 
 const std::vector<std::size_t> doubling{1, 2, 4, 8, 16, 32, 64, 128};
@@ -257,36 +264,36 @@ std::vector<Curve> curves() {
   };
 }
 
-// What slopes are made of, by the design (docs/protocol.md, docs/control-plane.md).
+// Explanation of the slopes, from the design (docs/protocol.md, docs/control-plane.md).
 constexpr std::pair<const char*, const char*> made_of[] = {
     {"subscribers",
-     "The publish call looks at the sleep word of each process, and of small messages in one call "
-     "of eight (the lazy pass) at\n"
-     "  each member's link and hold bits: that is in the mean, hardly in the median. It rings two "
-     "processes that sleep itself,\n"
+     "The publish call reads the sleep word of each process, and with small messages in one call "
+     "of eight (the deferred scan)\n"
+     "  each subscription's link and hold bits: that is in the mean, hardly in the median. It rings "
+     "two sleeping processes itself,\n"
      "  by a system call each, and leaves the others to the control thread, whose work is in the "
      "last wake. That adds the\n"
-     "  processes' turns on the cores, or the callbacks before it in the one thread. A joining "
-     "publisher is\n"
-     "  announced to each process, which maps it before the message comes."},
+     "  processes' time on the cores, or the callbacks before it in the one thread. The daemon "
+     "announces a joining publisher\n"
+     "  to each process, which maps it before the message arrives."},
     {"publishers",
-     "The publish call does not know of other publishers. A waking process looks at the queue of "
+     "The publish call does not know other publishers. A waking process checks the queue of "
      "each publisher before it\n"
-     "  sleeps again. A joining subscription is announced every publisher, and links each; of "
-     "another process it also maps\n"
-     "  region and heap first."},
+     "  sleeps again. The daemon announces every publisher to a joining subscription, which links "
+     "each; if it is of another\n"
+     "  process, it first maps region and heap."},
     {"topics",
-     "Neither the data path nor a join looks at other topics: what remains is the caches'. The "
+     "Neither the data path nor a join reads other topics: the rest is a cache effect. The "
      "daemon's pages are those of\n"
      "  the topic in the board, of the publisher's extent, where it writes the first head, and its "
-     "own records; a joined one is\n"
-     "  a topic with a publisher and a subscription."},
+     "own records; each joined\n"
+     "  one is a topic with a publisher and a subscription."},
     {"processes",
-     "Neither the data path nor a join looks at processes that share no topic. The daemon keeps a "
+     "Neither the data path nor a join reads processes that share no topic. The daemon keeps a "
      "connection, a region, a\n"
-     "  heap window and two bells for each; a joined one is a process with a publisher and a "
-     "subscription on a topic of its own,\n"
-     "  whose pages (above) are most of its memory."},
+     "  heap window and two doorbells for each; each joined one is a process with a publisher and a "
+     "subscription on a topic\n"
+     "  of its own, whose pages (above) are most of its memory."},
 };
 
 class Scale {
@@ -343,7 +350,7 @@ class Scale {
           x[key].push_back(static_cast<double>(count)), y[key].push_back(value);
       }
     } catch (const Stop& stop) {
-      // A limit that was met is a result; in a small run there is none to be met.
+      // A limit is a result; a small run must not meet any.
       if (run_.is_small) throw;
       why_early = stop.what();
       report_.say("  ends early: " + why_early);
@@ -407,7 +414,7 @@ class Scale {
     if (!why_early.empty()) result["ended_early"] = why_early;
     report_.add(std::move(result));
   }
-  /// What a process of its own for each of them costs, beside one process for all.
+  /// Prints the additional cost of a process of its own for each of them.
   void say_difference(const Curve& own, const Curve& one) {
     std::string line = "  a process of its own costs each, µs more:";
     const char* comma = " ";

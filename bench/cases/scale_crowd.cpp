@@ -27,7 +27,7 @@
 
 namespace agnocast::bench {
 
-/// Small and flat: what is measured is how many there are, not how large a message is.
+/// Small and flat: the number is measured, not the size of messages.
 struct ScaleNote {
   std::uint64_t number = 0;
   std::uint64_t more[7] = {};
@@ -38,7 +38,7 @@ namespace {
 using Clock = std::chrono::steady_clock;
 constexpr std::chrono::seconds patience{10};
 constexpr std::chrono::microseconds look_every{50};
-// So that all threads sleep again before the next message; they may have one core among them.
+// So that all threads sleep again before the next message; they may have one core in common.
 constexpr std::chrono::microseconds between{1000}, between_for_each{100};
 
 std::int64_t now_ns() {
@@ -81,7 +81,7 @@ class Crowd {
 
  private:
   using Times = std::vector<std::int64_t>;
-  // The last message stays for whoever comes later, so that a join has an end that can be seen.
+  // The last message stays for late joiners, so that a join has a visible end.
   static QoS qos() { return QoS(1).transient_local(); }
 
   auto make_publisher(const std::string& topic, Times& times) {
@@ -193,7 +193,7 @@ class Crowd {
   std::vector<Subscription<ScaleNote>::SharedPtr> subscriptions_;
 };
 
-/// The answer to a command.
+/// Returns the answer to a command.
 std::string answer_of(const std::function<std::vector<std::int64_t>()>& command) {
   try {
     std::string answer = "ok";
@@ -210,7 +210,7 @@ std::string answer_of(const std::function<std::vector<std::int64_t>()>& command)
 
 int be_crowd(const std::vector<std::string>& arguments) {
   ::prctl(PR_SET_TIMERSLACK, 1UL);
-  std::optional<Crowd> crowd;  // made by the first command, which answers for it
+  std::optional<Crowd> crowd;  // made by the first command, whose answer includes errors
   for (std::string line; std::getline(std::cin, line);) {
     std::string answer = answer_of([&] {
       if (!crowd) crowd.emplace(std::atoi(arguments.at(0).c_str()));
@@ -219,7 +219,7 @@ int be_crowd(const std::vector<std::string>& arguments) {
     std::replace(answer.begin(), answer.end(), '\n', ' ');
     std::cout << answer << std::endl;
   }
-  std::_Exit(0);  // a thousand endpoints need not say goodbye one by one
+  std::_Exit(0);  // skips the departure of a thousand endpoints one by one
 }
 
 const RegisterRole role("scale-crowd", be_crowd);

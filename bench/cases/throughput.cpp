@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Throughput: messages of 64 bytes a second, and bytes a second in messages of 1 MiB, back to back from one sender to one
-// and to four receivers, on one core and on two. What a message costs is all in it: borrowing, writing each byte, sending,
-// waking, taking, reading each byte, giving back.
+// Throughput: messages of 64 bytes per second, and bytes per second in messages of 1 MiB, back to
+// back from one sender to one and to four receivers, on one core and on two. The result includes
+// the whole cost of a message: borrowing, writing each byte, sending, waking, taking, reading
+// each byte, releasing.
 //
-// Queues are alike in all systems and nothing may be lost: see throughput_roles.cpp. Everything is scheduled as ordinary
-// processes are; a real-time sender that never waits would be stopped by the kernel from time to time.
+// Queues are alike in all systems and nothing may be lost: see throughput_roles.cpp. All
+// processes have ordinary scheduling; the kernel would stop a real-time sender that never waits
+// from time to time.
 
 #include <bench/cases/throughput.hpp>
 #include <bench/comparison.hpp>
@@ -48,7 +50,7 @@ const System& find(std::string_view name) {
 namespace {
 
 constexpr std::string_view floor_name = "floor-futex";
-constexpr double aim = 3;  // times the like of iceoryx
+constexpr double aim = 3;  // times the comparable system of iceoryx
 
 /// One table: all systems under the same conditions.
 struct Setting {
@@ -62,7 +64,8 @@ struct Setting {
   std::string text() const {
     return "1:" + std::to_string(receivers) + (core_count() == 1 ? ", one core" : ", two cores");
   }
-  /// One that never sleeps keeps others from running.
+  /// Returns whether there are enough cores: a receiver that never sleeps keeps others from
+  /// running.
   bool has_room_for(const System& system) const {
     return !system.is_spinning || core_count() > receivers;
   }
@@ -75,7 +78,7 @@ std::vector<Setting> settings(const Run& run) {
   for (const std::size_t bytes : sizes) {
     for (const Cores cores : {Cores::one, Cores::two}) {
       for (const std::size_t receivers : {1UL, 4UL}) {
-        // A test looks at each size, and at each number of cores and receivers once.
+        // A test runs each size, and each number of cores and receivers once.
         if (!run.is_small || (cores == Cores::two) == (receivers == 1))
           all.push_back({cores, receivers, bytes});
       }
@@ -89,12 +92,12 @@ Plan plan_of(const Setting& setting, const Run& run) {
   plan.warm_up = run.is_small ? 20 : setting.is_small() ? 5000 : 100;
   plan.cores = setting.cores;
   plan.is_real_time = false;
-  plan.depth = setting.is_small() ? 100 : 10;  // 10 of 1 MiB are more than most caches hold
+  plan.depth = setting.is_small() ? 100 : 10;  // 10 of 1 MiB exceed most caches
   plan.lasting_ns = run.is_small ? 20'000'000 : 300'000'000;
   return plan;
 }
 
-/// Messages a second.
+/// Returns messages per second.
 double rate_of(const System& system, const Plan& plan, Services& services) {
   static unsigned run_count = 0;
   Lane lane(plan, system.name,
@@ -105,9 +108,9 @@ double rate_of(const System& system, const Plan& plan, Services& services) {
   return messages * 1e9 / static_cast<double>(span.end_ns - span.begin_ns);
 }
 
-using Rates = std::map<std::string_view, std::vector<double>>;  // of each round
+using Rates = std::map<std::string_view, std::vector<double>>;  // per round
 
-/// Within each round.
+/// Returns the ratios within each round.
 std::vector<double> ratios(const std::vector<double>& rates, const std::vector<double>& base) {
   std::vector<double> ratios;
   for (std::size_t round = 0; round < std::min(rates.size(), base.size()); ++round)
@@ -142,7 +145,7 @@ void tell(const Setting& setting, const Rates& rates, Report& report) {
   table.say(report);
 }
 
-/// The fastest of these; empty: none of them took part.
+/// Returns the fastest of these; empty if none of them took part.
 std::string_view fastest(const Rates& rates, const std::vector<std::string_view>& names) {
   std::string_view best;
   for (const std::string_view name : names) {
@@ -154,15 +157,15 @@ std::string_view fastest(const Rates& rates, const std::vector<std::string_view>
   return best;
 }
 
-/// None where one of them took no part.
+/// Returns nothing if one of them took no part.
 std::vector<double> ratios(const Rates& rates, std::string_view system, std::string_view base) {
   const auto one = rates.find(system), other = rates.find(base);
   if (one == rates.end() || other == rates.end()) return {};
   return ratios(one->second, other->second);
 }
 
-/// Like beside like: who sleeps beside who sleeps, one message a call beside one message a call. Of large messages there is no
-/// aim, as all are as fast as memory is.
+/// Compares like with like: systems that sleep with each other, one message per call with one
+/// message per call. Large messages have no aim, because all systems are as fast as memory.
 void aim_beside_iceoryx(const Setting& setting, const Rates& rates, Aims& aims) {
   if (!setting.is_small()) return;
   const std::string where = setting.text() + ", messages a second: ";
@@ -171,14 +174,14 @@ void aim_beside_iceoryx(const Setting& setting, const Rates& rates, Aims& aims) 
                       (sleeping.empty() ? "the better of iceoryx-listener and -waitset"
                                         : std::string(sleeping)),
                   ratios(rates, "agnocast-executor", sleeping), Aims::Sense::at_least, aim);
-  if (setting.core_count() <= setting.receivers) return;  // nobody spins there
+  if (setting.core_count() <= setting.receivers) return;  // no system polls there
   aims.add_median(where + "agnocast-take / iceoryx-polling",
                   ratios(rates, "agnocast-take", "iceoryx-polling"), Aims::Sense::at_least, aim);
   aims.add_information(where + "agnocast-batch, 16 a call / iceoryx-polling, one a call",
                        ratios(rates, "agnocast-batch", "iceoryx-polling"));
 }
 
-/// Those that were asked for, and whose services run here.
+/// Returns the requested systems whose services run here.
 std::vector<const System*> chosen(const Run& run, Services& services) {
   std::vector<const System*> all;
   for (const System& system : systems()) {
@@ -190,7 +193,7 @@ std::vector<const System*> chosen(const Run& run, Services& services) {
   return all;
 }
 
-/// A picture for all settings of one size.
+/// One plot for all settings of a size.
 struct Picture {
   std::vector<std::string> groups;
   std::map<std::string_view, std::vector<double>> heights;

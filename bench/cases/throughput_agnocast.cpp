@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Agnocast in the case throughput. Messages are plain bytes, as those of iceoryx are, and as there uninitialised: the case
-// itself writes every byte. What differs is who waits for them, and how:
+// Agnocast in the case throughput. Messages are plain bytes, uninitialised as in iceoryx: the
+// case itself writes every byte. The systems differ in the waiting thread:
 //
-//   agnocast-executor   SingleThreadedExecutor: sleeps when there is nothing
-//   agnocast-spin-sleep SpinningExecutor of default budget: looks for a while, then sleeps
+//   agnocast-executor   SingleThreadedExecutor: sleeps if there is nothing
+//   agnocast-spin-sleep SpinningExecutor of default budget: polls for a while, then sleeps
 //   agnocast-take       take() in a loop that never sleeps
 //   agnocast-batch      likewise, but take_batch() of up to 16
 
@@ -129,7 +129,7 @@ using Taking = PollingReceiver<T, 1>;
 template <class T>
 using TakingBatches = PollingReceiver<T, 16>;
 
-// The type that is as long as the payload.
+// Selects the type that is as long as the payload.
 template <class Side, template <class> class Kind>
 std::unique_ptr<Side> make(const Carriage& carriage) {
   if (carriage.bytes == small_bytes) return std::make_unique<Kind<SmallBytes>>(carriage);

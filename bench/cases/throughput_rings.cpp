@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The floor of throughput: a ring of payloads in shared memory, and a counter that tells how many have been sent. The
-// case's own back-pressure keeps the sender from overrunning anybody, so nothing else is needed. One floor looks at the
-// counter again and again; the other sleeps on it as a futex, and the sender wakes those who said that they sleep.
+// The floor of throughput: a ring of payloads in shared memory, and a counter of sent messages.
+// The case's own back-pressure keeps the sender from overrunning receivers, so nothing else is
+// needed. One floor polls the counter; the other sleeps on it as a futex, and the sender wakes
+// the receivers that announced their sleep.
 
 #include <bench/cases/throughput.hpp>
 
@@ -28,7 +29,7 @@ struct Words {
   alignas(64) std::atomic<std::uint32_t> ready;
 };
 
-/// One more than may be unread: the message that is being made.
+/// Returns one more than may be unread: for the message in progress.
 std::size_t slot_count(const Carriage& carriage) { return carriage.depth + 1; }
 
 class Ring {
@@ -65,7 +66,8 @@ class RingSender final : public Sender {
   bool send() override {
     Words& words = ring_.words();
     if constexpr (sleeps) {
-      // Sequentially consistent: either this sees the sleeper, or the sleeper sees the message.
+      // Sequentially consistent: either this sees the sleeping receiver, or that one sees the
+      // message.
       words.sent.store(static_cast<std::uint32_t>(++sent_));
       if (words.sleepers.load() != 0)
         ::syscall(SYS_futex, &words.sent, FUTEX_WAKE, INT_MAX, nullptr, nullptr, 0);
@@ -94,7 +96,7 @@ class RingReceiver final : public Receiver {
     }
   }
   void stop() override {
-    // One that is about to sleep misses this; its sleep has an end of its own.
+    // A receiver that is about to sleep misses this; its sleep has a time limit.
     is_stopped_ = true;
     ::syscall(SYS_futex, &ring_.words().sent, FUTEX_WAKE, INT_MAX, nullptr, nullptr, 0);
   }

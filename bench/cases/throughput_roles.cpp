@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The processes of the case throughput. The sender writes every byte of every message, the receivers read every byte and
-// count what they have read in the lane. The sender keeps at most `depth` messages unread by the slowest receiver: so
-// nobody loses anything, whatever a system does when a queue is full, and queues are alike in all of them.
+// The processes of the case throughput. The sender writes every byte of every message, the
+// receivers read every byte and count read messages in the lane. The sender keeps at most `depth`
+// messages unread by the slowest receiver: so none loses any, whatever a system does with a full
+// queue, and queues are alike in all systems.
 //
 //   warm-up, until all is read │ begin ─ messages back to back for Plan::lasting_ns ─ until all is read ─ end │ over
 //
-// What is unread is looked for only when the sender would go beyond what it knows of.
+// The sender checks for unread messages only when it would exceed the number that it knows of.
 
 #include <bench/cases/throughput.hpp>
 #include <bench/conductor.hpp>
@@ -26,7 +27,7 @@ namespace agnocast::bench::throughput {
 namespace {
 
 constexpr std::int64_t patience_ns = 10'000'000'000;
-// Between two looks at the clock.
+// Messages between two readings of the clock.
 constexpr unsigned batch = 16;
 
 std::size_t word_count(std::size_t bytes) { return bytes / sizeof(std::uint64_t); }
@@ -42,7 +43,7 @@ bool is_whole(const std::byte* payload, std::size_t bytes, std::uint64_t number)
   return words[0] == number && sum == number * word_count(bytes);
 }
 
-// Repeats `attempt` until it says yes: at first at once, then after whoever else wants this core.
+// Repeats `attempt` until it succeeds: first at once, then after yielding this core.
 template <class Attempt>
 void insist(const Lane& lane, const char* what, Attempt attempt) {
   constexpr unsigned looks_at_once = 100;
@@ -152,7 +153,7 @@ int be_receiver(const std::vector<std::string>& arguments) {
     return lane.head().has_error == 0 ? 0 : 1;
   } catch (const std::exception& error) {
     lane.set_error(error.what());
-    std::_Exit(1);  // the stopper may wait still
+    std::_Exit(1);  // the stopper may still wait
   }
 }
 

@@ -52,7 +52,7 @@ class AgnocastReceiver final : public CloudReceiver {
     executor_.add_node(node_);
   }
 
-  /// Both sides of agnocast are matched at the same time, and the senders ask.
+  /// Both sides of agnocast match at the same time, and the senders check.
   bool is_matched() override { return true; }
   void run() override { executor_.spin(); }
   void stop() override { executor_.cancel(); }

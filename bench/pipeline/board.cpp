@@ -50,7 +50,7 @@ Board::~Board() {
   ::close(descriptor_);
 }
 
-// With all pages: a first touch is no part of any frame.
+// Allocates all pages: no frame includes a first touch.
 void Board::map(std::size_t bytes) {
   base_ = ::mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, descriptor_, 0);
   if (base_ == MAP_FAILED) fail();

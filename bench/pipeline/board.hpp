@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Board: the memory that the processes of a pipeline share. The conductor makes it; the others attach by an inherited
-// descriptor. It paces the frames, of which one is under way at a time, and keeps their times (CLOCK_MONOTONIC).
+// Board: the shared memory of a pipeline's processes. The conductor makes it; the others attach
+// by an inherited descriptor. It paces the frames, one at a time, and stores their times
+// (CLOCK_MONOTONIC).
 //
 //   conductor    writes a frame's plan ──go[lidar]──▶ the LiDARs sleep until `released_ns`, work and send
 //   concatenate  has all three, works, writes what came out ──done──▶ conductor
 //
-// Who writes which member is said beside it; the semaphores order all else.
+// The members below are grouped by their writer; the semaphores order everything else.
 #pragma once
 
 #include <bench/pipeline/vehicle.hpp>
@@ -26,12 +27,12 @@ namespace agnocast::bench::pipeline {
 struct alignas(64) Frame {
   // The conductor.
   std::uint32_t edge = 0;        ///< index in edges()
-  std::uint32_t input = 0;       ///< which of the cached scans
+  std::uint32_t input = 0;       ///< index of the cached scan
   std::int64_t released_ns = 0;  ///< the sensors' stamp
   // The LiDARs, each its own.
   struct Chain {
     std::int64_t cpu_ns = 0;   ///< of its thread
-    std::int64_t done_ns = 0;  ///< about to send
+    std::int64_t done_ns = 0;  ///< just before sending
     std::uint64_t bytes = 0;   ///< of points sent
   };
   std::array<Chain, lidar_count> chains;
@@ -50,7 +51,7 @@ class Board {
     sem_t over;                            ///< for concatenate
     std::atomic<std::uint32_t> is_over;    ///< for the LiDARs, after their go
     std::atomic<std::uint32_t> ready;      ///< processes that have found their peers
-    std::atomic<std::uint32_t> under_way;  ///< index of the frame
+    std::atomic<std::uint32_t> under_way;  ///< index of the present frame
     std::atomic<std::uint32_t> has_error;
     std::size_t frames;
     char error[512];
@@ -68,7 +69,7 @@ class Board {
   int descriptor() const noexcept { return descriptor_; }
   Head& head() const noexcept { return *static_cast<Head*>(base_); }
   std::span<Frame> frames() const noexcept { return {frames_begin(), head().frames}; }
-  /// The first one stays. Wakes the conductor.
+  /// Keeps only the first error. Wakes the conductor.
   void set_error(std::string_view text) noexcept;
   std::string error() const;
 
@@ -81,9 +82,9 @@ class Board {
   std::size_t bytes_ = 0;
 };
 
-/// Until somebody posts; signals do not matter.
+/// Waits for a post; signals do not matter.
 void wait(sem_t& semaphore) noexcept;
-/// False when the time is up.
+/// Returns false when the time is up.
 bool wait(sem_t& semaphore, std::int64_t at_most_ns) noexcept;
 
 }  // namespace agnocast::bench::pipeline

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Cyclone DDS with as many passes over the bytes as rmw_cyclonedds makes of them: one from the message into the sample,
-// one from the packets into a buffer (in Cyclone's thread), one from there into the reader's message (in the node's
-// thread, which a waitset wakes). The bridge has the pieces.
+// Cyclone DDS with as many passes over the bytes as rmw_cyclonedds makes: one from the message
+// into the sample, one from the packets into a buffer (in Cyclone's thread), one from there into
+// the reader's message (in the node's thread, which a waitset wakes). Uses parts of the bridge.
 
 #include <bench/pipeline/edge.hpp>
 
@@ -81,7 +81,7 @@ class DdsSender final : public CloudSender {
   std::unique_ptr<Cloud> cloud_;
 };
 
-/// A message as it came.
+/// A serialized message as received.
 struct Serialized {
   std::unique_ptr<std::byte[]> bytes;
   std::size_t size = 0;

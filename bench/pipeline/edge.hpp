@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Edge: what is between a LiDAR's last filter and concatenate. On both ends a message is the same C++ object of
-// rosidl's type; what differs is how it gets there. The topics are Autoware's.
+// Edge: the transport between a LiDAR's last filter and concatenate. On both ends a message is
+// the same C++ object of rosidl's type; the transports differ. The topics are Autoware's.
 //
-//   cyclonedds-tuned   as rmw_cyclonedds does it: written once into a sample, sent; received into one buffer, read
-//                      from there into a new message
+//   cyclonedds-tuned   as in rmw_cyclonedds: written once into a sample, sent; received into one
+//                      buffer, read from there into a new message
 //   agnocast-executor  built in the shared heap, published, in the callback of an executor
 #pragma once
 
@@ -24,18 +24,18 @@ class CloudSender {
  public:
   virtual ~CloudSender() = default;
   virtual bool is_matched() = 0;
-  /// An empty message, to be filled by the calling thread.
+  /// Returns an empty message for the calling thread to fill.
   virtual Cloud& borrow() = 0;
-  /// Sends what was borrowed. Throws std::runtime_error.
+  /// Sends the borrowed message. Throws std::runtime_error.
   virtual void send() = 0;
 };
 
 class CloudReceiver {
  public:
-  /// The message is good as long as it is kept.
+  /// The message is valid as long as it is held.
   using OnCloud = std::function<void(std::size_t lidar, std::shared_ptr<const Cloud>)>;
   virtual ~CloudReceiver() = default;
-  /// Not while it runs.
+  /// Do not call it while run() runs.
   virtual bool is_matched() = 0;
   /// Calls back in the calling thread until stop(). Throws std::runtime_error.
   virtual void run() = 0;
@@ -49,18 +49,18 @@ struct Edge {
   std::unique_ptr<CloudReceiver> (*make_receiver)(CloudReceiver::OnCloud on_cloud);
 };
 
-/// The one without which this build does is left out.
+/// Returns the edges of this build.
 const std::vector<Edge>& edges();
 
 inline std::string topic_of(const Lidar& lidar) {
   return std::string("/sensing/lidar/") + lidar.name + "/outlier_filtered/pointcloud";
 }
-/// One frame is under way at a time; more than that is room for a machine that is busy.
+/// One frame is in progress at a time; the rest is reserve for a busy machine.
 inline constexpr std::size_t edge_depth = 5;
 
 // One file each; the first may be absent.
 extern const Edge cyclonedds_edge, agnocast_edge;
-/// What Cyclone DDS reads in all processes of one run: "CYCLONEDDS_URI=…".
+/// Returns the configuration of Cyclone DDS for all processes of one run: "CYCLONEDDS_URI=…".
 std::string cyclonedds_variable();
 
 }  // namespace agnocast::bench::pipeline

@@ -17,8 +17,9 @@ const std::vector<Edge>& edges() {
 }
 
 std::string cyclonedds_variable() {
-  // On the loopback interface, found without multicast, apart from every other DDS here. Tuned for large messages: few
-  // packets, each as large as UDP has them, and a receive buffer as large as the kernel gives.
+  // On the loopback interface, without multicast, separate from every other DDS on this host.
+  // Tuned for large messages: few packets, each as large as UDP permits, and a receive buffer as
+  // large as the kernel permits.
   return "CYCLONEDDS_URI=<CycloneDDS><Domain id=\"any\">"
          "<General><Interfaces><NetworkInterface name=\"lo\" multicast=\"false\"/></Interfaces>"
          "<AllowMulticast>false</AllowMulticast>"

@@ -36,7 +36,7 @@ Rings rings_of(const Cloud& cloud) {
   return rings;
 }
 
-/// A point beside its distance, which is asked of each twice.
+/// A point with its distance, which is needed twice.
 struct Measured {
   Point point;
   double distance;
@@ -64,7 +64,7 @@ class RingWalk {
   bool belong_together(const Measured& a, const Measured& b) const {
     const auto [near, far] = std::minmax(a.distance, b.distance);
     if (far > near * limits_.distance_ratio) return false;
-    // |a × b| = |a| |b| sin, a · b = |a| |b| cos: no arc tangent for each point.
+    // |a × b| = |a| |b| sin, a · b = |a| |b| cos: saves an arc tangent for each point.
     const Vector p = a.point.place(), q = b.point.place();
     const double sine = std::abs(p.x * q.y - p.y * q.x);
     const double cosine = p.x * q.x + p.y * q.y;
@@ -98,7 +98,7 @@ void crop_box(const Cloud& in, const Pose& in_vehicle, const Box& box, Cloud& ou
 
 void correct_distortion(const Cloud& in, const Twist& twist, Cloud& out) {
   begin_cloud(out, in.header, count_of(in));
-  // All lasers of a firing measure at the same time, and follow each other in the cloud.
+  // All lasers of a firing measure at the same time, and are consecutive in the cloud.
   std::uint32_t time_ns = 0;
   Pose sensor;
   for (std::size_t i = 0; i < count_of(in); ++i) {

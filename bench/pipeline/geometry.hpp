@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Rigid motions in three dimensions, as far as a LiDAR on a vehicle needs them. Frames are right-handed, x forward,
-// y to the left, z up; metres, radians, seconds.
+// Rigid motions in three dimensions, as needed for a LiDAR on a vehicle. Frames are right-handed,
+// x forward, y to the left, z up; metres, radians, seconds.
 #pragma once
 
 #include <cmath>
@@ -23,7 +23,7 @@ inline double length(Vector a) { return std::sqrt(dot(a, a)); }
 
 constexpr double radians(double degrees) { return degrees * std::numbers::pi / 180; }
 
-/// A rotation, by its columns: where the axes go.
+/// A rotation, by its columns: the images of the axes.
 struct Rotation {
   Vector x{1, 0, 0}, y{0, 1, 0}, z{0, 0, 1};
 
@@ -34,7 +34,7 @@ struct Rotation {
   constexpr Rotation inverse() const { return {{x.x, y.x, z.x}, {x.y, y.y, z.y}, {x.z, y.z, z.z}}; }
 };
 
-/// Where a frame is in another one; takes points from the first to the second.
+/// The pose of a frame in another one; transforms points from the first to the second.
 struct Pose {
   Rotation rotation;
   Vector position;
@@ -45,17 +45,19 @@ struct Pose {
   }
 };
 
-/// Constant velocities of a frame, told in that frame.
+/// Constant velocities of a frame, expressed in that frame.
 struct Twist {
   Vector linear, angular;
 };
 
-/// Where the frame is after `seconds`, in the frame as it was: the exponential of the twist (Rodrigues' formula for
-/// the rotation; its integral, times the linear velocity, for the position).
+/// Returns the pose of the frame after `seconds`, in the frame as it was: the exponential of the
+/// twist (Rodrigues' formula for the rotation; its integral, times the linear velocity, for the
+/// position).
 inline Pose pose_after(const Twist& twist, double seconds) {
   const Vector turn = seconds * twist.angular;
   const double angle = length(turn);
-  // Of sin(a)/a, (1 - cos(a))/a² and (a - sin(a))/a³; near 0 by their series, whose next terms are beyond a double.
+  // sin(a)/a, (1 - cos(a))/a² and (a - sin(a))/a³; near 0 by their series, whose next terms are
+  // below a double's precision.
   const bool is_small = angle < 1e-4;
   const double square = angle * angle;
   const double first = is_small ? 1 - square / 6 : std::sin(angle) / angle;
@@ -69,19 +71,20 @@ inline Pose pose_after(const Twist& twist, double seconds) {
           way + second * cross(turn, way) + third * cross(turn, cross(turn, way))};
 }
 
-/// The twist of a frame that is fixed at `pose` in a frame with this twist.
+/// Returns the twist of a frame that is fixed at `pose` in a frame with this twist.
 inline Twist twist_at(const Pose& pose, const Twist& twist) {
   const Rotation back = pose.rotation.inverse();
   return {back * (twist.linear + cross(twist.angular, pose.position)), back * twist.angular};
 }
 
-/// Turned about z by `yaw`, then about the new y by `pitch` (positive: the front goes down).
+/// Returns a rotation about z by `yaw`, then about the new y by `pitch` (positive: the front goes
+/// down).
 inline Rotation turned(double yaw, double pitch) {
   const double cy = std::cos(yaw), sy = std::sin(yaw), cp = std::cos(pitch), sp = std::sin(pitch);
   return {{cy * cp, sy * cp, -sp}, {-sy, cy, 0}, {cy * sp, sy * sp, cp}};
 }
 
-/// With its sides along the axes.
+/// A box with its sides along the axes.
 struct Box {
   Vector low, high;
 

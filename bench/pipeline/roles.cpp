@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What the processes of a pipeline do.
+// The roles of a pipeline's processes.
 //
-//   pipeline-lidar BOARD LIDAR INPUTS SCAN   four nodes in a container, in one thread: as often as they are told to go,
-//                                            a scan through the nodes and over the edge of the frame
-//   pipeline-concatenate BOARD               a node on each edge, of which one has messages at a time
+//   pipeline-lidar BOARD LIDAR INPUTS SCAN   four nodes in a container, in one thread: on each
+//                                            go, a scan through the nodes and over the edge of
+//                                            the frame
+//   pipeline-concatenate BOARD               a node on each edge, of which one has messages at a
+//                                            time
 
 #include <bench/pipeline/board.hpp>
 #include <bench/pipeline/edge.hpp>
@@ -28,7 +30,7 @@ namespace agnocast::bench::pipeline {
 namespace {
 
 std::int64_t now_ns() noexcept { return static_cast<std::int64_t>(monotonic_ns()); }
-/// What the calling thread has computed so far.
+/// Returns the processor time of the calling thread so far.
 std::int64_t cpu_ns() noexcept {
   timespec time{};
   ::clock_gettime(CLOCK_THREAD_CPUTIME_ID, &time);
@@ -57,7 +59,7 @@ void wait_for_peers(Endpoint& endpoint, std::string_view edge) {
   }
 }
 
-/// `work`, with what it throws as the board's error.
+/// Runs `work`, and stores its exception as the board's error.
 template <class Work>
 int report_failure(Board& board, Work work) {
   try {
@@ -76,7 +78,7 @@ void run_lidar(Board& board, std::size_t index, std::vector<Cloud> inputs) {
   for (const Edge& edge : edges()) senders.push_back(edge.make_sender(lidar));
   for (std::size_t i = 0; i < senders.size(); ++i) wait_for_peers(*senders[i], edges()[i].name);
   board.head().ready.fetch_add(1);
-  // Not to the last frame alone: its message may still be under way, and needs its sender.
+  // Not only until the last frame: its message may still be in transit, and needs its sender.
   for (;;) {
     wait(board.head().go[index]);
     if (board.head().is_over != 0) return;
@@ -93,7 +95,7 @@ void run_lidar(Board& board, std::size_t index, std::vector<Cloud> inputs) {
   }
 }
 
-/// Concatenate's node on one edge. Its callbacks come one at a time.
+/// Concatenate's node on one edge. Its callbacks run one at a time.
 class Concatenate {
  public:
   explicit Concatenate(Board& board) : board_(board) {}

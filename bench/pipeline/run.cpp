@@ -19,10 +19,10 @@ namespace agnocast::bench::pipeline {
 namespace {
 
 constexpr std::int64_t millisecond = 1'000'000;
-// Longer than any frame takes on a busy machine, and than making the inputs without optimisation.
+// Longer than any frame takes on a busy machine, and than making the inputs in a debug build.
 constexpr std::int64_t frame_patience_ns = 10'000 * millisecond;
 constexpr std::int64_t start_patience_ns = 60'000 * millisecond;
-// Between telling a frame and its release, so that the LiDARs sleep by then.
+// Between announcing a frame and its release, so that the LiDARs sleep by then.
 constexpr std::int64_t notice_ns = 5 * millisecond;
 
 class Conductor {
@@ -86,7 +86,7 @@ class Conductor {
                                  std::to_string(*status));
     }
   }
-  /// False when the time is up.
+  /// Returns false when the time is up.
   template <class Attempt>
   bool wait_for(std::int64_t patience_ns, Attempt attempt) {
     const std::uint64_t end_ns = monotonic_ns() + static_cast<std::uint64_t>(patience_ns);
@@ -134,7 +134,7 @@ class Conductor {
     return "concatenate did not get the clouds of" + (names.empty() ? " none" : names);
   }
 
-  /// The sensors' rate goes on whatever the pipeline does.
+  /// Returns the sensors' next beat, which does not depend on the pipeline.
   std::int64_t next_beat() {
     const std::int64_t soon_ns = static_cast<std::int64_t>(monotonic_ns()) + notice_ns;
     const std::int64_t period_ns = settings_.period.count();
@@ -174,7 +174,7 @@ class Conductor {
   const std::vector<Output> outputs_;
   Daemon daemon_;
   Board board_;
-  std::vector<Part> parts_;  // ended before what they use
+  std::vector<Part> parts_;  // ended before the objects that they use
   std::int64_t beat_ns_ = 0;
 };
 

@@ -18,7 +18,8 @@ namespace agnocast::bench::pipeline {
 namespace {
 
 using Record = std::array<float, 5>;
-// Of any sensor's revolution; a film of many scans is refused before memory is taken for it.
+// More than any sensor's revolution; refuses a recording of many scans before it allocates memory
+// for it.
 constexpr std::streamoff points_max = 4'000'000;
 constexpr float rings_max = 1024;
 
@@ -38,7 +39,7 @@ std::string place_of(std::size_t point) {
 std::vector<Record> records_of(const std::string& path) {
   std::ifstream file(path, std::ios::binary | std::ios::ate);
   if (!file)
-    refuse(path, std::string("cannot be opened: ") + std::strerror(errno) + "; say another file");
+    refuse(path, std::string("cannot be opened: ") + std::strerror(errno) + "; name another file");
   if (std::error_code ignored; !std::filesystem::is_regular_file(path, ignored))
     refuse_form(path, "it is no regular file");
   const std::streamoff bytes = file.tellg();
@@ -55,7 +56,7 @@ std::vector<Record> records_of(const std::string& path) {
   std::vector<Record> records(static_cast<std::size_t>(bytes / record_bytes));
   file.seekg(0);
   if (!file.read(reinterpret_cast<char*>(records.data()), bytes))
-    refuse(path, "cannot be read to its end; look at the disk, or copy the file anew");
+    refuse(path, "cannot be read to its end; check the disk, or copy the file again");
   return records;
 }
 

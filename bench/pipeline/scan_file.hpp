@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A recorded scan: five little-endian float32 for each point, x y z intensity ring, in the order in which they were
-// measured; nothing before, between or behind them (the form of nuScenes). The form has no times, so the points are
-// taken to be spread evenly over one revolution.
+// A recorded scan: five little-endian float32 for each point, x y z intensity ring, in the order
+// of measurement; nothing before, between or behind them (the format of nuScenes). It has no
+// times, so the points are taken to be spread evenly over one revolution.
 #pragma once
 
 #include <bench/pipeline/point.hpp>
@@ -11,7 +11,7 @@
 
 namespace agnocast::bench::pipeline {
 
-/// Throws std::runtime_error: what is wrong, where in the file, and what to do.
+/// Throws std::runtime_error with the error, its place in the file, and the remedy.
 Cloud read_scan(const std::string& path, const std::string& frame);
 
 }  // namespace agnocast::bench::pipeline

@@ -13,13 +13,13 @@ namespace {
 
 constexpr double nothing = std::numeric_limits<double>::infinity();
 
-/// The standard says what mt19937_64 gives, but not what its distributions do.
+/// The standard defines the output of mt19937_64, but not that of its distributions.
 class Random {
  public:
   explicit Random(std::uint64_t seed) : words_(seed) {}
   double below(double bound) { return static_cast<double>(words_() >> 11) * 0x1p-53 * bound; }
   double between(double low, double high) { return low + below(high - low); }
-  /// Near enough to normal: the sum of four uniform ones, whose variance is 4/12.
+  /// Returns a nearly normal number: the sum of four uniform ones, whose variance is 4/12.
   double normal(double deviation) {
     const double sum = below(1) + below(1) + below(1) + below(1) - 2;
     return sum * std::numbers::sqrt3 * deviation;
@@ -33,11 +33,12 @@ struct Ray {
   Vector from, along;  // `along` has length 1
 };
 
-/// The way to where the ray enters the box. A ray that begins inside meets nothing: no sensor is in a box.
+/// Returns the distance to where the ray enters the box. A ray that begins inside meets nothing:
+/// no sensor is in a box.
 double way_to(const Box& box, const Ray& ray) {
   double enter = 0, leave = nothing;
   const auto slab = [&](double low, double high, double from, double along) {
-    // Along a side this divides by zero, and the infinities compare as they should.
+    // Along a side this divides by zero, and the infinities compare correctly.
     const double a = (low - from) / along, b = (high - from) / along;
     enter = std::max(enter, std::min(a, b));
     leave = std::min(leave, std::max(a, b));
@@ -57,7 +58,7 @@ struct Echo {
   }
 };
 
-/// What the ray meets first: of the vehicle by its frame, of the scene by the world's.
+/// Returns the first hit of the ray: on the vehicle in its frame, on the scene in the world's.
 Echo cast(const Scene& scene, const Pose& vehicle, const Ray& ray) {
   Echo echo;
   echo.nearer(way_to(body, ray), 0.4f);

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Scans of a street that does not exist: rays of a spinning sensor on the moving vehicle, against a ground plane,
-// walls, houses, cars and poles. The sensor moves while it spins, so a scan is distorted as a real one is. Everything
-// follows from the seeds, in every process alike.
+// Scans of an imaginary street: rays of a spinning sensor on the moving vehicle, against a ground
+// plane, walls, houses, cars and poles. The sensor moves while it spins, so a scan is distorted
+// as a real one. Everything follows from the seeds, identically in every process.
 #pragma once
 
 #include <bench/pipeline/geometry.hpp>
@@ -19,18 +19,18 @@ struct Solid {
   Box box;
   float reflectance = 0;  ///< 0 … 1
 };
-/// In the world, whose ground is z = 0.
+/// In the world frame, whose ground is z = 0.
 using Scene = std::vector<Solid>;
 Scene make_scene(std::uint64_t seed);
 
 struct Noise {
   double range_m = 0.02;  ///< standard deviation
-  double lost = 0.02;     ///< part of the rays that give nothing
-  double stray = 0.001;   ///< part of the rays that end at a drop of rain
+  double lost = 0.02;     ///< fraction of the rays without an echo
+  double stray = 0.001;   ///< fraction of the rays that end at a drop of rain
 };
 inline constexpr Noise no_noise{0, 0, 0};
 
-/// The scan number `number`, one revolution long, with a stamp of 0.
+/// Simulates the scan number `number`, one revolution long, with a stamp of 0.
 Cloud simulate(const Scene& scene, const Lidar& lidar, std::size_t number, const Noise& noise);
 
 }  // namespace agnocast::bench::pipeline

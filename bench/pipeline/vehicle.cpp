@@ -38,7 +38,8 @@ const std::array<Lidar, lidar_count>& lidars() {
 }
 
 void preprocess(const Lidar& lidar, const Cloud& scan, const std::function<Cloud&()>& output) {
-  // Each node makes a message of its own, as a ROS 2 node does; within a process they are handed on by pointer.
+  // Each node makes a message of its own, as a ROS 2 node does; within a process they are passed
+  // on by pointer.
   Cloud without_self, without_mirrors, corrected;
   crop_box(scan, lidar.in_vehicle, self_crop, without_self);
   crop_box(without_self, lidar.in_vehicle, mirror_crop, without_mirrors);

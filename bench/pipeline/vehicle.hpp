@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The vehicle of the pipeline: three LiDARs, what of itself they see, how it moves, and what is done with each scan.
+// The vehicle of the pipeline: three LiDARs, the visible parts of the vehicle, its motion, and
+// the processing of each scan.
 //
-// Its frame, base_link, is at the ground below the rear axle. The top sensor is of the class of 128 lasers, on the
-// roof; left and right are of the class of 16, on the doors.
+// Its frame, base_link, is on the ground below the rear axle. The top sensor, on the roof, is of
+// the class of 128 lasers; left and right, on the doors, of the class of 16.
 #pragma once
 
 #include <bench/pipeline/filters.hpp>
@@ -34,7 +35,8 @@ inline constexpr std::size_t lidar_count = 3;
 inline constexpr std::size_t top_lidar = 0;
 const std::array<Lidar, lidar_count>& lidars();
 
-/// What belongs to the vehicle and is in sight: its body and its mirrors, and the boxes in which points are dropped.
+/// Parts of the vehicle in sight: its body and its mirrors, and the boxes in which points are
+/// dropped.
 inline constexpr Box body{{-1.0, -0.95, 0.2}, {3.8, 0.95, 1.55}};
 inline constexpr std::array<Box, 2> mirrors{{
     {{2.25, 0.95, 1.3}, {2.4, 1.2, 1.55}},
@@ -46,7 +48,8 @@ inline constexpr Box mirror_crop{{2.1, -1.35, 1.15}, {2.55, 1.35, 1.7}};
 /// 36 km/h in a long left turn.
 inline constexpr Twist motion{{10, 0, 0}, {0, 0, 0.2}};
 
-/// The four nodes of one LiDAR. `output` is asked for the message that the last one fills, when it begins.
+/// Runs the four nodes of one LiDAR. Calls `output` for the message of the last node when that
+/// one begins.
 void preprocess(const Lidar& lidar, const Cloud& scan, const std::function<Cloud&()>& output);
 
 }  // namespace agnocast::bench::pipeline

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// agnocast as its users use it, through its public headers: sensor_msgs/PointCloud2, whose `data` is the payload, is
+// agnocast through its public headers: sensor_msgs/PointCloud2, whose `data` is the payload, is
 // borrowed, resized, and published; a receiver gets it
 //
 //   agnocast-executor  in a callback of the ordinary executor, which sleeps
 //   agnocast-spinning  in a callback of an executor that never sleeps
-//   agnocast-take      by take(), again and again
+//   agnocast-take      by take() in a loop
 
 #include <agnocast/agnocast.hpp>
 #include <bench/services.hpp>

@@ -1,18 +1,21 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Eclipse Cyclone DDS: the type that ROS 2 has for point clouds, with sequences of any length, by the C interface.
-// Reliable, keep-last; the callback is a listener's. The configuration keeps to the loopback interface, finds peers
-// without multicast, and is apart from other DDS traffic of this host; everything else is Cyclone's default.
+// Eclipse Cyclone DDS: ROS 2's type for point clouds, with sequences of any length, through the C
+// interface. Reliable, keep-last; the callback is a listener's. The configuration uses only the
+// loopback interface, finds peers without multicast, and is separate from other DDS traffic of
+// this host; everything else is Cyclone's default.
 //
-// "cyclonedds-tuned" differs in what its users are told to set for large messages: packets and fragments of 64 KB, as
-// large as UDP has them, instead of 14 and 1.3, and as much of a receive buffer as net.core.rmem_max allows. For latency
-// there is nothing to set: the thread that receives calls the listener itself, as by default any latency budget is
-// delivered so (SynchronousDeliveryLatencyBound is infinite).
+// "cyclonedds-tuned" has the recommended settings for large messages: packets and fragments of 64
+// KB, as large as UDP permits, instead of 14 and 1.3, and as much of a receive buffer as
+// net.core.rmem_max allows. There is nothing to set for latency: the receiving thread calls the
+// listener itself, which is the default for any latency budget (SynchronousDeliveryLatencyBound
+// is infinite).
 //
-// "cyclonedds-iceoryx" differs in the configuration alone. Cyclone falls back to the network in silence where it cannot
-// use shared memory (no RouDi's memory, a quality of service that does not go with it), so both sides ask the entity
-// whether it has a port of iceoryx and throw when it has none. A message through iceoryx that comes before its reader
-// has discovered the writer is dropped, though the writer knows the reader: so readers count themselves as well.
+// "cyclonedds-iceoryx" differs only in the configuration. Cyclone silently falls back to the
+// network if it cannot use shared memory (no memory of RouDi, an incompatible quality of
+// service), so both sides check that the entity has a port of iceoryx, and throw if it has none.
+// A message through iceoryx that arrives before its reader has discovered the writer is dropped,
+// though the writer knows the reader: so readers count themselves as well.
 
 #include <bench/systems/ready_count.hpp>
 
@@ -33,14 +36,14 @@ namespace {
 
 using Sample = sensor_msgs_msg_dds__PointCloud2_;
 
-/// A return code, or an entity, which is negative where there is none.
+/// Checks a return code, or an entity, which is negative if there is none.
 dds_entity_t checked(dds_entity_t result, const char* what) {
   if (result < 0)
     throw std::runtime_error(std::string("Cyclone DDS: ") + what + ": " + dds_strretcode(-result));
   return result;
 }
 
-/// A participant, its topic, and what all endpoints of the comparison ask for.
+/// A participant, its topic, and the QoS of all endpoints of the comparison.
 class Participation {
  public:
   explicit Participation(const Carriage& carriage)
@@ -76,8 +79,8 @@ class Participation {
         std::string_view(configuration).find("<SharedMemory>") != std::string_view::npos;
     if (dds_is_shared_memory_available(entity) != is_wanted)
       throw std::runtime_error(
-          is_wanted ? "Cyclone DDS was told to use iceoryx and does not; was it built with it?"
-                    : "Cyclone DDS uses iceoryx though it was not told to");
+          is_wanted ? "Cyclone DDS is configured to use iceoryx but does not; was it built with it?"
+                    : "Cyclone DDS uses iceoryx without being configured to");
     return entity;
   }
 
@@ -137,7 +140,7 @@ class CycloneReceiver final : public Receiver {
       std::this_thread::sleep_for(std::chrono::milliseconds(1));
     ready_.add();
     is_stopped_.wait(false, std::memory_order_acquire);
-    // Waits for a callback that runs.
+    // Waits for a running callback.
     (void)dds_set_listener(reader_, nullptr);
   }
   void stop() override {
@@ -153,7 +156,7 @@ class CycloneReceiver final : public Receiver {
            status.current_count > 0;
   }
 
-  /// In the thread of Cyclone DDS that received.
+  /// Runs in the receiving thread of Cyclone DDS.
   static void available(dds_entity_t reader, void* self) {
     const OnMessage& on_message = *static_cast<CycloneReceiver*>(self)->on_message_;
     void* samples[1] = {nullptr};
@@ -181,8 +184,9 @@ std::unique_ptr<Receiver> make_receiver(const Carriage& carriage) {
   return std::make_unique<CycloneReceiver>(carriage);
 }
 
-/// As the value of CYCLONEDDS_URI, which may be the text itself. Called by whoever starts the roles: its pid is the tag
-/// of all of them. 32 participants: a sender and what the widest fan-out needs.
+/// Returns a value of CYCLONEDDS_URI, which may be the text itself. Called by the process that
+/// starts the roles: its pid is the tag of all of them. 32 participants: a sender and the
+/// receivers of the widest fan-out.
 std::vector<std::string> configuration(const std::string& general, const std::string& more) {
   return {
       "CYCLONEDDS_URI=<CycloneDDS><Domain id=\"any\">"

@@ -1,19 +1,24 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Floors: the least that a way of notification costs, with nothing around it: no queue, no types, no daemon. A real system
-// is judged by how far it is above them.
+// Floors: the minimal cost of a way to notify, with nothing around it: no queue, no types, no
+// daemon. The distance of a real system from them shows its own cost.
 //
-//   floor-futex          a word and a futex for each receiver, which is woken whether it sleeps or not
+//   floor-futex          a word and a futex for each receiver, which is always woken, even if
+//                        awake
 //   floor-eventfd        an eventfd each, in an edge-triggered epoll set and never read
-//   floor-polling        a cache line that the receivers look at again and again; nobody is woken
-//   floor-chain          as floor-polling, but this line tells the place of a second one, and that the place of a third one,
-//                        which tells where the payload is: the lines of a head, an entry and an object with a pointer
-//   bound-kernel-module  what a kernel module with POSIX queues cannot go below: the sender one cheap system call (for its
-//                        ioctl) and a mq_send each; the receiver epoll_wait, mq_receive, and two cheap system calls
-//   floor-memcpy         as floor-futex, after one memcpy of the payload: the least of everything that copies
+//   floor-polling        a cache line that the receivers poll; none is woken
+//   floor-chain          as floor-polling, but this line has the place of a second one, and that
+//                        the place of a third one, which has the place of the payload: the lines
+//                        of a head, an entry and an object with a pointer
+//   bound-kernel-module  the least for a kernel module with POSIX queues: the sender one cheap
+//                        system call (for its ioctl) and a mq_send each; the receiver epoll_wait,
+//                        mq_receive, and two cheap system calls
+//   floor-memcpy         as floor-futex, after one memcpy of the payload: the least for every
+//                        system that copies
 //
-// One buffer of shared memory holds the payload; the loop is closed, so nobody reads it when it is written. In scratch:
-//   published  the number of the last message      chain  for floor-chain      bells[receivers]  what the futexes are
+// One buffer of shared memory has the payload; the loop is closed, so it is not read while it is
+// written. In scratch:
+//   published  the number of the last message   chain  for floor-chain   bells[receivers]  the futexes
 
 #include <bench/system.hpp>
 
@@ -47,7 +52,7 @@ struct alignas(64) Bell {
   std::atomic<std::uint32_t> word;
 };
 
-/// What all floors have: the buffer, whose descriptor is the first one, and the words.
+/// Common part of all floors: the buffer, whose descriptor is the first one, and the words.
 class Ground {
  public:
   explicit Ground(const Carriage& carriage)
@@ -56,7 +61,7 @@ class Ground {
       throw std::runtime_error("floor: too many receivers");
     published_ = static_cast<Line*>(carriage.scratch);
     bells_ = reinterpret_cast<Bell*>(published_ + 1 + chain_lines);
-    // With all pages: floors have no first touch.
+    // Allocates all pages: floors have no first touch.
     void* const buffer = ::mmap(nullptr, bytes_, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE,
                                 carriage.descriptors.at(0), 0);
     if (buffer == MAP_FAILED) throw failure("payload");
@@ -96,7 +101,7 @@ std::vector<int> make_buffer(const Carriage& carriage) {
   return {buffer};
 }
 
-// One for each receiver, behind the buffer.
+// Makes one for each receiver, behind the buffer.
 template <int (*make)()>
 std::vector<int> make_each(const Carriage& carriage) {
   std::vector<int> all = make_buffer(carriage);
@@ -122,10 +127,10 @@ int make_queue() {
   return queue;
 }
 
-// A system call that does nothing: what any other costs at least.
+// A system call that does nothing: the minimal cost of any other.
 void enter_kernel() noexcept { ::syscall(SYS_getppid); }
 
-// --- senders: each makes the message known and rings
+// --- senders: each makes the message visible and rings
 
 class FloorSender : public Sender {
  public:
@@ -188,8 +193,8 @@ class PollingSender : public FloorSender {
   void ring(std::size_t) override {}
 };
 
-// The entries of a queue and the objects lie by turns in the lines of the chain. The object is made with the payload, before
-// it is sent.
+// The entries of a queue and the objects alternate in the lines of the chain. The object is made
+// with the payload, before it is sent.
 class ChainSender final : public PollingSender {
  public:
   using PollingSender::PollingSender;
@@ -244,9 +249,9 @@ class FloorReceiver : public Receiver {
   void stop() override { is_stopped_.store(true); }
 
  protected:
-  /// Of the newest message; the loop is closed, so it is the next one.
+  /// Returns the newest message; the loop is closed, so it is the next one.
   virtual const std::byte* payload(std::uint64_t) const { return ground_.buffer(); }
-  /// Until rung, or for a while.
+  /// Waits until rung, or for a while.
   virtual void wait() = 0;
   Ground ground_;
   std::size_t index_;
@@ -292,7 +297,7 @@ class FutexReceiver final : public FloorReceiver {
   std::uint32_t heard_ = 0;
 };
 
-/// Sleeps in epoll_wait until its descriptor, or the eventfd of stop(), has something.
+/// Sleeps in epoll_wait until its descriptor, or the eventfd of stop(), is readable.
 class EpollReceiver : public FloorReceiver {
  public:
   EpollReceiver(const Carriage& carriage, std::uint32_t events)

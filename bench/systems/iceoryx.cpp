@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// iceoryx 2.0: loans of plain bytes, waited for in the three ways that it offers. RouDi, its daemon, is started as the
+// iceoryx 2.0: loans of plain bytes, in its three ways of waiting. Its daemon, RouDi, is the
 // service "iox-roudi" (roudi.cpp).
 
 #include <bench/systems/ready_count.hpp>
@@ -30,7 +30,8 @@ iox::capro::ServiceDescription service_of(const Carriage& carriage) {
   const iox::capro::IdString_t topic(iox::cxx::TruncateToCapacity, carriage.topic);
   iox::log::LogManager::GetLogManager().SetDefaultLogLevel(iox::log::LogLevel::kOff,
                                                            iox::log::LogLevelOutput::kHideLogLevel);
-  // RouDi's name of this process. Names of processes that died are never free again without its monitoring.
+  // RouDi's name of this process. Without its monitoring, names of dead processes are never free
+  // again.
   const std::string name = "agnocast-bench-iox-" + std::to_string(::getpid());
   iox::runtime::PoshRuntime::initRuntime(iox::RuntimeName_t(iox::cxx::TruncateToCapacity, name));
   return {"agnocast-bench", "bytes", topic};
@@ -46,7 +47,7 @@ class IceoryxSender final : public Sender {
     if (loan_ != nullptr) publisher_.release(loan_);
   }
 
-  /// A publisher of iceoryx knows whether it has subscribers, not how many.
+  /// A publisher of iceoryx knows whether it has subscribers, but not their number.
   bool is_matched() override { return publisher_.hasSubscribers() && ready_.is_complete(); }
   std::byte* prepare() override {
     if (loan_ == nullptr)
@@ -65,7 +66,7 @@ class IceoryxSender final : public Sender {
   void* loan_ = nullptr;
 };
 
-/// What the three kinds have in common. Their wait() returns once stop() was called.
+/// Common part of the three kinds. Their wait() returns once stop() was called.
 class IceoryxReceiver : public Receiver {
  public:
   void run(const OnMessage& on_message) final {

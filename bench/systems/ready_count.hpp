@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ReadyCount: how many receivers would get a message. For systems whose sender cannot tell: they count themselves, in
-// the scratch that all processes of a run share.
+// ReadyCount: the number of receivers that would get a message. For systems whose sender cannot
+// tell: receivers count themselves, in the scratch that all processes of a run share.
 #pragma once
 
 #include <bench/system.hpp>

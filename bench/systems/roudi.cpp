@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// RouDi, the daemon of iceoryx, as a service of the benchmark. Its memory, lock and socket have names that hold for the
-// whole host, so there can be one only: where another one runs, the systems that need it are left out. It is ended
-// with SIGTERM, also when the benchmark dies, and then removes what is its own; what it leaves when it aborts meanwhile
-// (as it does when clients died) is removed here, at its end and before its start.
+// RouDi, the daemon of iceoryx, as a service of the benchmark. The names of its memory, lock and
+// socket are valid for the whole host, so there can be only one: if another one runs, the systems
+// that need it are left out. It is ended with SIGTERM, also when the benchmark dies, and then
+// removes its files; files that it leaves when it aborts (as it does when clients died) are
+// removed here, at its end and before its start.
 
 #include <bench/services.hpp>
 
@@ -26,8 +27,9 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// A message takes the smallest chunk that it fits into, with some bytes for Cyclone DDS' header. All of it is written once
-// by RouDi and then resident, about 0.3 GB, so there are few of the large ones: a keep-last depth of 10 on each side.
+// A message takes the smallest chunk that it fits into, with some bytes for Cyclone DDS's header.
+// RouDi writes all of it once, and it stays resident, about 0.3 GB, so there are few of the large
+// ones: a keep-last depth of 10 on each side.
 constexpr const char* configuration = R"([general]
 version = 1
 
@@ -60,10 +62,10 @@ count = 24
 
 constexpr const char* lock_path = "/tmp/iox-unique-roudi.lock";
 
-/// Held, so that no RouDi can start meanwhile; unless one runs, or its lock may not be opened.
+/// Held, so that no RouDi can start meanwhile; unless one runs, or its lock must not be opened.
 class RouDiLock {
  public:
-  // What another user has left there, O_CREAT may not open (fs.protected_regular).
+  // O_CREAT must not open another user's file there (fs.protected_regular).
   RouDiLock() : file_(::open(lock_path, O_RDWR | O_CLOEXEC)) {
     if (file_ < 0) file_ = ::open(lock_path, O_RDWR | O_CREAT | O_CLOEXEC, 0600);
     is_held_ = file_ >= 0 && ::flock(file_, LOCK_EX | LOCK_NB) == 0;
@@ -87,7 +89,7 @@ bool is_of_this_user(const std::string& path) {
   return ::lstat(path.c_str(), &file) == 0 && file.st_uid == ::geteuid();
 }
 
-/// Sockets that clients which were killed have left: PREFIX, the pid, and whatever.
+/// Returns whether it is a socket of a killed client: PREFIX, the pid, and any suffix.
 bool is_of_dead_client(const std::string& name) {
   for (const std::string prefix : {"agnocast-bench-iox-", "iceoryx_rt_"}) {
     if (name.rfind(prefix, 0) != 0) continue;
@@ -97,15 +99,15 @@ bool is_of_dead_client(const std::string& name) {
   return false;
 }
 
-/// False: another RouDi runs.
+/// Returns false if another RouDi runs.
 bool remove_leftovers_unless_another_runs() {
   const RouDiLock lock;
   if (!lock.is_held()) return false;
   std::error_code ignored;
   const std::string management = "/dev/shm/iceoryx_mgmt";
   std::vector<std::string> leftovers = {"/tmp/roudi", "/tmp/roudi.lock"};
-  // The segment of messages is named for the group that may write to it, as something else may be: it is RouDi's where the
-  // other segment is there too.
+  // The segment of messages is named for the group that may write to it, and other programs may
+  // use that name: it is RouDi's if the other segment is there too.
   const group* const mine = ::getgrgid(::getegid());
   if (mine != nullptr && is_of_this_user(management))
     leftovers.push_back(std::string("/dev/shm/") + mine->gr_name);
@@ -121,13 +123,14 @@ bool remove_leftovers_unless_another_runs() {
 void remove_leftovers() { (void)remove_leftovers_unless_another_runs(); }
 
 std::unique_ptr<Process> start(const std::string& directory) {
-  // What there may be is of a benchmark that was killed.
+  // Leftovers belong to a benchmark that was killed.
   if (!remove_leftovers_unless_another_runs())
     throw std::runtime_error(
         "iceoryx: another RouDi (iox-roudi) runs on this host, and there can be one only");
   const std::string file = directory + "/roudi.toml";
   std::ofstream(file) << configuration;
-  // Monitoring is off as it costs wake-ups; --kill-delay: it waits for clients that do not end before it ends.
+  // Monitoring is off because it costs wake-ups; --kill-delay: it waits for clients that do not
+  // end before it ends.
   auto roudi = std::make_unique<Process>(
       Process::Options{.command = {"iox-roudi", "--config-file", file, "--monitoring-mode", "off",
                                    "--log-level", "off", "--kill-delay", "2"},

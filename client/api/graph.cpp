@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Graph: an observer that asks for a dump without regions, and to be answered once the daemon's log has gone
-// on (include/agnocast/abi/observe.hpp). The daemon is trusted as every client trusts it: its indexes are keys here and
-// no places in memory, and a body of another length or an unknown kind ends the connection.
+// Graph: an observer that requests dumps without regions, each answered once the daemon's log has
+// advanced (include/agnocast/abi/observe.hpp). It trusts the daemon as every client does: indexes
+// are only keys here, never places in memory, and a body of another length or an unknown kind
+// ends the connection.
 
 #include <agnocast/graph.hpp>
 
@@ -38,11 +39,11 @@ using std::chrono::milliseconds;
 
 // A daemon under load answers within milliseconds.
 constexpr milliseconds answer_patience{5'000};
-// Nodes come with a dozen endpoints each.
+// Combines changes: nodes come with a dozen endpoints each.
 constexpr milliseconds gather_time{10};
-// Longer than anybody waits, and short enough to be added to a time.
+// Longer than any useful wait, and short enough to be added to a time.
 constexpr milliseconds patience_max = std::chrono::hours(24 * 365);
-// A daemon that is started anew is there again within some ten milliseconds.
+// A restarted daemon is back within some ten milliseconds.
 constexpr milliseconds reconnect_interval{50};
 
 std::string text_of(const wire::Name& name) {
@@ -86,7 +87,7 @@ class Graph::State {
   }
   void interrupt() noexcept {
     const std::uint64_t one = 1;
-    (void)!::write(interrupted_.get(), &one, sizeof one);  // full: it is interrupted already
+    (void)!::write(interrupted_.get(), &one, sizeof one);  // if full, it is interrupted already
   }
 
  private:
@@ -138,11 +139,11 @@ class Graph::State {
     body.header = {opcode, sizeof body, 1};
     const auto sent = socket_.send(std::as_bytes(std::span(&body, 1)), {}, Wait::yes);
     if (!sent) return tl::unexpected(sent.error());
-    // Who was turned away at the door reads why.
+    // A refused connection still has the refusal to read.
     return {};
   }
 
-  /// On to the next body of an answer. Errors also: what the daemon refused.
+  /// Moves to the next body of an answer. Errors also: a refusal by the daemon.
   Result<void> next_body() {
     if (!packet_.advance()) {
       const Result<bool> readable = wait_readable(Clock::now() + answer_patience, Stop::never);
@@ -239,7 +240,8 @@ class Graph::State {
   }
 
   enum class Stop : std::uint8_t { never, when_interrupted };
-  /// Whether there is something to read by then. In the middle of an answer there is no stopping.
+  /// Returns whether there is something to read before the deadline. An answer is not interrupted
+  /// half way.
   Result<bool> wait_readable(Clock::time_point deadline, Stop stop) {
     was_interrupted_ = false;
     std::array<pollfd, 2> entries{{{socket_.fd(), POLLIN, 0}, {interrupted_.get(), POLLIN, 0}}};
@@ -254,7 +256,7 @@ class Graph::State {
       return false;
     }
   }
-  /// True when it was interrupted.
+  /// Returns whether it was interrupted.
   bool sleep_until(Clock::time_point end) {
     pollfd entry{interrupted_.get(), POLLIN, 0};
     for (;;) {
@@ -272,7 +274,7 @@ class Graph::State {
   PacketSocket socket_;
   AnswerPacket packet_;
   bool is_asked_ = false, was_interrupted_ = false;
-  std::optional<std::uint64_t> seen_lsn_;  // of the last look; none before the first
+  std::optional<std::uint64_t> seen_lsn_;  // of the last dump; none before the first
   Clock::time_point looked_{};
 };
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Scopes of the shared heap: which allocations of a thread are shared, from borrow to publish and
-// where a program says so itself.
+// inside explicit scopes.
 
 #include <agnocast/heap.hpp>
 #include <agnocast/publisher.hpp>
@@ -48,9 +48,10 @@ struct BorrowScope::Home {
   static constexpr std::uint64_t thread_lives = std::uint64_t{1} << 63;
 
   std::atomic<std::uint64_t> owed{0};  // leaves that other threads could not do for it
-  std::uint64_t open = 0;  // loans that the thread itself has not closed; only the thread
-  // What other threads close is taken away one by one, and what is left of thread_lives when the thread
-  // ends at once. So the thread's own loans, nearly all, need no locked instruction.
+  std::uint64_t open = 0;  // loans that the thread has not closed; only for the thread
+  // Reference count: other threads subtract the loans that they close, and the thread subtracts
+  // the rest of thread_lives when it ends. So the thread's own loans, nearly all, need no locked
+  // instruction.
   std::atomic<std::uint64_t> left{thread_lives};
 
   void let_go(std::uint64_t part) noexcept {
@@ -64,8 +65,8 @@ struct BorrowScope::Home {
 };
 
 void BorrowScope::open() noexcept {
-  // Destructors of other thread data, and static objects after those of the main thread, may still
-  // borrow: they get a new home, which stays.
+  // Destructors of other thread data, and static objects after those of the main thread, may
+  // still borrow: they get a new home, which is never freed.
   struct LeavesHome {
     ~LeavesHome() {
       if (Home* const home = std::exchange(current(), nullptr); home != nullptr)

@@ -1,16 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The plan: a message type boiled down to what the residency check must look at.
+// The plan: a message type reduced to the parts that the residency check must visit.
 //
 // Made once per endpoint by message_type.cpp, walked at every publish by residency.cpp. Members
-// without memory of their own do not appear; plain nested messages are flattened into their parent;
-// what remains is one step per string, sequence, or fixed array of things that own memory. Steps of
-// a subtree are neighbours, so a walk is a loop over a small array:
+// without memory of their own do not appear; plain nested messages are flattened into their
+// parent; the rest is one step per string, sequence, or fixed array of elements that own memory.
+// Steps of a subtree are neighbours, so a walk is a loop over a small array:
 //
-//     PointCloud2:   [0] string "name"                                          steps of one
-//     PointField
-//                    [1] string "header.frame_id"  [2] sequence "fields" of {0}  [3] sequence
-//                    "data" of nothing root = {1, 3}
+//     PointCloud2:   [0] string "name"             steps of one PointField
+//                    [1] string "header.frame_id"
+//                    [2] sequence "fields" of {0}
+//                    [3] sequence "data" of nothing      root = {1, 3}
 //
 // The plan holds no function of the user's type support, so that library may be unloaded while
 // messages live.
@@ -27,19 +27,20 @@
 
 namespace agnocast::detail {
 
-// Messages inside messages. ROS's own nest 4 deep or so; 32 levels of the walk are a few KiB of
+// Depth of nested messages. ROS's own nest about 4 deep; 32 levels of the walk are a few KiB of
 // stack.
 inline constexpr std::size_t plan_depth_max = 32;
 // Members of a message with all its nested ones, arrays counted once; Autoware's largest has some
-// hundreds. A type that nests two of a type that nests two … doubles at each level, hence a bound.
+// hundreds. The bound is necessary because a type that nests two of a type that nests two …
+// doubles at each level.
 inline constexpr std::size_t plan_member_count_max = 65536;
 
 enum class Step : std::uint8_t {
   string,     // std::string
   u16string,  // std::u16string
   bits,       // std::vector<bool>
-  sequence,   // std::vector of something else, or BoundedVector, which is one; its elements have
-              // steps or none
+  sequence,   // any other std::vector, or BoundedVector, which is one; its elements may have
+              // steps
   array,      // std::array of `count` elements that have steps
 };
 
@@ -67,11 +68,11 @@ struct MessagePlan {
   bool bits_are_seen = false;  // the reader of vector<bool> passed its self-test
   std::vector<PlanStep> steps;
   StepRange root;
-  std::deque<std::string> paths;  // a deque: its elements stay where they are
+  std::deque<std::string> paths;  // a deque: its elements do not move
 };
 
-// A std::vector of anything but bool, as libstdc++ and libc++ lay it out. Not taken on trust: see
-// probe() in message_type.cpp.
+// Layout of a std::vector of anything but bool in libstdc++ and libc++. Verified: see probe() in
+// message_type.cpp.
 struct VectorWords {
   const std::byte* begin;
   const std::byte* end;
@@ -80,9 +81,9 @@ struct VectorWords {
 static_assert(sizeof(VectorWords) == sizeof(std::vector<int>) &&
               alignof(VectorWords) == alignof(std::vector<int>));
 
-// Where a vector<bool> keeps its bits. libstdc++ says it by a public member of its iterator, found
-// here without naming private layout; other libraries do not. `words` is null where it cannot be
-// known.
+// Finds the bits of a vector<bool>. libstdc++ has a public member for them in its iterator, used
+// here without naming private layout; other libraries have none. `words` returns null if the
+// place is unknown.
 template <class Bits, class = void>
 struct BitsReader {
   static const void* words(const Bits&) noexcept { return nullptr; }
@@ -91,16 +92,16 @@ struct BitsReader {
 template <class Bits>
 struct BitsReader<Bits, std::void_t<decltype(*std::declval<const Bits&>().begin()._M_p)>> {
   static const void* words(const Bits& bits) noexcept { return bits.begin()._M_p; }
-  // Readers load whole words.
+  // In whole words, as readers load them.
   static std::size_t bytes(const Bits& bits) noexcept {
     constexpr std::size_t word_bytes = sizeof(*bits.begin()._M_p);
     return (bits.size() + word_bytes * 8 - 1) / (word_bytes * 8) * word_bytes;
   }
 };
 
-// Whether the reader really finds the bits: writes patterns through the vector's own interface and
-// looks for them in memory. Allocates, may throw bad_alloc; called when a type is described, never
-// by the check.
+// Returns whether the reader really finds the bits: writes patterns through the vector's own
+// interface and compares memory. Allocates, may throw bad_alloc; called when a type is described,
+// never by the check.
 template <class Bits>
 bool bits_reader_holds() {
   for (const std::size_t size : {1U, 63U, 64U, 65U, 1000U}) {

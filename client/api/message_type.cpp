@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Builds a MessageType from a table: verify it, hash it, boil it down to a plan. All of it happens
-// when an endpoint is created; nothing here runs at publish.
+// Builds a MessageType from a table: verifies it, hashes it, reduces it to a plan, when an
+// endpoint is created; nothing here runs at publish.
 //
-//     make_described_type → probe (is the table true?) → add_to_hash (who is my equal?) → plan
-//     (what to look at)
+//     make_described_type → probe (is the table true?) → add_to_hash (which types are equal?)
+//                         → plan (what to check)
 
 #include "client/api/message_plan.hpp"
 
@@ -22,7 +22,7 @@
 namespace agnocast::detail {
 namespace {
 
-// Leaves the building of a type; caught in make_described_type and never seen outside.
+// Ends the building of a type; caught in make_described_type, never visible outside.
 struct Refusal {
   Failure failure;
 };
@@ -41,7 +41,7 @@ bool is_sequence(const FieldTable& field) {
   return field.array == ArrayKind::bounded || field.array == ArrayKind::unbounded;
 }
 
-// One message type and what it nests, with the walk over it that everything here shares.
+// One message type with its nested types, and the walk over it that all functions share.
 class Builder {
  public:
   explicit Builder(const TableReader& reader) : reader_(reader) {}
@@ -64,9 +64,9 @@ class Builder {
     }
   }
 
-  // Builds one message of each nested type and compares every sequence in it with VectorWords. This
-  // finds sequence types that are no std::vector, whatever they are called, and spares the check
-  // every call into the type support.
+  // Builds one message of each nested type and compares every sequence in it with VectorWords.
+  // This finds sequence types that are no std::vector under any name, and saves the check all
+  // calls into the type support.
   void probe(const void* table) {
     for (const void* seen : probed_) {
       if (seen == table) return;
@@ -88,8 +88,8 @@ class Builder {
     });
   }
 
-  // Names of nested types count too: two types whose members agree by chance are still two types.
-  // Bounds depth and number of members for everything that comes after it.
+  // Includes names of nested types: two types whose members agree by chance are still different.
+  // Checks the depth and the number of members for all later functions.
   void add_to_hash(LayoutHash& hash, const void* table, std::size_t depth = 0) {
     if (depth > plan_depth_max) refuse("the message type nests too deep");
     const MessageTable message = message_of(table);
@@ -134,8 +134,8 @@ class Builder {
         : reader_(reader),
           table_(table),
           message_bytes_(message_bytes),
-          // VectorWords are read even where a smaller object stands at the very end; zeroes there
-          // are not vectors.
+        // VectorWords are read even where a smaller object is at the very end; zeroes there
+        // are not vectors.
           memory_(message_bytes_ + sizeof(VectorWords)) {
       reader_.construct(table_, memory());
     }
@@ -172,7 +172,7 @@ class Builder {
   static std::size_t member_bytes(const FieldTable& field, std::size_t element_bytes) {
     if (field.array == ArrayKind::none) return element_bytes;
     if (field.array == ArrayKind::fixed) return element_bytes * field.array_bound;
-    return 0;  // what is no vector may be smaller than one; probe_sequence has a better sentence
+    return 0;  // an object that is no vector may be smaller; probe_sequence has a better sentence
                // for it
   }
 
@@ -214,7 +214,7 @@ class Builder {
     return range;
   }
 
-  // Steps of one element of `field`, none if it owns no memory.
+  // Returns the steps of one element of `field`, none if it owns no memory.
   StepRange plan_element(MessagePlan& out, const FieldTable& field) {
     if (field.element == ElementKind::message) return plan(out, field.nested);
     if (field.element == ElementKind::string || field.element == ElementKind::u16string) {
@@ -258,13 +258,13 @@ class Builder {
   std::size_t member_count_ = 0;
 };
 
-// One answer for the life of the process. May throw bad_alloc; is then asked again.
+// Constant for the life of the process. May throw bad_alloc; the next call then tries again.
 bool bits_are_seen() {
   static const bool holds = bits_reader_holds<std::vector<bool>>();
   return holds;
 }
 
-// A bad_alloc or an exception of the message's default constructor is a Failure, not an exception.
+// Converts a bad_alloc or an exception of the message's default constructor to a Failure.
 template <class Build>
 Result<MessageType> guarded(Build&& build) noexcept {
   try {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// How names of topics and services resolve: the untyped half of node_like.hpp.
+// Resolves names of topics and services: the untyped half of node_like.hpp.
 
 #include <agnocast/node_like.hpp>
 #include <agnocast/service_name.hpp>
@@ -26,7 +26,7 @@ Result<std::string> expand(const char* what, const std::string& name, const std:
 Result<void> require(const char* what, const std::string& name) {
   if (const auto problem = check_topic_name(name)) return refuse(what, name, problem->text());
   if (is_service_topic(name))
-    return refuse(what, name, "what begins with /_service/ are the topics of services");
+    return refuse(what, name, "names that begin with /_service/ are reserved for services");
   return {};
 }
 

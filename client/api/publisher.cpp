@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The untyped half of Publisher: what its template calls.
+// The untyped half of Publisher, called by its template.
 
 #include <agnocast/publisher.hpp>
 #include <client/api/qos_words.hpp>
@@ -19,16 +19,17 @@
 namespace agnocast::detail {
 namespace {
 
-// Messages are destroyed when they are old: maybe after the plugin that brought this code was closed.
-// So what holds it stays loaded; an executable does anyway, and is not found by its name here.
+// Old messages may be destroyed after the plugin that contains this code was closed. So this
+// keeps the plugin loaded; an executable stays loaded anyway, and is not found by its name here.
 void pin_object_of(void (*code)(const void*, void*) noexcept) noexcept {
   Dl_info where{};
   if (::dladdr(reinterpret_cast<const void*>(code), &where) == 0) return;
   (void)::dlopen(where.dli_fname, RTLD_LAZY | RTLD_NOLOAD | RTLD_NODELETE);
 }
 
-// For a publisher that the present daemon refuses, and that goes on in a former membership: what lies
-// in a further window is foreign there, because nobody in it will ever have that window.
+// For a publisher that the present daemon refuses, and that continues in a previous session:
+// memory in further windows is foreign there, because no peer in that session will ever have
+// those windows.
 WindowSet windows_of_former(void* membership) noexcept {
   const std::uint64_t count = static_cast<const Context*>(membership)->announced_windows();
   const WindowSet all = Context::instance().shared_heap().windows(nullptr);
@@ -43,7 +44,7 @@ WindowSet windows_of_former(void* membership) noexcept {
 std::uint64_t leave_of_former(void* membership) noexcept {
   const SharedHeap heap = Context::instance().shared_heap();
   const std::uint64_t strays = heap.leave(heap.context);
-  // A part that nobody can look at may lie in a further window.
+  // An unseen part may be in a further window.
   const bool has_further =
       windows_of_former(membership).count() != heap.windows(heap.context).count();
   return strays + (has_further ? 1 : 0);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// QoS of the public interface in the words of the board.
+// Converts QoS of the public interface to the words of the board.
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
@@ -17,14 +17,14 @@ inline abi::Qos to_abi(const QoS& qos) noexcept {
           qos.is_keep_all(), false};
 }
 
-// Best available: what matches every publisher.
+// Best available: best effort, which matches every publisher.
 inline abi::Qos to_abi_of_subscription(const QoS& qos) noexcept {
   abi::Qos words = to_abi(qos);
   if (qos.is_best_available()) words.reliable = false;
   return words;
 }
 
-// The daemon's own limit may be lower; this one is what a queue can hold at all.
+// Checks the capacity of a queue; the daemon's own limit may be lower.
 inline Result<void> check_depth(const QoS& qos) {
   if (qos.depth() >= 1 && qos.depth() <= abi::depth_max) return {};
   return fail_with(Errc::depth_refused, "depth " + std::to_string(qos.depth()) +

@@ -3,10 +3,10 @@
 // The residency check: walks the plan of a message type over one message, at every publish.
 //
 // Allocates nothing and throws nothing; recursion is as deep as sequences nest in the type, which
-// the plan bounds. What it reads is this process's own live message, so values are trusted; the
-// same walk must not be used on messages of others. A message that is fully resident costs one
-// range comparison per string and sequence. Only the first foreign range pays for a path, put
-// together from the frames of the recursion.
+// the plan bounds. It reads this process's own live message, so it trusts values; do not use this
+// walk on messages of other processes. A fully resident message costs one range comparison per
+// string and sequence. Only the first foreign range needs a path, built from the frames of the
+// recursion.
 
 #include <agnocast/residency.hpp>
 
@@ -56,7 +56,7 @@ class Walk {
     return *static_cast<const T*>(member);
   }
 
-  // Which element of which sequence the walk is in.
+  // The present element of each enclosing sequence.
   struct Frame {
     const Frame* outer;
     const char* path;
@@ -96,7 +96,7 @@ class Walk {
   void sequence(const PlanStep& step, const std::byte* member, const Frame* frame) noexcept {
     VectorWords words;
     std::memcpy(&words, member, sizeof(words));
-    // No element, nothing to touch: spare capacity is never read, wherever it lies.
+    // Without elements there is nothing to touch: spare capacity is never read.
     if (words.begin == words.end) return;
     const auto bytes = static_cast<std::size_t>(words.end - words.begin);
     range(words.begin, bytes, step.path, frame);
@@ -110,7 +110,7 @@ class Walk {
       steps(step.elements, first + inner.index * step.stride, &inner);
   }
 
-  // A short text lies in the string object, which belongs to a range that was looked at before.
+  // A short text is in the string object, which belongs to a range that was checked before.
   // Even an empty text counts if it is outside, because c_str() reads its terminator.
   template <class C>
   void text(const std::basic_string<C>& text, const PlanStep& step, const Frame* frame) noexcept {
@@ -172,7 +172,7 @@ class Walk {
     write("]");
   }
 
-  // Keeps the terminator in place; what does not fit is left out.
+  // Keeps the terminator in place; cuts text that does not fit.
   void write(const char* text) noexcept {
     while (*text != '\0' && path_length_ + 1 < found_.first_path.size())
       found_.first_path[path_length_++] = *text++;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The untyped half of Subscription and ipc_shared_ptr: what their templates call.
+// The untyped half of Subscription and ipc_shared_ptr, called by their templates.
 
 #include <agnocast/message_windows.hpp>
 #include <agnocast/subscription.hpp>
@@ -34,7 +34,7 @@ std::uint64_t MessageInfo::source_timestamp() const noexcept {
 
 namespace {
 
-// In the hands of its last user.
+// Called by the last user.
 void end_block(detail::Block* last) noexcept {
   auto* const own = static_cast<ReceivedBlock*>(last);
   const Received received = std::move(own->received);
@@ -56,7 +56,7 @@ WindowSet windows_of(const Block* block) noexcept {
 WindowSet windows_of_another(const void* object) noexcept {
   const auto address = reinterpret_cast<std::uintptr_t>(object);
   AddressUsers& users = AddressUsers::instance();
-  // In a forked child somebody may have its lock for ever.
+  // In a forked child its lock may be held for ever.
   if (!users.may_be_of_another(address) || is_forked_child()) return {};
   return users.group_of_another(address);
 }
@@ -104,7 +104,7 @@ class BlockReceiver final : public Receiver {
   detail::Block** end_ = &chain_;
 };
 
-/// Up to `wanted` (not 0) received messages as a chain of Blocks, or null when there is none (or no
+/// Takes up to `wanted` (not 0) messages as a chain of Blocks; null if there is none (or no
 /// memory for it: then it stays unread).
 detail::Block* take_blocks(SubscriptionEndpoint& subscription, std::size_t wanted) noexcept {
   BlockReceiver receiver(wanted);

@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Type libraries: from the ROS name of a message type to the function of its package's introspection
-// library. What is behind that function only the user's translation unit can read (generic.hpp).
+// Type libraries: finds the function of a package's introspection library for the ROS name of a
+// message type. Only the user's translation unit can read the result of that function
+// (generic.hpp).
 //
 //     "pkg/msg/Name" → validated parts → directory/libpkg__rosidl_typesupport_introspection_cpp.so
 //                                      → …get_message_type_support_handle__pkg__msg__Name
 //
-// The name may come from a command line or from another process, so nothing becomes a path or a
-// symbol that is not made of letters, digits and underscores. Libraries stay loaded: messages are
-// ended by their code at any later time.
+// The name may come from a command line or from another process, so only letters, digits and
+// underscores become part of a path or a symbol. Libraries stay loaded, because messages are
+// destroyed by their code at any later time.
 
 #include <agnocast/type_library.hpp>
 #include <client/api/message_plan.hpp>
@@ -32,9 +33,9 @@
 namespace agnocast::detail {
 namespace {
 
-// Of each part of a name; file names have 255 bytes.
+// Limit of each part of a name; file names have 255 bytes.
 constexpr std::size_t part_bytes_max = 200;
-// Libraries that need libraries that are found nowhere but in our directories.
+// Limits for needed libraries that are only in our directories.
 constexpr std::size_t needed_depth_max = 32;
 constexpr std::size_t needed_count_max = 256;
 
@@ -60,7 +61,7 @@ Result<TypeName> parse(std::string_view text) {
   }
   const bool is_kind = type.kind == "msg" || type.kind == "srv" || type.kind == "action";
   if (is_kind && is_identifier(type.package) && is_identifier(type.name)) return type;
-  // Only what can be shown in a terminal is shown.
+  // Shows only characters that are safe in a terminal.
   std::string shown;
   for (const char c : text.substr(0, 100)) shown += c > ' ' && c < '\x7f' ? c : '?';
   return fail_with(Errc::invalid_name,
@@ -79,7 +80,7 @@ class Loader {
     }
   }
 
-  /// The library, or null; then error() says why.
+  /// Returns the library, or null; then error() has the reason.
   void* load(const std::string& file, std::size_t depth = 0) {
     const std::string path = path_of(file);
     for (;;) {
@@ -87,7 +88,7 @@ class Loader {
         return library;
       const char* const why = ::dlerror();
       error_ = why != nullptr ? why : "dlopen";
-      // A library that this one needs: with the loader's own paths alone it is not found.
+      // A needed library is missing: load it from our directories first, then try again.
       const std::string missing = error_.substr(0, error_.find(": cannot open shared object"));
       if (missing.size() == error_.size() || missing == path) return nullptr;
       if (missing.find('/') != missing.npos || path_of(missing) == missing) return nullptr;
@@ -98,14 +99,14 @@ class Loader {
   bool has(const std::string& file) const { return path_of(file) != file; }
   const std::string& error() const noexcept { return error_; }
   std::string searched() const {
-    if (directories_.empty()) return " where the loader looks";
+    if (directories_.empty()) return " where the loader searches";
     std::string text = " in ";
     for (const std::string& directory : directories_) text += directory + ", ";
-    return text + "nor where the loader looks";
+    return text + "nor where the loader searches";
   }
 
  private:
-  // The first that is there; else the file's name, for the loader to look.
+  // Returns the first existing path; else the file's name, for the loader to search.
   std::string path_of(const std::string& file) const {
     for (const std::string& directory : directories_) {
       std::string path = directory + '/' + file;
@@ -119,7 +120,7 @@ class Loader {
   std::size_t needed_count_ = 0;
 };
 
-// By package. Never destroyed: threads may create endpoints while exit handlers run.
+// Libraries by package. Never destroyed: threads may create endpoints while exit handlers run.
 struct Loaded {
   std::mutex mutex;
   std::map<std::string, void*> libraries;
@@ -133,7 +134,7 @@ struct Loaded {
     const auto found = libraries.find(package);
     return found != libraries.end() ? found->second : nullptr;
   }
-  // Two threads may have loaded it at once; it is the same library.
+  // Two threads may have loaded it at the same time; it is the same library.
   void add(const std::string& package, void* library) {
     const std::lock_guard lock(mutex);
     libraries.emplace(package, library);
@@ -154,7 +155,7 @@ Result<void*> library_of(const TypeName& type, const std::string& file,
   return library;
 }
 
-// What throws in here is memory.
+// Converts bad_alloc, the only exception in here.
 template <class Do>
 auto without_throwing(Do&& work) noexcept -> decltype(work()) {
   try {

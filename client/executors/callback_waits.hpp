@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// CallbackWaits: which thread waits for which, where one destroys what has a callback that the other
-// runs. Two callbacks that destroy each other's subscription would wait for each other for ever: whoever
-// would close such a circle does not wait. Threads that wait for locks of the user's are not known here.
+// CallbackWaits: the waits between threads, where one destroys an object whose callback another
+// one runs. Two callbacks that destroy each other's subscription would wait for each other for
+// ever: a thread that would close such a cycle does not wait. Waits for locks of the user are
+// unknown here.
 //
-// Its mutex is innermost. Who ends a callback erases the waits for it, so that no wait that is over is
-// taken for one.
+// Its mutex is innermost. A thread that ends a callback erases the waits for it, so that no
+// finished wait counts.
 #pragma once
 
 #include <base/immortal.hpp>
@@ -21,12 +22,12 @@ class CallbackWaits {
  public:
   static CallbackWaits& instance() noexcept { return immortal<CallbackWaits>(); }
 
-  /// This thread is about to wait for `other`, which runs `what` (null: whatever it runs). False: that one
-  /// waits for this one, by whatever way.
+  /// Registers that this thread will wait for `other`, which runs `what` (null: anything).
+  /// Returns false if that one waits for this one, directly or through others.
   bool begin(std::thread::id other, const void* what) noexcept {
     const std::lock_guard lock(mutex_);
     const std::thread::id self = std::this_thread::get_id();
-    // No circle is in here, so this ends.
+    // There is no cycle in the table, so this ends.
     for (std::thread::id next = other;;) {
       if (next == self) return false;
       const auto found = waits_.find(next);
@@ -36,16 +37,16 @@ class CallbackWaits {
     try {
       waits_.insert_or_assign(self, Wait{other, what});
     } catch (const std::bad_alloc&) {
-      // It waits, and others cannot see that.
+      // The thread waits, but others cannot see that.
     }
     return true;
   }
-  /// This thread waits no more.
+  /// Removes this thread's wait.
   void end() noexcept {
     const std::lock_guard lock(mutex_);
     waits_.erase(std::this_thread::get_id());
   }
-  /// `what` is over: nobody waits for it.
+  /// Removes all waits for `what`, which has ended.
   void end_of(const void* what) noexcept {
     const std::lock_guard lock(mutex_);
     std::erase_if(waits_, [&](const auto& wait) { return wait.second.what == what; });

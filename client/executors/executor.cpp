@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The public face of executors: how long to run callbacks, how long to look, when to sleep.
+// The public part of executors: how long to run callbacks, how long to poll, when to sleep.
 
 #include <agnocast/executor.hpp>
 #include <client/executors/executor_core.hpp>
@@ -17,9 +17,9 @@ namespace {
 
 using Clock = ExecutorCore::Clock;
 
-// How often a future that others fulfil is looked at.
+// Interval of checking a future that another thread fulfils.
 constexpr std::chrono::milliseconds future_look{10};
-// Looks between two readings of the clock.
+// Checks between two readings of the clock.
 constexpr int looks_per_clock = 16;
 
 void pause_core() noexcept {
@@ -30,7 +30,7 @@ void pause_core() noexcept {
 #endif
 }
 
-/// Negative: never over.
+/// Returns the time after `duration`; for a negative one, never.
 Clock::time_point after(std::chrono::nanoseconds duration) noexcept {
   const Clock::time_point now = Clock::now();
   if (duration < std::chrono::nanoseconds(0) || duration >= Clock::time_point::max() - now)
@@ -42,13 +42,13 @@ Clock::time_point bound_of(std::chrono::nanoseconds max_duration) noexcept {
                                                     : Clock::time_point::max();
 }
 
-/// Who has no deadline does not ask for the time.
+/// Returns whether the deadline is over; without one it does not read the clock.
 bool is_over(Clock::time_point deadline) noexcept {
   return deadline != Clock::time_point::max() && Clock::now() >= deadline;
 }
 
-/// Until `deadline`, rounded up so that a sleep does not end just before it; none where the executor's
-/// own tick comes first.
+/// Returns the time until `deadline`, rounded up so that a sleep does not end just before it;
+/// nothing if the executor's own tick comes first.
 std::optional<std::chrono::milliseconds> time_until(Clock::time_point deadline) noexcept {
   if (deadline == Clock::time_point::max()) return std::nullopt;
   const Clock::time_point now = Clock::now();
@@ -65,7 +65,7 @@ struct Executor::State {
   std::atomic<bool> is_spinning{false};
 };
 
-/// One spin function at a time.
+/// Allows one spin function at a time.
 class Executor::Spinning {
  public:
   explicit Spinning(State& state) : state_(state) {
@@ -101,13 +101,13 @@ void Executor::remove_node_of_name(const std::string& node) {
 }
 
 void Executor::cancel() noexcept {
-  if (!is_forked_child()) state_->core->cancel();  // it would wake the parent's
+  if (!is_forked_child()) state_->core->cancel();  // it would wake the parent's executor
 }
 bool Executor::is_spinning() const noexcept {
   return state_->is_spinning.load(std::memory_order_acquire);
 }
 
-/// False at `deadline` or when cancelled. True may be wrong: whoever is woken looks.
+/// Returns false at `deadline` or when cancelled. True may be wrong: the caller checks for work.
 bool Executor::wait_for_work(Clock::time_point deadline) {
   ExecutorCore& core = *state_->core;
   if (state_->spin_budget > std::chrono::nanoseconds(0)) {

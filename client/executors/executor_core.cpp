@@ -16,12 +16,14 @@
 namespace agnocast {
 namespace {
 
-// Of everything that is edge-triggered and never read: which one it was does not matter.
+// Tag of all edge-triggered descriptors, which are never read: the caller need not know which one
+// fired.
 constexpr std::uint64_t eventfd_tag = 0;
 constexpr std::uint64_t tick_tag = ~std::uint64_t{0};
 constexpr int events_max = 16;
 
-/// As epoll_wait. Who looks without being rung, because somebody has closed the descriptors, pauses.
+/// Like epoll_wait; pauses if the program has closed the descriptors, because nothing can ring
+/// then.
 int wait(int epoll, epoll_event (&events)[events_max], int timeout_ms) noexcept {
   const bool usable = !has_lost_kept();
   const int count = usable ? ::epoll_wait(epoll, events, events_max, timeout_ms) : -1;
@@ -79,7 +81,7 @@ void ExecutorCore::begin_turn() {
   const std::lock_guard lock(mutex_);
   if (is_turn_current()) [[likely]]
     return;
-  turn_is_listed_ = false;  // should there be no memory for a whole one
+  turn_is_listed_ = false;  // in case memory runs out half way
   turn_.clear();
   for (Hosted& hosted : hosted_) {
     listed_.clear();
@@ -101,10 +103,10 @@ bool ExecutorCore::run_one_of_turn() {
     const auto node = entry.node.lock();
     const auto source = entry.source.lock();
     if (node == nullptr || source == nullptr) continue;
-    // A single source is asked by taking: that it has nothing is rare, and then only costs more.
+    // A single source is asked by taking: it rarely has nothing, and then that only costs more.
     if (turn_.size() > 1 && !source->has_work()) continue;
     if (!node->run(this, *source)) continue;
-    // The callback may have forked, and return in the child.
+    // The callback may have forked, and returned in the child.
     if (Result<void> refused = refuse_forked_child(); !refused) throw Error(refused.error());
     return true;
   }
@@ -152,7 +154,7 @@ void ExecutorCore::sleep(std::optional<std::chrono::milliseconds> timeout) noexc
   const int count = wait(epoll_.get(), events, timeout ? static_cast<int>(timeout->count()) : -1);
   const std::lock_guard lock(mutex_);
   for (const Hosted& hosted : hosted_) hosted.node->disarm(this);
-  // Under the lock that is held anyway. A turn that was not over goes on where it was.
+  // Under the lock that is held anyway. An unfinished cycle continues where it was.
   if (next_ >= turn_.size() && is_turn_current()) next_ = 0;
   for (int i = 0; i < count; ++i) {
     const std::uint64_t tag = events[i].data.u64;

@@ -1,18 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ExecutorCore: an executor without its public face: the nodes it hosts, their turns, its sleep.
+// ExecutorCore: an executor without its public part: its nodes, their cycles, its sleep.
 //
-// One epoll set holds the bells of every node and an eventfd of the executor itself, so a sleep is
-// one epoll_wait, whoever ends it. Each node keeps a sleep word of its own (see NodeCallbacks), so
-// falling asleep arms as many words as there are nodes, and a publisher that two nodes of one
-// executor listen to rings twice.
+// One epoll set has the doorbells of every node and an eventfd of the executor itself, so a sleep
+// is one epoll_wait. Each node keeps a sleep word of its own (see NodeCallbacks), so falling
+// asleep arms as many words as there are nodes, and a publisher with subscriptions in two nodes
+// of one executor rings twice.
 //
-// A *turn* is a list of all callback sources; each may run one callback in it. So a fast topic does
-// not starve the others, whichever nodes they belong to. The list refers weakly: a subscription that
-// goes takes what its callback holds with it. It is made anew when a node or a source came or went.
+// A *cycle* is a list of all callback sources; each may run one callback in it. So a fast topic
+// does not starve the others, in any node. The list refers weakly: a destroyed subscription frees
+// the objects of its callback at once. The list is made anew when a node or a source was added or
+// removed.
 //
-// Nodes come and go in any thread (client/executors/runner.cpp orders that); everything else is for the one
-// thread that spins, except wake() and cancel().
+// Any thread may add and remove nodes (client/executors/runner.cpp orders that); everything else
+// is for the one thread that spins, except wake() and cancel().
 #pragma once
 
 #include <agnocast/result.hpp>
@@ -43,20 +44,20 @@ class ExecutorCore {
   ExecutorCore(const ExecutorCore&) = delete;
   ExecutorCore& operator=(const ExecutorCore&) = delete;
 
-  /// From now on the callbacks of this node are this executor's. Errors: os_failure.
+  /// Takes over the callbacks of this node. Errors: os_failure.
   [[nodiscard]] Result<void> adopt(std::shared_ptr<NodeCallbacks> node);
-  /// Its bells are let go; the caller gives it another host, or ends it.
+  /// Releases its doorbells; the caller gives it another executor, or ends it.
   void drop(const NodeCallbacks& node) noexcept {
     drop_if([&](const NodeCallbacks& hosted) { return &hosted == &node; });
   }
-  /// The same, for all of this name (one that is about to end can be there as well).
+  /// The same for all of this name (one that is about to end may be among them).
   void drop(const std::string& node) noexcept {
     drop_if([&](const NodeCallbacks& hosted) { return hosted.node() == node; });
   }
 
   /// Ends a sleep. Any thread, any signal handler.
   void wake() noexcept;
-  /// wake(), and is_cancelled() until somebody takes note of it.
+  /// wake(), and is_cancelled() until take_cancel().
   void cancel() noexcept;
   bool is_cancelled() const noexcept { return cancelled_.load(std::memory_order_acquire); }
   bool take_cancel() noexcept {
@@ -68,27 +69,28 @@ class ExecutorCore {
 
   // --- the thread that spins
 
-  /// The next callback in turn; false when there is none. Throws what it throws.
+  /// Runs the next callback of the cycle; returns false if there is none. Throws what it throws.
   bool run_next();
-  /// The rest of this turn, or a whole new one if nothing is left of it; not beyond `deadline` nor a
-  /// cancel. The number of callbacks. Throws what they throw.
+  /// Runs the rest of this cycle, or a whole new one if nothing is left of it; stops at
+  /// `deadline` or a cancel. Returns the number of callbacks. Throws what they throw.
   std::size_t run_turn(Clock::time_point deadline);
   bool has_work() const noexcept;
-  /// Empties the bells that rang, arms, then looks: true when there is work, and nothing is armed then.
+  /// Drains rung doorbells, arms, then checks: returns true, and leaves nothing armed, if there
+  /// is work.
   bool prepare() noexcept;
-  /// Blocks until a bell rings, a wake, or `timeout` is over (none: the next tick); then disarms. A
-  /// `timeout` of 0 takes note of what rang and disarms.
+  /// Blocks until a doorbell, a wake, or the end of `timeout` (none: the next tick); then
+  /// disarms. With a `timeout` of 0 it notes the rung doorbells and disarms.
   void sleep(std::optional<std::chrono::milliseconds> timeout) noexcept;
-  /// For one that may not prepare() before others look at fd(): empties the bells that rang.
+  /// Drains rung doorbells, in case other code uses fd() before the next prepare().
   void end_dispatch() noexcept;
 
  private:
   struct Hosted {
     std::shared_ptr<NodeCallbacks> node;
-    std::uint64_t tag;  // of its datagram bell in the epoll set
-    // Its datagram bell is to be emptied before the next sleep: not before the callback that it rang for.
+    std::uint64_t tag;  // of its datagram doorbell in the epoll set
+    // Drain its datagram doorbell before the next sleep, but after the callback that it rang for.
     bool has_rung = false;
-    std::uint64_t listed = 0;  // what its list_changes() were for turn_; 0: it is not in there
+    std::uint64_t listed = 0;  // its list_changes() when turn_ was made; 0: not in the list
   };
   struct Turn {
     std::weak_ptr<NodeCallbacks> node;
@@ -108,7 +110,7 @@ class ExecutorCore {
     });
   }
   void begin_turn();
-  bool is_turn_current() const noexcept;  // under the mutex, as the next
+  bool is_turn_current() const noexcept;  // under the mutex, like the next
   void drain_rung() noexcept;
   bool run_one_of_turn();
 
@@ -119,7 +121,7 @@ class ExecutorCore {
   mutable std::mutex mutex_;
   std::vector<Hosted> hosted_;
   std::uint64_t last_tag_ = 0;
-  bool turn_is_listed_ = false;  // current, unless a node says otherwise
+  bool turn_is_listed_ = false;  // current, unless a node reports changes
 
   std::vector<Turn> turn_;
   std::size_t next_ = 0;

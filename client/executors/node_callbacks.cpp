@@ -21,8 +21,8 @@ void NodeCallbacks::add(std::shared_ptr<CallbackSource> source) {
 }
 
 void NodeCallbacks::remove(CallbackSource& source, std::shared_ptr<const void> runner) noexcept {
-  if (is_forked_child()) return;         // the lock may be the parent's
-  std::shared_ptr<CallbackSource> last;  // goes after the lock: it may be what keeps the callback
+  if (is_forked_child()) return;         // the lock may belong to the parent
+  std::shared_ptr<CallbackSource> last;  // destroyed after unlocking: it may own the callback
   std::unique_lock lock(mutex_);
   const auto found = std::find_if(sources_.begin(), sources_.end(), [&](const auto& candidate) {
     return candidate.get() == &source;
@@ -37,7 +37,8 @@ void NodeCallbacks::remove(CallbackSource& source, std::shared_ptr<const void> r
   lock.unlock();
 }
 
-/// False: it runs on, because it waits for this thread, or because exit() waits for nobody for ever.
+/// Returns false if it still runs, because it waits for this thread, or because exit() bounds the
+/// wait.
 bool NodeCallbacks::wait_for_end(const CallbackSource& source,
                                  std::unique_lock<std::mutex>& lock) noexcept {
   if (running_ != &source) return true;
@@ -63,7 +64,7 @@ void NodeCallbacks::hand_to(Host host) noexcept {
     count_change();
     host_changed_.notify_all();
   }
-  sleeper_->wake();  // whoever sleeps on its bells shall look who is the host
+  sleeper_->wake();  // the sleeping thread must check whether it is still the executor
 }
 
 bool NodeCallbacks::await(Host host) noexcept {
@@ -78,7 +79,7 @@ bool NodeCallbacks::await(Host host) noexcept {
 void NodeCallbacks::stop() noexcept {
   {
     const std::lock_guard lock(mutex_);
-    if (armed_) sleeper_->disarm();  // the next user of the sleeper begins awake
+    if (armed_) sleeper_->disarm();  // the next user of the wait set begins awake
     armed_ = false;
     stopped_ = true;
     host_changed_.notify_all();
@@ -108,15 +109,15 @@ struct NodeCallbacks::Ending {
   NodeCallbacks& node;
   Host host;
   ~Ending() {
-    if (is_forked_child()) return;       // the lock may be the parent's
-    std::shared_ptr<const void> let_go;  // after the lock: its end takes locks
+    if (is_forked_child()) return;       // the lock may belong to the parent
+    std::shared_ptr<const void> let_go;  // after unlocking: its destructor takes locks
     const std::lock_guard lock(node.mutex_);
     let_go.swap(node.until_end_);
     node.running_ = nullptr;
     node.running_thread_ = {};
     if (node.waiters_ != 0) CallbackWaits::instance().end_of(&node);
     node.callback_ended_.notify_all();
-    if (node.host_ != host) node.sleeper_->wake();  // the new one has seen nothing meanwhile
+    if (node.host_ != host) node.sleeper_->wake();  // the new executor has seen nothing meanwhile
   }
 };
 
@@ -149,7 +150,7 @@ void NodeCallbacks::disarm(Host host) noexcept {
 
 void NodeCallbacks::drain(Host host) noexcept {
   sleeper_->drain();
-  // What a former host takes out of the bell was perhaps meant for the new one.
+  // The previous executor may have drained a ring that was for the new one.
   const std::lock_guard lock(mutex_);
   if (host_ != host) sleeper_->wake();
 }

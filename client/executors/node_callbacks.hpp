@@ -1,16 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// NodeCallbacks: the callbacks of one node, and who runs them.
+// NodeCallbacks: the callbacks of one node, and their executor.
 //
-// They run one at a time, whoever runs them (one mutually exclusive group per node). Their *host* is
-// a library thread of the node or an executor; hand_to() changes it at any time, also while a
-// callback runs. Nothing is lost or doubled by that: a message is taken where its callback is called
-// and nowhere else, by the host of that moment; the new host finds what is unread, and if a callback
-// still runs elsewhere it is woken when that one has ended.
+// They run one at a time in any executor (one mutually exclusive group per node). Their
+// *executor* is a library thread of the node or a user's executor; hand_to() changes it at any
+// time, also while a callback runs. Nothing is lost or doubled by that: a message is taken only
+// where its callback is called, by the executor of that moment; the new executor finds unread
+// messages, and if a callback still runs elsewhere it is woken when that one has ended.
 //
-// Every node keeps the sleeper that its subscriptions were created with, because the daemon has told
-// it to the publishers. Only the host arms it, and both happen under one mutex: a former host
-// that returns from its sleep late must not disarm the word of the new one.
+// Every node keeps the wait set that its subscriptions were created with, because the daemon has
+// announced it to the publishers. Only the executor arms it, and both happen under one mutex: a
+// previous executor that returns late from its sleep must not disarm the word of the new one.
 #pragma once
 
 #include <client/process/library_thread.hpp>
@@ -29,7 +29,7 @@
 
 namespace agnocast {
 
-/// What has callbacks: a subscription, or the events of a publisher.
+/// Owner of callbacks: a subscription, or the events of a publisher.
 class CallbackSource {
  public:
   CallbackSource() = default;
@@ -38,12 +38,12 @@ class CallbackSource {
   virtual ~CallbackSource() = default;
 
   virtual bool has_work() const noexcept = 0;
-  /// At most one callback; true if there was one. Throws what it throws.
+  /// Runs at most one callback; returns whether there was one. Throws what it throws.
   virtual bool run_one() = 0;
 
-  /// Exceptions that nobody could be given: see docs/nodes.md.
+  /// Exceptions without a receiver: see docs/nodes.md.
   std::atomic<std::uint64_t> exception_count{0};
-  /// Of the thread that has made it: what its callbacks see in a library thread.
+  /// Signal mask of the creating thread, which its callbacks see in a library thread.
   const SignalMask signals;
 
  private:
@@ -53,7 +53,7 @@ class CallbackSource {
 
 class NodeCallbacks {
  public:
-  /// A host is known by an address.
+  /// An executor is identified by an address.
   using Host = const void*;
 
   /// `node`: its fully qualified name.
@@ -65,34 +65,35 @@ class NodeCallbacks {
   const std::string& node() const noexcept { return node_; }
   const std::shared_ptr<Sleeper>& sleeper() const noexcept { return sleeper_; }
   void add(std::shared_ptr<CallbackSource> source);
-  /// Afterwards its callback is not running and will not run, unless this is called from inside a
-  /// callback of the node: then `runner` stays until that one has ended, so that what it creates
-  /// next for the node has the same host. So it does where a wait would never end: the callback waits
-  /// for this thread (callback_waits.hpp), or this thread is inside exit() and has waited long enough.
+  /// Ends the callbacks of a source; waits for a running one. Called from inside a callback of
+  /// the node, it does not wait: `runner` then lives until that callback has ended, so that
+  /// endpoints it creates next for the node have the same executor. Likewise if a wait would
+  /// never end: the callback waits for this thread (callback_waits.hpp), or this thread is inside
+  /// exit() and has waited long enough.
   void remove(CallbackSource& source, std::shared_ptr<const void> runner) noexcept;
 
   void hand_to(Host host) noexcept;
-  /// Blocks until `host` is the host (true) or stop() was called (false).
+  /// Blocks until `host` is the executor (true) or stop() was called (false).
   bool await(Host host) noexcept;
   void stop() noexcept;
 
-  // --- the host; for anybody else these do nothing and see nothing
+  // --- for the executor; for all others these do nothing and find nothing
 
-  /// Appends the sources, in the order in which they were added: the answer of list_changes() for
-  /// which that is the list.
+  /// Appends the sources, in the order in which they were added. Returns the list_changes() of
+  /// that list.
   std::uint64_t list(Host host, std::vector<std::weak_ptr<CallbackSource>>& sources) const;
-  /// Another number whenever list() would append something else. Never 0.
+  /// Returns another number whenever list() would append something else. Never 0.
   std::uint64_t list_changes() const noexcept { return changes_.load(std::memory_order_acquire); }
-  /// False while a former host is still inside a callback.
+  /// Returns whether there is work; false while a previous executor is still inside a callback.
   bool has_work(Host host) const noexcept;
-  /// At most one callback of `source`; true if there was one. Throws what it throws. Takes locks also
-  /// where there is none: who has many sources asks each for its has_work() first.
+  /// Runs at most one callback of `source`; returns whether there was one. Throws what it throws.
+  /// Takes locks even if there is none: with many sources, check has_work() of each first.
   bool run(Host host, CallbackSource& source);
-  /// Order of a sleep: arm, look, block on the bells, disarm (docs/protocol.md). True when the look
-  /// finds work, and then nothing is armed.
+  /// To sleep: arm, check, block on the doorbells, disarm (docs/protocol.md). Returns true, and
+  /// leaves nothing armed, if the check finds work.
   bool arm_or_find_work(Host host) noexcept;
   void disarm(Host host) noexcept;
-  /// The datagram bell rang.
+  /// Call it when the datagram doorbell rang.
   void drain(Host host) noexcept;
 
  private:
@@ -106,16 +107,17 @@ class NodeCallbacks {
   const std::string node_;
   const std::shared_ptr<Sleeper> sleeper_;
   mutable std::mutex mutex_;
-  // Apart, because a callback ends with each message: whoever waits to be the host is not woken by that.
+  // Separate, because callbacks end with each message: that must not wake a thread waiting to be
+  // the executor.
   std::condition_variable host_changed_;  // or stop
   std::condition_variable callback_ended_;
   std::vector<std::shared_ptr<CallbackSource>> sources_;
-  std::atomic<std::uint64_t> changes_{1};  // of the sources or the host; written under the mutex
+  std::atomic<std::uint64_t> changes_{1};  // of sources or executor; written under the mutex
   Host host_ = nullptr;
   const CallbackSource* running_ = nullptr;
   std::thread::id running_thread_;
-  std::size_t waiters_ = 0;  // for the end of what runs
-  std::shared_ptr<const void> until_end_;  // of what runs
+  std::size_t waiters_ = 0;  // for the end of the running callback
+  std::shared_ptr<const void> until_end_;  // of the running callback
   bool armed_ = false;
   bool stopped_ = false;
 };

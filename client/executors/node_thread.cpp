@@ -23,11 +23,11 @@
 namespace agnocast {
 namespace {
 
-/// What the epoll set of a thread reports.
+/// Tags in the epoll set of a thread.
 constexpr std::uint64_t eventfd_tag = 0, datagram_tag = 1, tick_tag = 2;
 
-/// The sources of a node, as they were in the last turn. Weakly: what goes takes with it what its
-/// callback holds.
+/// The sources of a node in the last cycle. Weak: a destroyed source frees the objects of its
+/// callback at once.
 struct Turn {
   std::vector<std::weak_ptr<CallbackSource>> sources;
   std::uint64_t listed = 0;  // list_changes(); 0: never
@@ -36,11 +36,11 @@ struct Turn {
 void run_turn(NodeCallbacks& node, NodeCallbacks::Host self, Turn& turn, bool& any) {
   if (node.list_changes() != turn.listed) {
     turn.sources.clear();
-    turn.listed = 0;  // should there be no memory
+    turn.listed = 0;  // in case memory runs out
     turn.listed = node.list(self, turn.sources);
   }
   for (const auto& listed : turn.sources) {
-    const UserCode code;  // goes after the source, which may be what keeps the callback
+    const UserCode code;  // destroyed after the source, which may own the callback
     if (!code.may_run()) return;
     const auto source = listed.lock();
     if (source == nullptr || !source->has_work()) continue;
@@ -51,7 +51,7 @@ void run_turn(NodeCallbacks& node, NodeCallbacks::Host self, Turn& turn, bool& a
     } catch (const ::abi::__forced_unwind&) {
       throw;  // the callback ends its thread: pthread_exit()
     } catch (...) {
-      // There is nobody to give it to, and ending the process is not the library's business.
+      // It has no receiver, and the library must not end the process.
       any = true;
       source->exception_count.fetch_add(1, std::memory_order_relaxed);
     }
@@ -60,17 +60,17 @@ void run_turn(NodeCallbacks& node, NodeCallbacks::Host self, Turn& turn, bool& a
 
 }  // namespace
 
-// --- one after the other
+// --- consecutive threads
 
-/// For the whole function of one thread.
+/// Lives during the whole function of one thread.
 struct NodeThread::Life {
   const std::shared_ptr<NodeThread>& self;
   bool has_returned = false;
 
   ~Life() {
     if (has_returned || is_forked_child()) return;
-    // A callback has called pthread_exit(), or the thread was cancelled. If no thread can be made, the
-    // node's callbacks wait for an executor.
+    // A callback has called pthread_exit(), or the thread was cancelled. If no thread can be
+    // made, the node's callbacks wait for an executor.
     const std::lock_guard lock(self->mutex_);
     if (self->is_joined_ || exit_has_begun()) return;
     (void)start_next(self);
@@ -93,11 +93,11 @@ Result<std::shared_ptr<NodeThread>> NodeThread::start(std::shared_ptr<NodeCallba
 }
 
 NodeThread::~NodeThread() {
-  // Its number may soon be somebody else's.
+  // Its number may soon belong to another file.
   if (!is_forked_child()) node_->sleeper()->remove_from(epoll_.get());
 }
 
-/// Under the mutex.
+/// Call it under the mutex.
 Result<void> NodeThread::start_next(const std::shared_ptr<NodeThread>& self) {
   int error = 0;
   self->before_ = std::move(self->thread_);
@@ -133,8 +133,8 @@ void NodeThread::run(const std::shared_ptr<NodeThread>& self) {
   life.has_returned = true;
 }
 
-/// Who cancels this thread ends it here and nowhere else, so no function of the library's is left half
-/// way.
+/// The only place where this thread can be cancelled, so that cancellation leaves no library
+/// function half done.
 int NodeThread::sleep(epoll_event (&events)[3]) const {
   if (has_lost_kept()) return unrung_pause(-1);
   ::pthread_setcancelstate(PTHREAD_CANCEL_ENABLE, nullptr);
@@ -163,19 +163,19 @@ void NodeThread::abandon() noexcept { new std::thread(std::move(thread_)); }
 void NodeThread::serve() {
   NodeCallbacks& node = *node_;
   const NodeCallbacks::Host self = &node;
-  node.disarm(self);  // a thread before this one may have been cancelled in its sleep
+  node.disarm(self);  // the previous thread may have been cancelled in its sleep
   Turn turn;
-  bool has_rung = false;  // the datagram bell, which is emptied before the next sleep
+  bool has_rung = false;  // the datagram doorbell: drain it before the next sleep
   while (node.await(self)) {
     try {
       bool any = false;
       run_turn(node, self, turn, any);
       if (is_forked_child()) return;  // a callback has forked, and has returned in the child
-      if (exit_has_begun()) return;   // for good: what is unread stays unread
+      if (exit_has_begun()) return;   // for good: unread messages stay unread
       if (LibraryThread::is_over()) return;
       if (any) continue;
     } catch (const std::bad_alloc&) {
-      // Of the list: what is unread stays unread until there is memory.
+      // No memory for the list: messages stay unread until there is memory.
     }
     shed_signals();
     if (std::exchange(has_rung, false)) node.drain(self);

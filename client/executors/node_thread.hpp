@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// NodeThread: the library's thread of one node. It runs the callbacks while it is their host, waits
-// while an executor is, and ends with the node's last callback.
+// NodeThread: the library's thread of one node. It runs the callbacks while it is their executor,
+// waits while a user's executor is, and ends with the node's last callback.
 //
-// A callback may end the thread that runs it (pthread_exit). That is a thread of the library's, so the
-// node gets another one, which begins when the first has ended, and the message counts as delivered.
+// A callback may end its thread (pthread_exit). That is a library thread, so the node gets a new
+// one, which begins when the first has ended, and the message counts as delivered.
 #pragma once
 
 #include <agnocast/result.hpp>
@@ -22,7 +22,7 @@ namespace agnocast {
 
 class NodeThread {
  public:
-  /// Its host is the address of `node`. Errors: os_failure.
+  /// Starts a thread for `node`, whose address identifies it as executor. Errors: os_failure.
   [[nodiscard]] static Result<std::shared_ptr<NodeThread>> start(
       std::shared_ptr<NodeCallbacks> node);
 
@@ -32,9 +32,10 @@ class NodeThread {
   NodeThread& operator=(const NodeThread&) = delete;
   ~NodeThread();
 
-  /// After node.stop(): waits until it has ended, unless it is this thread or waits for this thread.
+  /// Call it after node.stop(): waits until the thread has ended, unless it is this thread or
+  /// waits for this one.
   void join() noexcept;
-  /// In a forked child: the thread is the parent's.
+  /// For a forked child: the thread belongs to the parent.
   void abandon() noexcept;
 
  private:
@@ -45,11 +46,11 @@ class NodeThread {
   int sleep(epoll_event (&events)[3]) const;
 
   const std::shared_ptr<NodeCallbacks> node_;
-  const UniqueFd epoll_;  // with the node's bells and the tick
+  const UniqueFd epoll_;  // with the node's doorbells and the tick
   const SleepTick tick_;
   std::mutex mutex_;
-  std::thread thread_, before_;  // that one waits for this one
-  bool is_joined_ = false;       // nobody follows any more
+  std::thread thread_, before_;  // thread_ waits for before_
+  bool is_joined_ = false;       // start no further thread
 };
 
 }  // namespace agnocast

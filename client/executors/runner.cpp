@@ -15,10 +15,10 @@ namespace {
 
 struct Place {
   std::weak_ptr<Runner> runner;
-  ExecutorCore* executor = nullptr;  // it takes back its claims before it goes
+  ExecutorCore* executor = nullptr;  // it removes its claims before it is destroyed
 };
 struct Places {
-  std::mutex mutex;  // before those of executors, and those before the ones of nodes
+  std::mutex mutex;  // taken before those of executors, which are taken before those of nodes
   std::map<std::string, Place> by_node;
 
   void forget_if_unused(const std::string& node) {
@@ -29,7 +29,7 @@ struct Places {
   }
 };
 Places& places() {
-  static Places* const all = new Places;  // immortal, as the context
+  static Places* const all = new Places;  // immortal, like the context
   return *all;
 }
 
@@ -131,7 +131,7 @@ void Runner::release_all(ExecutorCore& executor) noexcept {
       if (place.executor == &executor) nodes.push_back(node);
     }
   }
-  // Without a thread a node's callbacks wait until its next executor.
+  // If there is no thread, the callbacks wait for the node's next executor.
   for (const std::string& node : nodes) (void)release(node, executor);
 }
 

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Runner: the callbacks of one node for as long as anything of the node has callbacks, and the
-// library thread that runs them while no executor does.
+// Runner: the callbacks of one node as long as the node has any, and the library thread that runs
+// them while no executor does.
 //
-// Runners are found by the node's fully qualified name, and so are the claims of executors: a node
-// may be added to an executor before or after its first subscription, and any type of node fits. All
-// changes of host go through here, under one mutex, so that a node has one host at any time. The
-// thread is made when it is needed first; while an executor is the host it waits.
+// Runners and the claims of executors are found by the node's fully qualified name: a node may be
+// added to an executor before or after its first subscription, and any type of node fits. All
+// changes of executor go through here, under one mutex, so that a node has one executor at any
+// time. The thread is made when it is first needed; while a user's executor runs the callbacks,
+// it waits.
 #pragma once
 
 #include <agnocast/result.hpp>
@@ -23,9 +24,9 @@ class ExecutorCore;
 
 class Runner {
  public:
-  /// The one of the node with this fully qualified name; made with its first subscription, gone
-  /// with its last. Errors: limit_reached (every sleeper of the process is in use), os_failure, and
-  /// those of connecting.
+  /// Returns the runner of the node with this fully qualified name; made with its first
+  /// subscription, destroyed with its last. Errors: limit_reached (all wait sets of the process
+  /// are in use), os_failure, and those of connecting.
   [[nodiscard]] static Result<std::shared_ptr<Runner>> of_node(const std::string& node);
   ~Runner();
   Runner(const Runner&) = delete;
@@ -34,13 +35,13 @@ class Runner {
   NodeCallbacks& callbacks() const noexcept { return *callbacks_; }
   const std::shared_ptr<Sleeper>& sleeper() const noexcept { return callbacks_->sleeper(); }
 
-  /// The callbacks of this node are run by `executor`, those of today and those to come. Errors:
+  /// Makes `executor` run the callbacks of this node, present and future ones. Errors:
   /// invalid_argument (an executor has it already), os_failure.
   [[nodiscard]] static Result<void> claim(const std::string& node, ExecutorCore& executor);
-  /// They are run by the library's thread again. Errors: invalid_argument (it is not this
-  /// executor's), os_failure (no thread can be made).
+  /// Returns them to the library's thread. Errors: invalid_argument (it is not this executor's),
+  /// os_failure (no thread can be made).
   [[nodiscard]] static Result<void> release(const std::string& node, ExecutorCore& executor);
-  /// All nodes of an executor that goes.
+  /// Releases all nodes of an executor that ends.
   static void release_all(ExecutorCore& executor) noexcept;
 
  private:
@@ -48,9 +49,9 @@ class Runner {
       : callbacks_(std::move(callbacks)) {}
   Result<void> host_by_thread();
 
-  // Both shared with the thread: the last subscription may go inside its own callback.
+  // Both shared with the thread: the last subscription may be destroyed inside its own callback.
   const std::shared_ptr<NodeCallbacks> callbacks_;
-  std::shared_ptr<NodeThread> thread_;  // null: none was needed yet
+  std::shared_ptr<NodeThread> thread_;  // null: not needed yet
 };
 
 }  // namespace agnocast

@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// SleepTick: nobody sleeps longer than a second.
+// SleepTick: ends every sleep after a second.
 //
-// A publisher that dies between commit and ring, with the daemon down as well, rings nobody. So whoever
-// sleeps on bells looks again at times. The tick is a descriptor in the epoll set, read when it has
-// ticked, as the kernel does not wind it up before. A timeout of epoll_wait would set up and take down a
-// timer of the kernel with each message, a twentieth of the way from a publisher to a sleeper.
+// A publisher that dies between commit and ring, with the daemon down as well, wakes no
+// subscription. So threads that sleep on doorbells check for work from time to time. The tick is
+// a timer descriptor in the epoll set; it must be read after each tick, because the kernel
+// restarts it only then. A timeout of epoll_wait would set up and remove a kernel timer for each
+// message, a twentieth of the time from a publisher to a wait set.
 #pragma once
 
 #include <agnocast/result.hpp>
@@ -24,8 +25,8 @@
 
 namespace agnocast {
 
-/// Between two looks of who has lost the descriptors that it slept on, but `timeout_ms` at most (-1:
-/// none). Always 0.
+/// Pauses between two checks of a thread that has lost its descriptors, for `timeout_ms` at most
+/// (-1: no limit). Returns 0.
 inline int unrung_pause(int timeout_ms) noexcept {
   constexpr int pause_ms = 10;
   ::poll(nullptr, 0, timeout_ms < 0 ? pause_ms : std::min(timeout_ms, pause_ms));
@@ -36,8 +37,8 @@ class SleepTick {
  public:
   static constexpr std::chrono::seconds period{1};
 
-  /// Ends a wait on `epoll` once a period for as long as it lives, if wind_up() follows each time that
-  /// `tag` is reported. Errors: os_failure.
+  /// Ends a wait on `epoll` once a period as long as it lives, if wind_up() follows each report
+  /// of `tag`. Errors: os_failure.
   [[nodiscard]] static Result<SleepTick> in(int epoll, std::uint64_t tag) {
     UniqueFd timer = keep(UniqueFd(::timerfd_create(CLOCK_MONOTONIC, TFD_CLOEXEC | TFD_NONBLOCK)));
     const itimerspec every{{period.count(), 0}, {period.count(), 0}};

@@ -13,7 +13,7 @@ namespace {
 
 constexpr std::uint64_t granule = abi::window_granule_bytes;
 
-// Another thread may map something between the look and the reservation.
+// Another thread may map something between the search and the reservation.
 constexpr int rounds_max = 8;
 
 std::string hexadecimal(std::uint64_t begin, std::uint64_t end) {
@@ -22,14 +22,14 @@ std::string hexadecimal(std::uint64_t begin, std::uint64_t end) {
   return text;
 }
 
-/// What lies inside [base, base + bytes), as /proc/self/maps tells it: granules, in order, those that
-/// touch joined.
+/// Returns the mappings inside [base, base + bytes) from /proc/self/maps: granules, in order,
+/// adjacent ones joined.
 std::vector<Arena::Blocked> what_lies_in(std::uint64_t base, std::uint64_t bytes) {
   std::vector<Arena::Blocked> found;
   std::FILE* const maps = std::fopen("/proc/self/maps", "re");
   if (maps == nullptr) return found;
   char line[512];
-  bool is_whole = true;  // the rest of a line that is longer is not the next one
+  bool is_whole = true;  // false: the next read continues a long line
   while (std::fgets(line, sizeof line, maps) != nullptr) {
     std::string text = line;
     const bool begins = std::exchange(is_whole, text.back() == '\n');
@@ -59,7 +59,7 @@ Result<Arena> Arena::reserve(std::uint64_t base, std::uint64_t bytes) {
     // Usually nothing is in the way.
     if (round > 0) arena.blocked_ = what_lies_in(base, bytes);
     std::vector<Blocked>& blocked = arena.blocked_;
-    // More than can be told: the last one goes up to the end.
+    // More than can be reported: the last one extends to the end.
     if (blocked.size() > abi::blocked_count_max) {
       blocked.resize(abi::blocked_count_max);
       blocked.back().bytes = base + bytes - blocked.back().base;
@@ -84,7 +84,7 @@ Result<Arena> Arena::reserve(std::uint64_t base, std::uint64_t bytes) {
   return fail_with(
       Errc::arena_occupied,
       hexadecimal(base, base + bytes) + " has " +
-          (arena.blocked_.empty() ? "something in its way" : arena.blocked_.front().what));
+          (arena.blocked_.empty() ? "another mapping" : arena.blocked_.front().what));
 }
 
 bool Arena::contains(std::uint64_t base, std::uint64_t bytes) const noexcept {

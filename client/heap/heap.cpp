@@ -30,22 +30,22 @@ namespace {
 static_assert(WindowSet::count_max == abi::window_count_max &&
               AGNOCAST_HEAPHOOK_WINDOWS_MAX == abi::window_count_max);
 
-// Losses of the store that may follow each other before what was published first has been read.
+// Losses of the store in succession before the messages of the first session were read.
 constexpr std::size_t regions_max = 8;
 
-// One heap per process, for its whole life; the hook keeps pointers to these.
+// One heap per process, for its whole life; the hook keeps pointers to this.
 struct Attached {
-  // Of each membership that readers may still look at; more than one after the daemon's store was lost.
-  // A growth takes no lock: it runs in whatever thread allocates, and waits for nobody.
+  // Regions of all sessions that readers may still use; more than one after the daemon's store
+  // was lost. A growth takes no lock and never waits: it runs in any allocating thread.
   std::atomic<std::byte*> client_region[regions_max] = {};
-  std::atomic<std::uint64_t> growths{0};  // begun and ended; odd: one is under way
+  std::atomic<std::uint64_t> growths{0};  // begun and ended; odd: one is in progress
   void (*grown)() noexcept = nullptr;
   std::uint64_t base[abi::window_count_max] = {};
   std::uint64_t length[abi::window_count_max] = {};
   std::uint64_t first[abi::window_count_max] = {};
   int write_fd[abi::window_count_max] = {};  // never closed, like all of this
   std::atomic<std::uint64_t> count{0};
-  std::atomic<bool> is_last{false};  // the newest window stays the newest
+  std::atomic<bool> is_last{false};  // there will be no further window
   const agnocast_heaphook_table* hook = nullptr;
   bool malloc_is_ours = false;
   bool new_is_ours = false;
@@ -54,12 +54,12 @@ Attached attached;
 // For SharedAllocator, in any thread: the hook, once its heap is open.
 std::atomic<const agnocast_heaphook_table*> open_hook{nullptr};
 
-// In whatever thread allocates, under the allocator's locks, one call at a time.
+// Runs in the allocating thread, under the allocator's locks, one call at a time.
 void store_grown(void* context, std::uint32_t window, std::uint64_t bytes) {
   auto& heap = *static_cast<Attached*>(context);
-  // [sync:growth] seq_cst, as what follow() and leave_region() do in the other order. A region that is not seen here
-  // belongs to a follow() that sees this growth, and gets the frontier from the hook; one that is seen
-  // belongs to a leave_region() that waits.
+  // [sync:growth] seq_cst, like the reverse order in follow() and leave_region(). A region that
+  // is not seen here belongs to a follow() that sees this growth, and gets the frontier from the
+  // hook; one that is seen belongs to a leave_region() that waits.
   heap.growths.fetch_add(1, std::memory_order_seq_cst);
   for (const auto& entry : heap.client_region) {
     std::byte* const region = entry.load(std::memory_order_seq_cst);
@@ -92,14 +92,15 @@ Result<void> result_of(int status) noexcept {
   }
 }
 
-// Of the object file that has `address`; "an unknown library" in a program linked statically.
+// Returns the object file that contains `address`; "an unknown library" in a statically linked
+// program.
 std::string file_of(const void* address) {
   Dl_info info{};
   return ::dladdr(address, &info) != 0 && info.dli_fname != nullptr ? info.dli_fname
                                                                     : "an unknown library";
 }
 
-// As `new Message` does it.
+// Allocates as `new Message` does.
 void* new_block() {
   try {
     return ::operator new(64);
@@ -108,14 +109,14 @@ void* new_block() {
   }
 }
 
-// `symbol` answers although the hook should: whose is it?
+// Reports the library that provides `symbol` instead of the hook.
 tl::unexpected<Failure> ineffective(const char* name, const char* symbol,
                                     const agnocast_heaphook_table* hook) {
   const std::string owner = file_of(::dlsym(RTLD_DEFAULT, symbol));
   const std::string ours = file_of(hook);
   return fail_with(Errc::hook_ineffective,
                    owner == ours ? std::string(name) + " does not reach " + ours
-                                 : std::string(name) + " is that of " + owner + ", not of " + ours);
+                                 : std::string(name) + " comes from " + owner + ", not from " + ours);
 }
 
 tl::unexpected<Failure> no_hook() {
@@ -123,7 +124,7 @@ tl::unexpected<Failure> no_hook() {
   return fail_with(Errc::hook_missing,
                    preload == nullptr || *preload == '\0'
                        ? std::string("LD_PRELOAD is not set")
-                       : "LD_PRELOAD is " + in_quotes(preload, 512) + ", which has not brought it");
+                       : "LD_PRELOAD is " + in_quotes(preload, 512) + ", which did not load it");
 }
 
 void describe_window(std::byte* client_region, std::uint64_t window, std::uint64_t base,
@@ -140,7 +141,7 @@ void remember(std::uint64_t window, std::uint64_t base, std::uint64_t length, st
   attached.base[window] = base;
   attached.length[window] = length;
   attached.first[window] = first;
-  // For as long as the process lives: whatever else a daemon gives there is not mapped here.
+  // Stays for the life of the process: other windows at these addresses are not mapped here.
   [[maybe_unused]] const bool entered =
       AddressUsers::instance().enter(base, length, AddressUsers::file_of(write_fd.get()),
                                      AddressUsers::own);
@@ -155,11 +156,11 @@ bool lies_in_heap(const agnocast_heaphook_table& hook, Pointer block) noexcept {
 // LoanPauses of the calling thread. Adoption lifts them: publish works during a pause as well.
 thread_local std::uint64_t pause_count = 0;
 
-/// Grows by each allocation that came from elsewhere, and by each move of the heap: what was allocated
-/// before it lies where readers of what comes after it may not look.
+/// Grows with each allocation that came from elsewhere, and with each move of the heap: readers
+/// of later messages may not be able to map memory allocated before it.
 std::uint64_t strays() noexcept { return attached.hook->spilled() + attached.hook->first_window(); }
 
-// What the calling thread allocates is of no use unless it is shared.
+// Whether allocations of the calling thread are useless unless they are shared.
 thread_local bool refuses_private = false;
 [[noreturn]] void throw_no_room() { throw std::bad_alloc(); }
 
@@ -181,7 +182,7 @@ std::uint64_t end_adoption(void*) noexcept {
   return strays();
 }
 WindowSet windows(void*) noexcept {
-  // What lies in windows that were given up is foreign: a reader of the message may not have them.
+  // Earlier windows are foreign: a reader of the message may not have mapped them.
   WindowSet set;
   const std::uint64_t first = attached.hook->first_window();
   const std::uint64_t count = attached.count.load(std::memory_order_acquire);
@@ -227,7 +228,8 @@ Result<void> Heap::attach(std::byte* client_region, std::uint64_t base, std::uin
       static_cast<std::uint32_t>(scope == HeapScope::all ? AGNOCAST_HEAPHOOK_SCOPE_ALL
                                                          : AGNOCAST_HEAPHOOK_SCOPE_LOAN),
       0, store_grown, &attached};
-  // Asked again after it was found ineffective: the hook attaches once, and the answer is the same.
+  // A second call after an ineffective hook: the hook attaches only once, and the answer is the
+  // same.
   if (attached.count.load(std::memory_order_relaxed) == 0) {
     AGNOCAST_CRASH_POINT(C_window_open);
     if (Result<void> opened = result_of(hook_->attach(&window, &options)); !opened) return opened;
@@ -236,7 +238,7 @@ Result<void> Heap::attach(std::byte* client_region, std::uint64_t base, std::uin
     attached.count.store(1, std::memory_order_release);
   }
 
-  // Who answers malloc and new? The compiler must not pair these calls away.
+  // Find out who provides malloc and new. The compiler must not optimise these calls away.
   hook_->enter();
   void* volatile by_malloc = std::malloc(64);
   void* volatile by_new = new_block();
@@ -266,7 +268,7 @@ Result<void> Heap::add_window(std::byte* client_region, std::uint64_t window, st
       read_fd,
       AGNOCAST_HEAPHOOK_WINDOW_RESERVED | (fresh ? AGNOCAST_HEAPHOOK_WINDOW_FRESH : 0u),
       0};
-  // Known before the hook hands out its first address: a message that lies there is resident.
+  // Recorded before the hook returns its first address, so that a message there is resident.
   remember(window, base, length, fresh ? window : attached.first[window - 1], std::move(write_fd));
   attached.count.store(window + 1, std::memory_order_release);
   AGNOCAST_CRASH_POINT(C_window_open);
@@ -301,7 +303,8 @@ bool Heap::follow(std::byte* client_region) noexcept {
       });
   if (!is_followed) return false;
   AGNOCAST_CRASH_POINT(C_follow);
-  // [sync:growth] Who did not see the region has stored the frontier in the hook before.
+  // [sync:growth] A growth that did not see the region has stored the frontier in the hook
+  // before.
   attached.growths.load(std::memory_order_seq_cst);
   for (std::uint64_t i = 0; i < count; ++i) {
     std::uint64_t none = 0;  // or a growth has stored a newer one
@@ -316,7 +319,8 @@ void Heap::leave_region(std::byte* client_region) noexcept {
   for (auto& entry : attached.client_region) {
     std::byte* left = client_region;
     if (!entry.compare_exchange_strong(left, nullptr, std::memory_order_seq_cst)) continue;
-    // [sync:growth] One that is under way may have seen it. Asleep: whoever grows the heap may be less urgent.
+    // [sync:growth] A growth in progress may have seen it. Sleeps: the growing thread may have a
+    // lower priority.
     const std::uint64_t now = attached.growths.load(std::memory_order_seq_cst);
     while (now % 2 != 0 && attached.growths.load(std::memory_order_acquire) == now)
       std::this_thread::sleep_for(std::chrono::microseconds{100});
@@ -370,7 +374,7 @@ constexpr bool is_ordinary(std::size_t alignment) noexcept {
 void* detail::allocate_shared(std::size_t bytes, std::size_t alignment) {
   if (const auto* hook = open_hook.load(std::memory_order_acquire); hook != nullptr) {
     if (void* const block = hook->allocate(alignment, bytes); block != nullptr) return block;
-    // Not in a LoanPause.
+    // Not during a LoanPause.
     if (refuses_private && hook->active() != 0) throw_no_room();
   }
   if (is_ordinary(alignment)) return ::operator new(bytes);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Heap: this process's shared heap, through the heap hook. Found by name at run time: a process
-// without the hook can subscribe, not publish.
+// Heap: this process's shared heap, through the heap hook, which is found by name at run time: a
+// process without the hook can subscribe, but not publish.
 #pragma once
 
 #include <agnocast/abi/heaphook.h>
@@ -20,57 +20,57 @@ class Heap {
   /// Looks for the hook. Errors: hook_missing (none in this process, or one of another version).
   [[nodiscard]] static Result<Heap> find();
 
-  /// The first window. `client_region`: where the frontier is stored; `grown`: called after it was,
-  /// without locks of ours, must not allocate. Errors: hook_missing, arena_occupied, lock_limit,
-  /// os_failure.
+  /// Opens the first window. `client_region`: where the frontier is stored; `grown`: called after
+  /// that, without locks of ours, must not allocate. Errors: hook_missing, arena_occupied,
+  /// lock_limit, os_failure.
   [[nodiscard]] Result<void> attach(std::byte* client_region, std::uint64_t base,
                                     std::uint64_t length, UniqueFd write_fd, int read_fd,
                                     HeapScope scope, void (*grown)() noexcept);
-  /// Whether ordinary allocations in a scope come from this heap; found out by attach. Errors:
-  /// hook_ineffective (malloc or new are not the hook's: somebody else replaced them).
+  /// Checks that ordinary allocations in a scope come from this heap; attach finds that out.
+  /// Errors: hook_ineffective (another library provides malloc or new).
   [[nodiscard]] Result<void> check_interposition() const;
-  /// The next window; a `fresh` one is the only one to allocate from, and to publish from, from now
-  /// on, until others are added.
+  /// Adds the next window; a `fresh` one is the only one to allocate from, and to publish from,
+  /// until others are added.
   [[nodiscard]] Result<void> add_window(std::byte* client_region, std::uint64_t window,
                                         std::uint64_t base, std::uint64_t length, UniqueFd write_fd,
                                         int read_fd, bool fresh) noexcept;
 
-  /// A window as another daemon is told of it.
+  /// A window as reported to a new daemon.
   struct Window {
     std::uint64_t base;
     std::uint64_t length;
-    std::uint64_t first;  // of its group
-    int write_fd;         // the heap's
+    std::uint64_t first;  // of its window set
+    int write_fd;         // owned by the heap
   };
   static std::uint64_t window_count() noexcept;
   static Window window(std::uint64_t number) noexcept;
-  /// The windows are described in one more client region, and frontiers are stored there from now on.
-  /// False: in too many already.
+  /// Describes the windows in one more client region, and stores frontiers there from now on.
+  /// Returns false if there are too many regions already.
   [[nodiscard]] static bool follow(std::byte* client_region) noexcept;
-  /// No longer: afterwards nothing of it is touched. Waits for a growth that is under way. Nothing
-  /// happens if it is not followed. For threads of the library.
+  /// Stops that; afterwards nothing of the region is touched. Waits for a growth in progress.
+  /// Does nothing if it is not followed. For library threads.
   static void leave_region(std::byte* client_region) noexcept;
 
-  /// Whoever finds the heap full from now on is told that it will not grow.
+  /// From now on a full heap counts as unable to grow.
   void no_more_windows() noexcept;
   bool has_last_window() const noexcept;
-  /// True when the newest window is used to three quarters, or a request did not fit.
+  /// Returns whether three quarters of the newest window are used, or a request did not fit.
   bool wants_window() const noexcept;
   std::uint64_t used_bytes() const noexcept;
   struct Room {
-    std::uint64_t bytes;    // that were in use at one time: of a heap that refuses, all it can have
-    std::uint64_t refused;  // allocations that found none, since ever: see the hook's refused_count
-    std::uint64_t bytes_max;  // in all windows that it may have, were each as long as those it has
+    std::uint64_t bytes;    // maximum in use so far: of a heap that refuses, its whole capacity
+    std::uint64_t refused;  // allocations without room so far: see the hook's refused_count
+    std::uint64_t bytes_max;  // in all windows it may have, if each is as long as the present ones
   };
   Room room() const noexcept;
 
-  /// The calling thread's scopes, and its pauses, which win over scopes; both nest.
+  /// Scopes of the calling thread, and its pauses, which override scopes; both nest.
   void enter() const noexcept { hook_->enter(); }
   void leave() const noexcept { hook_->leave(); }
   void pause() const noexcept;
   void resume() const noexcept;
 
-  /// What make_resident needs: scopes and windows of this heap.
+  /// Returns scopes and windows of this heap, for make_resident.
   SharedHeap shared_heap() const noexcept;
   const agnocast_heaphook_table& hook() const noexcept { return *hook_; }
 

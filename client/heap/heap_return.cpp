@@ -21,9 +21,10 @@ namespace {
 
 constexpr std::chrono::seconds idle_time_default{10};
 constexpr std::uint64_t idle_seconds_max = 1'000'000;  // eleven days
-// Less is not worth the system calls, nor the faults of whoever wants it after all.
+// Less is not worth the system calls, nor the later page faults.
 constexpr std::uint64_t much_bytes = std::uint64_t{4} << 20;
-// Ten looks in the time, but neither a busy thread nor a late one.
+// Ten checks in the time, but not so often that the thread is busy, nor so rarely that it is
+// late.
 constexpr std::chrono::milliseconds pause_min{100}, pause_max{1000};
 
 }  // namespace
@@ -62,7 +63,7 @@ bool HeapReturn::has_much() const noexcept {
 void HeapReturn::look() noexcept {
   if (hook_.load(std::memory_order_acquire) == nullptr) return;
   const std::unique_lock lock(looking_, std::try_to_lock);
-  // While the other thread watches the looks are its own, and may take as long as a purge does.
+  // While the purge thread watches, it makes the checks, which may take as long as a purge does.
   if (!lock || watches_.load(std::memory_order_acquire)) return;
   const Clock::time_point now = Clock::now();
   if (now < next_look_) return;
@@ -81,10 +82,10 @@ void HeapReturn::look() noexcept {
             return nullptr;
           },
           this) == 0;
-  if (!has_thread_) watches_.store(false, std::memory_order_release);  // at a later look
+  if (!has_thread_) watches_.store(false, std::memory_order_release);  // retry at a later look
 }
 
-/// The thread looks whether it is over.
+/// Wakes the thread, which checks whether it must end.
 void HeapReturn::end() noexcept {
   watches_.store(true, std::memory_order_release);
   watches_.notify_one();
@@ -93,7 +94,7 @@ void HeapReturn::end() noexcept {
 void HeapReturn::serve() noexcept {
   const LibraryThread registered(
       [](void* self) noexcept { static_cast<HeapReturn*>(self)->end(); }, this);
-  // Whoever made the first publisher may be a real-time thread, and its priority was inherited.
+  // The first publisher may have been made by a real-time thread, whose priority was inherited.
   const sched_param ordinary{};
   ::pthread_setschedparam(::pthread_self(), SCHED_OTHER, &ordinary);
   for (;;) {

@@ -1,18 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// HeapReturn: gives back to the system what nobody wants any more of this process's shared heap.
+// HeapReturn: returns unneeded memory of this process's shared heap to the system.
 //
-// After a spike the heap has the size of the spike: freed memory stays resident, because that makes the
-// next message cheap. What has not been wanted for AGNOCAST_HEAP_IDLE_SECONDS goes back, all at once.
+// After a spike the heap has the size of the spike: freed memory stays resident, because that
+// makes the next message cheap. Memory that was not needed for AGNOCAST_HEAP_IDLE_SECONDS is
+// returned, all at once.
 //
-//   control thread, once a second: is much idle? → agnocast-purge, look by look:
-//        less than much: somebody wants it, over → the control thread goes on looking
-//        much all the time → purge, over
+//   control thread, once a second: is much idle? → agnocast-purge, check by check:
+//        less than much: it is needed, stop → the control thread checks again
+//        much all the time → purge, stop
 //
-// What is idle is the least of what was idle at any moment since the look before (idle of the hook), so
-// traffic that wants its memory now and then keeps it. The system takes a while for each page: so it has
-// a thread of its own, which is made when there is something to give back first, and sleeps otherwise.
-// What waits for it, and how long: docs/heaphook.md, "Giving memory back".
+// Idle memory is the minimum of the idle memory at any moment since the previous check (idle of
+// the hook), so traffic that needs its memory now and then keeps it. The system takes a while for
+// each page, so a thread of its own does the purge; it is made at the first purge, and sleeps
+// otherwise. Which threads wait for it, and how long: docs/heaphook.md, "Giving memory back".
 #pragma once
 
 #include <agnocast/abi/heaphook.h>
@@ -32,12 +33,13 @@ class HeapReturn {
   HeapReturn() noexcept = default;
   static HeapReturn& instance() noexcept;
 
-  /// What AGNOCAST_HEAP_IDLE_SECONDS says: none: memory is never given back. Errors: invalid_argument.
+  /// Returns AGNOCAST_HEAP_IDLE_SECONDS; nothing: memory is never returned. Errors:
+  /// invalid_argument.
   [[nodiscard]] static Result<std::optional<std::chrono::seconds>> idle_time();
 
-  /// The heap is open. Once, and never with none.
+  /// Call it once, when the heap is open; never if idle_time() is nothing.
   void begin(const agnocast_heaphook_table& hook, std::chrono::seconds idle_time) noexcept;
-  /// Control threads, as often as they like.
+  /// For control threads, as often as they like.
   void look() noexcept;
 
  private:
@@ -49,7 +51,7 @@ class HeapReturn {
 
   std::atomic<const agnocast_heaphook_table*> hook_{nullptr};
   std::chrono::seconds idle_time_{};
-  std::mutex looking_;  // control threads; several memberships have several
+  std::mutex looking_;  // control threads: each session has one
   Clock::time_point next_look_{};
   bool has_thread_ = false;
   std::atomic<bool> watches_{false};

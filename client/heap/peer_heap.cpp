@@ -17,8 +17,8 @@ namespace {
 
 void* at_address(std::uint64_t address) noexcept { return reinterpret_cast<void*>(address); }
 
-// A window's file is as long as what its owner has put to use, and never gets shorter. Whatever the
-// owner says, behind its end is SIGBUS.
+// A window's file is as long as its used part, and never gets shorter. Touching memory behind its
+// end raises SIGBUS, whatever the owner claims.
 std::uint64_t length_of(int fd) noexcept {
   struct stat file {};
   if (::fstat(fd, &file) != 0 || file.st_size < 0) return 0;
@@ -47,12 +47,12 @@ Result<void> PeerHeap::append(const Announced& window, UniqueFd fd, DescriptorSh
     known.fd = std::move(fd);
     known.counted = std::move(counted);
     known.lacks_file.store(false, std::memory_order_release);
-    return {};  // open() finds that nothing of it is mapped
+    return {};  // open() will map it
   }
   if (window.number != count || count >= windows_.size() || window.first > window.number ||
       window.base % abi::page_bytes != 0 || window.length % abi::page_bytes != 0 ||
       window.base + window.length < window.base) {
-    return fail(Errc::invalid_argument, "a heap window that cannot be");
+    return fail(Errc::invalid_argument, "a heap window with impossible numbers");
   }
   const std::uint64_t group =
       window.first == window.number ? window.base : windows_[window.first].base;
@@ -111,7 +111,7 @@ std::uint64_t PeerHeap::open() noexcept {
         !is_intact(window.fd.get()) ||
         ::mmap(at, frontier - opened, PROT_READ, MAP_SHARED | MAP_FIXED,
                                 window.fd.get(), static_cast<off_t>(opened)) == MAP_FAILED;
-    // A refusal: any message of the group may point beyond what is open.
+    // After a refusal any message of the window set may point beyond the open part.
     window.is_closed.store(refused, std::memory_order_release);
     if (refused) continue;
     ::madvise(at, frontier - opened, MADV_DONTDUMP);
@@ -147,7 +147,7 @@ region::Place PeerHeap::place_of(std::uint64_t address, std::uint64_t size, std:
   using region::Place;
   std::uint64_t found = 0;
   while (found < count && address - windows_[found].base >= windows_[found].length) ++found;
-  // The message, or what it points to, may lie in the next one.
+  // The message, or memory that it points to, may be in the next window.
   const bool group_may_grow = found == count || windows_[found].first == windows_[count - 1].first;
   if (group_may_grow && others != Unannounced::ignored && shows(count))
     return others == Unannounced::awaited ? Place::awaited : Place::unreachable;

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// PeerHeap: somebody else's heap windows, read-only, at the addresses where their owner has them.
+// PeerHeap: another process's heap windows, read-only, at the addresses where their owner has
+// them.
 //
-// The addresses are reserved without access by the caller (the arena, reserved at hello), or they are
-// blocked: something else of this process lies there, and the window is known but never mapped. Of the
-// others, only what the owner's frontier says is in use gets mapped. A process that has locked its memory (mlockall)
-// would otherwise allocate the whole window. Left out of core dumps, never populated: touching a
-// hole through a read-only mapping allocates a page.
+// The caller has reserved the addresses without access (the arena, reserved at hello), or they
+// are blocked: another mapping of this process is there, and the window is known but never
+// mapped. Of the others, only the part up to the owner's frontier is mapped: a process that has
+// locked its memory (mlockall) would otherwise allocate the whole window. Excluded from core
+// dumps, never populated: touching a hole through a read-only mapping allocates a page.
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
@@ -24,51 +25,51 @@
 
 namespace agnocast {
 
-/// A window that the owner's header shows and that was not announced.
+/// How to treat a window that the owner's header shows but that was not announced.
 enum class Unannounced : std::uint8_t {
-  awaited,  // its announcement is on its way: what may lie there, or point there, is left unread
-  ignored,  // everything that these messages can lie in was announced, so the header lies
-  lost,     // nobody announces any more: what may lie there, or point there, cannot be read
+  awaited,  // its announcement is on its way: messages that may lie or point there stay unread
+  ignored,  // everything that these messages need was announced, so the header lies
+  lost,     // no announcement will come: messages that may lie or point there cannot be read
 };
 
-/// Any thread may call anything. open() takes a lock only after the owner's heap has grown.
+/// Any thread may call any function. open() takes a lock only after the owner's heap has grown.
 class PeerHeap {
  public:
-  /// `client_region`: the owner's, mapped here; must outlive this.
+  /// `client_region`: the owner's, mapped here; must outlive this object.
   explicit PeerHeap(std::byte* client_region) noexcept : client_region_(client_region) {}
-  /// Puts the reservation back in place of what was mapped, unless another membership of this process
-  /// has it as well. Nobody may use a message of this heap any more.
+  /// Replaces the mappings by the reservation, unless another session of this process has them as
+  /// well. No message of this heap may be in use any more.
   ~PeerHeap();
   PeerHeap(const PeerHeap&) = delete;
   PeerHeap& operator=(const PeerHeap&) = delete;
 
-  /// A window as the daemon announced it.
+  /// A window as announced by the daemon.
   struct Announced {
     std::uint64_t number;
     std::uint64_t base;
     std::uint64_t length;
-    std::uint64_t first;  // of its group
+    std::uint64_t first;  // of its window set
   };
-  /// `fd` opened for reading, the addresses reserved by the caller. Windows come in order; one that is
-  /// there already is ignored, and one whose addresses are in use for something else is as blocked.
+  /// Adds a window; `fd` is opened for reading, the caller has reserved the addresses. Windows
+  /// come in order; a known one is ignored, and one whose addresses are in use counts as blocked.
   /// Errors: invalid_argument.
   [[nodiscard]] Result<void> add(const Announced& window, UniqueFd fd,
                                  DescriptorShare::Part counted = {}) noexcept;
-  /// The same of an owner whose user has no share of descriptors left: nothing in it can be read until it is
-  /// added once more with a file.
+  /// The same for an owner whose user has no share of descriptors left: nothing in the window can
+  /// be read until it is added again with a file.
   [[nodiscard]] Result<void> add_without_file(const Announced& window) noexcept;
-  /// Is it here, with its file if it needs one?
+  /// Returns whether the window is here, with its file if it needs one.
   bool has(std::uint64_t number) const noexcept {
     return number < window_count() &&
            !windows_[number].lacks_file.load(std::memory_order_acquire);
   }
-  /// The same where this process has something else.
+  /// The same where another mapping of this process is.
   [[nodiscard]] Result<void> add_blocked(const Announced& window) noexcept;
   /// The same for this process's own heap, which the hook has mapped already.
   [[nodiscard]] Result<void> add_own(const Announced& window) noexcept;
 
-  /// Makes accessible what the owner has put to use since the last call; how many windows it has
-  /// looked at: one that is added meanwhile has not been opened. A system call only after growth.
+  /// Maps the bytes the owner took into use since the last call. Returns the number of windows
+  /// checked: one added meanwhile has not been opened. A system call only after growth.
   std::uint64_t open() noexcept;
   struct Range {
     std::uint64_t base = 0;
@@ -77,14 +78,15 @@ class PeerHeap {
       return size <= bytes && address - base <= bytes - size;
     }
   };
-  /// Whether a message at [address, address + size) can be read, with all it points to, when `count`
-  /// windows have been opened. Any values. `open`: what of its window is, if it can.
+  /// Returns whether a message at [address, address + size) can be read, with everything it
+  /// points to, after `count` windows were opened. Any values. `open`: receives the open part of
+  /// its window, if readable.
   region::Place place_of(std::uint64_t address, std::uint64_t size, std::uint64_t count,
                             Unannounced others, Range* open = nullptr) const noexcept;
-  /// Where the message at `address` may lie with all it owns: what is open of the windows of its group.
-  /// Empty: in none of them.
+  /// Returns the memory that may contain the message at `address` with everything it owns: the
+  /// open parts of its window set. Empty if the address is in no window.
   WindowSet group_of(std::uint64_t address) const noexcept;
-  /// Of the first window; 0: it has none.
+  /// Returns the base of the first window; 0: there is none.
   std::uint64_t first_address() const noexcept {
     return window_count() != 0 ? windows_[0].base : 0;
   }
@@ -98,8 +100,8 @@ class PeerHeap {
     std::uint64_t length = 0;
     std::uint64_t first = 0;
     std::atomic<std::uint64_t> opened{0};  // bytes; only grows
-    std::atomic<bool> is_closed{false};    // blocked, or the system refuses to map what is in use
-    std::atomic<bool> lacks_file{false};   // release behind `fd`
+    std::atomic<bool> is_closed{false};    // blocked, or the system refuses to map the used part
+    std::atomic<bool> lacks_file{false};   // stored with release behind `fd`
   };
   Result<void> append(const Announced& window, UniqueFd fd, DescriptorShare::Part counted,
                       std::uint64_t opened, bool is_blocked, bool lacks_file = false) noexcept;
@@ -111,21 +113,22 @@ class PeerHeap {
   std::atomic<std::uint64_t> count_{0};
 };
 
-/// A take's look at a heap (the Windows of dataplane::LinkCore). A message is handed out only when
-/// everything that it may point to is open; until then it stays unread. A header that lies about
-/// windows delays only the liar's own messages, and those not after its end.
+/// A take's view of a heap (the Windows of dataplane::LinkCore). It returns a message only if
+/// everything that the message may point to is open; until then the message stays unread. A
+/// header that lies about windows delays only the liar's own messages, and not those after its
+/// end.
 ///
-/// What was committed up to one head lies in what was shown and in use by then, so takes behind the
-/// same look at the head need one look here, and ask about each window once.
+/// Messages committed up to one head lie in windows shown and used by then, so takes after the
+/// same look at the head need one open() here, and one check of each window.
 class HeapLook {
  public:
-  /// `head`: where the takes have theirs. Without one it is for a single take.
+  /// `head`: the head that the takes use. Without one it is for a single take.
   HeapLook(PeerHeap& heap, Unannounced others, const std::uint64_t& head = no_head) noexcept
       : heap_(heap), others_(others), head_(head) {}
-  /// For the takes that follow.
+  /// For the following takes.
   void expect(Unannounced others) noexcept { others_ = others; }
   void open() noexcept {
-    // A window that was announced meanwhile may be what the next message waits for.
+    // The next message may wait for a window that was announced meanwhile.
     if (head_ == opened_for_ && heap_.window_count() == count_) return;
     readable_ = {};
     count_ = heap_.open();
@@ -134,7 +137,7 @@ class HeapLook {
   region::Place place_of(std::uint64_t address, std::uint64_t size) noexcept {
     if (readable_.has(address, size)) return region::Place::readable;
     const region::Place place = heap_.place_of(address, size, count_, others_, &readable_);
-    // Otherwise the next take has to look: what is missing may be there by then.
+    // Otherwise the next take must open again: the missing part may be there by then.
     if (place != region::Place::readable) opened_for_ = nothing;
     return place;
   }

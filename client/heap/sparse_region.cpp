@@ -27,10 +27,10 @@ Result<SparseRegion> SparseRegion::make(UniqueFd fd, std::uint64_t bytes,
 
 namespace {
 
-// A lock of the open file description ("OFD"). It goes with the last descriptor and mapping that came from it,
-// so with the process, if no child has inherited one. Record locks are the process's alone, but are lost when it
-// closes any descriptor of the file, also the one for reading that it is sent as a peer of its own:
-// it would count as dead while it reads.
+// A lock of the open file description ("OFD"). It ends with the last descriptor and mapping of
+// that description, so with the process, if no child has inherited one. Record locks belong to
+// the process alone, but are lost when it closes any descriptor of the file, also the read-only
+// one that it gets as a peer of its own: it would count as dead while it reads.
 struct flock whole(short type) noexcept {
   struct flock lock {};
   lock.l_type = type;
@@ -61,7 +61,8 @@ Result<void> SparseRegion::claim() noexcept {
 }
 
 bool SparseRegion::is_claimed() const noexcept {
-  // Would a lock for reading be refused? Readers cannot lock for writing, and so cannot say this.
+  // Asks whether a read lock would be refused. Readers cannot take a write lock, and so cannot
+  // fake this.
   struct flock lock = whole(F_RDLCK);
   return ::fcntl(fd_.get(), F_OFD_GETLK, &lock) != 0 || lock.l_type != F_UNLCK;
 }
@@ -81,8 +82,8 @@ Result<void> SparseRegion::open(std::uint64_t offset, std::uint64_t bytes, int f
     if (errno == EAGAIN) return tl::unexpected(lock_refusal(whole));
     return fail(Errc::os_failure, "mapping a part of a region", errno);
   }
-  // A child of fork must not store into the parent's region, and another process's memory has no
-  // place in a core dump.
+  // A forked child must not store into the parent's region, and another process's memory must not
+  // be in a core dump.
   if (access_ == Mapping::Access::read_write) ::madvise(at, whole, MADV_DONTFORK);
   if (access_ == Mapping::Access::read) ::madvise(at, whole, MADV_DONTDUMP);
   return {};

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// SparseRegion: a client region, or the board, as one process maps it: all of its addresses
-// reserved, only the pages in use accessible. A region is a GiB of addresses of which a few hundred
-// KiB exist; mapping it whole in a process that has called mlockall(MCL_FUTURE) would make all of it
-// exist.
+// SparseRegion: a client region, or the board, as one process maps it: all addresses reserved,
+// only the used pages accessible. A region has a GiB of addresses, of which a few hundred KiB
+// exist; mapping it whole in a process that has called mlockall(MCL_FUTURE) would allocate all of
+// it.
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
@@ -17,7 +17,7 @@
 
 namespace agnocast {
 
-/// One thread opens; whoever was given an address inside an opened range may use it.
+/// One thread opens; any thread may use an address inside an opened range.
 class SparseRegion {
  public:
   SparseRegion() = default;
@@ -33,18 +33,19 @@ class SparseRegion {
   [[nodiscard]] static Result<SparseRegion> make(UniqueFd fd, std::uint64_t bytes,
                                                  Mapping::Access access) noexcept;
 
-  /// Makes [offset, offset + bytes) accessible, whole pages. Repeating it is harmless. Errors:
-  /// invalid_argument (outside the region), os_failure, lock_limit. `file`: another descriptor of the region, when
-  /// this one keeps none.
+  /// Makes [offset, offset + bytes) accessible, whole pages. May be repeated. Errors:
+  /// invalid_argument (outside the region), os_failure, lock_limit. `file`: another descriptor of
+  /// the region, if this object keeps none.
   [[nodiscard]] Result<void> open(std::uint64_t offset, std::uint64_t bytes,
                                   int file = -1) noexcept;
   bool has_file() const noexcept { return static_cast<bool>(fd_); }
   void keep_file(UniqueFd fd) noexcept { fd_ = std::move(fd); }
-  /// Says to everybody who has this region that this process lives, for as long as it does and has the
-  /// region; children of fork do not go on saying so. Only who may write can say it. Once. Errors:
-  /// limit_reached, os_failure (as from a kernel, or a filter, without such locks).
+  /// Shows all processes with this region that this process lives, as long as it does and has the
+  /// region; forked children do not prolong that. Needs write access. Call it once. Errors:
+  /// limit_reached, os_failure (also if the kernel, or a filter, does not support such locks).
   [[nodiscard]] Result<void> claim() noexcept;
-  /// Whether the process that claimed it lives; true as well when nobody can know, without a file. One system call.
+  /// Returns whether the process that claimed it lives; true as well if unknown, without a file.
+  /// One system call.
   bool is_claimed() const noexcept;
   std::byte* base() const noexcept { return reservation_.base(); }
 

@@ -46,7 +46,7 @@ tl::unexpected<Failure> wrong(Errc code, const std::string& argument, const std:
   return fail_with(code, in_quotes(argument) + ": " + why);
 }
 
-/// As a name of a topic of some node: every form is allowed.
+/// Checks a topic name of any node in any form.
 std::optional<NameProblem> check_unexpanded(const std::string& name) {
   const auto expanded = expand_topic_name(name, "n", "/");
   if (expanded) return std::nullopt;
@@ -99,7 +99,7 @@ struct Global {
   Arguments arguments;
 };
 Global& global() {
-  static Global* const all = new Global;  // nodes in statics may be made before and after any other
+  static Global* const all = new Global;  // static nodes may be made at any time
   return *all;
 }
 

@@ -20,8 +20,8 @@ Arguments parse_or_throw(const std::vector<std::string>& arguments) {
   return std::move(*parsed);
 }
 
-// A user who starts a program with a parameter file expects it to obey, and its author may not know that
-// it does not: an error would keep launch files from starting it, and silence would leave both in the dark.
+// A user who passes a parameter file expects an effect, and may not know that there is none: an
+// error would keep launch files from starting the program, and silence would hide the fact.
 void warn_of(const Arguments& arguments) {
   static std::mutex mutex;
   static std::set<std::string>* const said = new std::set<std::string>;  // init() may be called at exit

@@ -71,10 +71,11 @@ using Clock = std::chrono::steady_clock;
 
 LibraryThreads& threads() noexcept { return immortal<LibraryThreads>(); }
 
-/// Of this thread. Constant initialisation: code of the user's may run in a thread that is about to end.
+/// State of this thread. Constant initialisation: user code may run in a thread that is about to
+/// end.
 struct Here {
   bool is_library = false;
-  bool has_taken_on = false;  // `now` is a mask of the user's
+  bool has_taken_on = false;  // `now` is a user's mask
   sigset_t now{};
 };
 thread_local constinit Here here;
@@ -91,21 +92,22 @@ void take_on(const sigset_t& mask) noexcept {
   here.has_taken_on = true;
 }
 
-// --- who is left
+// --- remaining threads
 
-// Of /proc/PID/task/TID/stat: threads that the kernel has made for the process (io_uring, vhost).
+// Flags in /proc/PID/task/TID/stat of threads that the kernel has made for the process (io_uring,
+// vhost).
 constexpr unsigned long works_for_kernel = 0x10 | 0x4000;  // PF_IO_WORKER, PF_USER_WORKER
 
-/// Every thread has had a robust list since it was started, as glibc registers one; the kernel forgets
-/// it when the thread ends. So without one `main` has ended, or cannot be told of.
+/// Every thread has a robust list from its start, because glibc registers one; the kernel drops
+/// it when the thread ends. So without a list `main` has ended, or its state is unknown.
 bool main_may_have_ended() noexcept {
   void* list = nullptr;
   std::size_t bytes = 0;
   return ::syscall(SYS_get_robust_list, ::getpid(), &list, &bytes) != 0 || list == nullptr;
 }
 
-/// Whether what the kernel says of this thread ("pid (name) state ppid pgrp session tty tpgid flags …")
-/// is a thread of the user's. Where nothing is said it may be.
+/// Returns whether a thread belongs to the user, by its stat file ("pid (name) state ppid pgrp
+/// session tty tpgid flags …"). True if the file has no answer.
 bool is_users(int directory, const char* number) noexcept {
   char path[32];
   std::snprintf(path, sizeof path, "%.10s/stat", number);
@@ -124,7 +126,7 @@ bool is_users(int directory, const char* number) noexcept {
   return state != 'Z' && state != 'X' && (flags & works_for_kernel) == 0;
 }
 
-/// Whether any thread is there that is not the library's and has not ended.
+/// Returns whether a thread is left that is not the library's and has not ended.
 bool has_users_threads() noexcept {
   struct Close {
     DIR* directory;
@@ -219,8 +221,9 @@ UserSignals::~UserSignals() {
 
 namespace {
 
-// Destructors of messages run on it, which may need as much stack as in main, whatever that has: of one without a limit,
-// what Linux gives by default. Where memory is locked as it is mapped (mlockall), all of it would be memory.
+// Message destructors run on it, which may need as much stack as in main; if that has no limit,
+// Linux's default. If memory is locked as it is mapped (mlockall), all of the stack would be
+// allocated.
 constexpr rlim_t default_stack_bytes = rlim_t{8} << 20;
 
 std::size_t stack_bytes() noexcept {

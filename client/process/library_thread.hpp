@@ -1,18 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// LibraryThread: the threads of the library's own, and the signals that user code sees in them.
+// LibraryThread: threads of the library, and the signals that user code sees in them.
 //
-// Signals are for the user's threads. A library thread blocks nearly all of them (base/signals.hpp)
-// while it sleeps or works for itself, so the kernel gives those of the process to the user's threads.
-// User code that it runs (callbacks, destructors of messages and of callbacks) sees the mask of the
-// thread that made the endpoint, and so does what that code starts: children, threads, raise(). A
-// change of the mask is a system call, so a thread that has many callbacks to run changes it once,
-// and changes back before it sleeps.
+// Signals are for the user's threads. A library thread blocks nearly all of them
+// (base/signals.hpp) while it sleeps or works for itself, so the kernel delivers those of the
+// process to the user's threads. User code that it runs (callbacks, destructors of messages and
+// of callbacks) sees the mask of the thread that made the endpoint; so do children, threads and
+// raise() of that code. A change of the mask is a system call, so a thread with many callbacks to
+// run changes it once, and changes it back before it sleeps.
 //
-// The kernel keeps a process for as long as it has threads. Where `main` has ended by pthread_exit()
-// the process is over with its last thread, and the library's do not count: when no other is left and
-// no user code runs, they end, and with the last of them the process, as it would without the library.
-// Who looks is the control thread, at its tick (look_for_users()).
+// The kernel keeps a process as long as it has threads. If `main` has ended by pthread_exit(),
+// the process must end with the user's last thread: when none is left and no user code runs, the
+// library threads end, and with the last of them the process, as it would without the library.
+// The control thread checks that at its tick (look_for_users()).
 #pragma once
 
 #include <base/signals.hpp>
@@ -26,7 +26,7 @@
 
 namespace agnocast {
 
-/// The signals that the thread that makes it has blocked, or those of whom it acts for.
+/// The signals blocked in the thread that makes this object, or in the thread that it acts for.
 class SignalMask {
  public:
   SignalMask() noexcept;
@@ -36,8 +36,8 @@ class SignalMask {
   sigset_t set_{};
 };
 
-/// While it lives, what this thread makes has this mask: for a library thread that makes endpoints in the
-/// name of the user.
+/// While it lives, objects made by this thread get this mask: for a library thread that makes
+/// endpoints on behalf of the user.
 class ActingFor {
  public:
   explicit ActingFor(const SignalMask& mask) noexcept;
@@ -49,12 +49,12 @@ class ActingFor {
   const SignalMask* before_;
 };
 
-/// For the whole function of a library thread. What is left of the thread after it (destructors of
-/// thread_local objects, and exit handlers if it is the last one) is user code.
+/// For the whole function of a library thread. Code that runs in the thread after it (destructors
+/// of thread_local objects, and exit handlers if it is the last thread) is user code.
 class LibraryThread {
  public:
-  /// `end(of)` wakes this one when is_over(): any thread; it must not wait, nor take a lock under which a
-  /// LibraryThread is made.
+  /// `end(of)` wakes this thread when is_over(). It is called from any thread; it must not wait,
+  /// nor take a lock under which a LibraryThread is made.
   enum class Sleep : std::uint8_t { as_it_is, can_be_cancelled };
   LibraryThread(void (*end)(void* of) noexcept, void* of,
                 Sleep sleep = Sleep::as_it_is) noexcept;
@@ -62,20 +62,23 @@ class LibraryThread {
   LibraryThread(const LibraryThread&) = delete;
   LibraryThread& operator=(const LibraryThread&) = delete;
 
-  /// Starts a detached thread with all signals blocked; its function makes a LibraryThread first. Its stack is as large
-  /// as that of main, or small_stack_bytes where that cannot be had. 0, or why not: errno.
+  /// Starts a detached thread with all signals blocked; its function makes a LibraryThread first.
+  /// Its stack is as large as that of main, or small_stack_bytes if that fails. Returns 0, or
+  /// errno.
   static int start(const char* name, void* (*body)(void*), void* argument) noexcept;
   static constexpr std::size_t small_stack_bytes = std::size_t{1} << 20;
 
-  /// What is left of library threads has the mask of this thread of the user's. Once, before the first.
+  /// Gives the mask of this user thread to code that runs after library threads. Once, before the
+  /// first.
   static void be_started_here() noexcept;
 
-  /// The user's last thread has ended: all of the library's shall end. Any thread.
+  /// Returns whether the user's last thread has ended, so that all library threads must end. Any
+  /// thread.
   static bool is_over() noexcept;
-  /// Nobody can ring any more: threads whose sleep can be cancelled end. Any thread.
+  /// Ends the threads whose sleep can be cancelled, because their doorbells are lost. Any thread.
   static void end_sleeps() noexcept;
-  /// Control thread: ends them all if the user's last thread has ended. Looks at most once a second;
-  /// one system call while `main` lives.
+  /// For the control thread: ends all library threads if the user's last thread has ended. Checks
+  /// at most once a second; one system call while `main` lives.
   static void look_for_users() noexcept;
 
  private:
@@ -84,17 +87,17 @@ class LibraryThread {
   const pid_t number_;
   const pthread_t thread_;
   const Sleep sleep_;
-  LibraryThread *next_ = nullptr, *before_ = nullptr;  // of all
+  LibraryThread *next_ = nullptr, *before_ = nullptr;  // list of all
 
   friend struct LibraryThreads;
 };
 
-/// In a library thread: from now on it has this mask. In others nothing happens.
+/// In a library thread, sets this mask from now on. Does nothing in other threads.
 void take_on_signals(const SignalMask& mask) noexcept;
-/// In a library thread: signals are blocked again. A system call if they are not.
+/// In a library thread, blocks signals again. A system call if they are not blocked.
 void shed_signals() noexcept;
 
-/// Around user code that comes seldom.
+/// Sets the mask around rare user code.
 class UserSignals {
  public:
   explicit UserSignals(const SignalMask& mask) noexcept;

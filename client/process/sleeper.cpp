@@ -20,14 +20,14 @@ Result<std::shared_ptr<Sleeper>> Sleeper::make() {
 }
 
 Sleeper::~Sleeper() {
-  // Sleep words and epoll sets are the parent's, and the mutex may be held for ever.
+  // Sleep words and epoll sets belong to the parent, and the mutex may be held for ever.
   if (is_forked_child()) return;
-  disarm();  // the next user of a place begins awake
+  disarm();  // the next user of the place begins awake
   for (const Set& set : sets_) leave(set.epoll);
 }
 
 void Sleeper::leave(int epoll) const noexcept {
-  if (has_lost_kept()) return;  // these numbers may be others'
+  if (has_lost_kept()) return;  // these numbers may belong to other files now
   ::epoll_ctl(epoll, EPOLL_CTL_DEL, eventfd_.get(), nullptr);
   for (const auto& [membership, place] : places_) place->bells.remove_from(epoll);
 }
@@ -42,12 +42,12 @@ Result<void> Sleeper::add(Membership membership, std::shared_ptr<Place> place) {
     return added;
   }
   places_.emplace_back(membership, std::move(place));
-  wake();  // who sleeps has not armed this one
+  wake();  // a sleeping thread has not armed this place
   return {};
 }
 
 void Sleeper::remove(Membership membership) noexcept {
-  std::shared_ptr<Place> gone;  // its end takes locks
+  std::shared_ptr<Place> gone;  // its destructor takes locks
   const std::lock_guard lock(mutex_);
   const auto found = std::find_if(places_.begin(), places_.end(),
                                   [&](const auto& entry) { return entry.first == membership; });
@@ -55,7 +55,7 @@ void Sleeper::remove(Membership membership) noexcept {
   gone = std::move(found->second);
   places_.erase(found);
   for (const Set& set : sets_) gone->bells.remove_from(set.epoll);
-  wake();  // a ring that nobody has noticed yet goes with the bell
+  wake();  // an unnoticed ring is lost with the doorbell
 }
 
 bool Sleeper::renew(Membership membership, DoorbellReceiver& bells) noexcept {
@@ -70,7 +70,7 @@ bool Sleeper::renew(Membership membership, DoorbellReceiver& bells) noexcept {
   }
   for (const Set& set : sets_) found->second->bells.remove_from(set.epoll);
   std::swap(found->second->bells, bells);
-  wake();  // nobody has rung the new ones for what is there
+  wake();  // nothing has rung the new doorbells for earlier messages
   return true;
 }
 
@@ -110,7 +110,7 @@ void Sleeper::drain() noexcept {
   const std::lock_guard lock(mutex_);
   for (const auto& [membership, place] : places_) {
     if (place->bells.drain()) continue;
-    // Who rings by datagram alone is heard at the next look around.
+    // A publisher that rings only by datagram is noticed at the next periodic check.
     for (const Set& set : sets_) place->bells.mute(set.epoll);
   }
 }

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Sleeper: something of this process that sleeps until a publisher rings.
+// Wait set: a thread of this process sleeps on it until a publisher rings.
 //
-// It has a *place* in each membership of the process: a sleep word in the client region and two
-// bells. Usually that is one. After the daemon's store was lost it is two for a while, and a sleep is
-// ended by whoever rings in either. A place that comes or goes ends the sleep as well, so nobody
-// sleeps on half of the bells. It may be none for a moment: what the process itself has to say comes through
-// an eventfd of its own, which no other process has.
+// It has a *place* in each session of the process: a sleep word in the client region and two
+// doorbells. Usually there is one session. After the daemon's store was lost there are two for a
+// while, and a ring in either ends the sleep. Adding or removing a place ends the sleep as well,
+// so no thread sleeps on half of the doorbells. It may have no place for a moment: the process
+// wakes itself through an eventfd of its own, which no other process has.
 #pragma once
 
 #include <base/doorbell.hpp>
@@ -25,7 +25,7 @@ namespace agnocast {
 
 class Sleeper {
  public:
-  /// In one membership.
+  /// Its place in one session.
   struct Place {
     Place(std::byte* client_region, std::uint64_t number, DoorbellReceiver receiver) noexcept
         : index(number),
@@ -37,10 +37,10 @@ class Sleeper {
     dataplane::SleepCore<SharedMemory> core;
     bool is_armed = false;
   };
-  /// A membership is known by an address.
+  /// A session is identified by an address.
   using Membership = const void*;
 
-  /// Errors: os_failure.
+  /// Makes a wait set without places. Errors: os_failure.
   [[nodiscard]] static Result<std::shared_ptr<Sleeper>> make();
   explicit Sleeper(UniqueFd eventfd) noexcept : eventfd_(std::move(eventfd)) {}
   Sleeper(const Sleeper&) = delete;
@@ -49,25 +49,26 @@ class Sleeper {
 
   // --- any thread
 
-  /// Errors: os_failure; then it has no such place.
+  /// Adds a place. Errors: os_failure; then nothing was added.
   [[nodiscard]] Result<void> add(Membership membership, std::shared_ptr<Place> place);
-  /// The place is let go of. Nothing happens if there is none.
+  /// Removes the place of a session. Does nothing if there is none.
   void remove(Membership membership) noexcept;
-  /// Other bells for the place that it has there; those that it had are in `bells` afterwards. False: it has none,
-  /// or the system refuses to watch them.
+  /// Replaces the doorbells of a place and returns the old ones in `bells`. Returns false if
+  /// there is no place, or the system refuses to watch them.
   bool renew(Membership membership, DoorbellReceiver& bells) noexcept;
   std::optional<std::uint64_t> index_in(Membership membership) const noexcept;
 
-  /// All bells, also those to come, are in this epoll set until remove_from(). Errors: os_failure.
+  /// Adds all doorbells, also future ones, to this epoll set until remove_from(). Errors:
+  /// os_failure.
   [[nodiscard]] Result<void> add_to(int epoll, std::uint64_t eventfd_tag,
                                     std::uint64_t datagram_tag);
   void remove_from(int epoll) noexcept;
-  /// A datagram bell rang.
+  /// Call it when a datagram doorbell rang.
   void drain() noexcept;
-  /// Ends the sleep from inside the process: a new link, a window, a publisher that is gone.
+  /// Ends the sleep from inside the process: for a new link, a window, a dead publisher.
   void wake() const noexcept;
 
-  // --- one thread. Order: arm, look at every subscription, block on the bells, disarm.
+  // --- one thread. Order: arm, check every subscription, block on the doorbells, disarm.
 
   void arm() noexcept;
   void disarm() noexcept;

@@ -1,20 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// User code: callbacks and destructors of messages, run by threads of the library's own.
+// User code: callbacks and destructors of messages that library threads run.
 //
-// Static objects are destroyed by exit handlers, while those threads go on. What callbacks and
-// destructors use may then be gone, so none begins once a handler of ours has begun, and the handler
-// waits for those that run. What the user's own threads do (borrow, publish, executors, release) is theirs
-// and goes on working. The handler is registered with the first connection: static objects made
-// after that are destroyed before it.
+// Exit handlers destroy static objects while those threads go on. Objects that callbacks and
+// destructors use may then be gone, so no user code begins in library threads once our exit
+// handler has begun, and the handler waits for running user code. Calls by the user's own threads
+// (borrow, publish, executors, release) keep working. The handler is registered with the first
+// connection: static objects made after that are destroyed before it.
 //
 // exit() must never hang: the wait is bounded, and a handler that runs inside user code, because
-// that has called exit(), does not wait for itself. What a destructor of a static object waits for is
+// that has called exit(), does not wait for itself. Waits in destructors of static objects are
 // bounded as well (ExitPatience).
 //
-// Where `main` has ended by pthread_exit() the process ends with the user's last thread
-// (library_thread.hpp). A library thread counts as one while it runs user code. So whether the last
-// one has ended is decided while none begins.
+// If `main` has ended by pthread_exit(), the process ends with the user's last thread
+// (library_thread.hpp). A library thread counts as one while it runs user code. So the check for
+// the last thread runs while no user code can begin.
 #pragma once
 
 #include <agnocast/result.hpp>
@@ -23,39 +23,40 @@
 
 namespace agnocast {
 
-/// Once, before the first thread of the library's own. Errors: os_failure.
+/// Registers the exit handler. Call it once, before the first library thread. Errors: os_failure.
 [[nodiscard]] Result<void> end_user_code_at_exit() noexcept;
 
-/// Exit handlers have begun: nothing is created any more. Any thread.
+/// Returns whether exit handlers have begun: nothing may be created any more. Any thread.
 bool exit_has_begun() noexcept;
-/// What creation functions begin with.
+/// Creation functions begin with this.
 [[nodiscard]] Result<void> refuse_after_exit() noexcept;
 
-/// None begins while `is_last()` is asked: true if it says so and none runs, and then none will begin
-/// any more. For one thread at a time, outside of user code.
+/// Calls `is_last()` while no user code can begin. Returns true, and forbids user code for good,
+/// if it returns true and no user code runs. One thread at a time, outside of user code.
 bool end_user_code_if(bool (*is_last)() noexcept) noexcept;
-/// end_user_code_if() has said so. Any thread.
+/// Returns whether end_user_code_if() has returned true. Any thread.
 bool user_threads_have_ended() noexcept;
 
-/// For what destructors wait for, if it is user code and may have no end: exit() must end. How long,
-/// for all that wait in one exit() together.
+/// Bounds the waits of destructors for user code that may never end, because exit() must end. All
+/// waits in one exit() share one time.
 class ExitPatience {
  public:
-  /// Between two looks.
+  /// Interval between two checks.
   static constexpr std::chrono::milliseconds look{500};
-  /// This thread is inside exit(), and has waited there for its time. Any thread; seldom, as it looks at
-  /// the stack.
+  /// Returns whether this thread is inside exit() and has used up that time. Any thread;
+  /// expensive, because it searches the stack.
   static bool is_over() noexcept;
 };
 
-/// For the library's own threads, around whatever may run user code. May be nested.
+/// For library threads, around code that may run user code. Nests.
 class UserCode {
  public:
   UserCode() noexcept;
   ~UserCode();
   UserCode(const UserCode&) = delete;
   UserCode& operator=(const UserCode&) = delete;
-  /// False: exit handlers have begun or the user's last thread has ended, and no user code may run.
+  /// Returns false if no user code may run: exit handlers have begun or the user's last thread
+  /// has ended.
   bool may_run() const noexcept { return may_run_; }
 
  private:

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Watch: threads that wait until something has changed, whatever it is. Who waits remembers the count
-// from before it looked, so that no change is missed in between.
+// Watch: lets threads wait for any change. A waiting thread remembers the count from before its
+// check, so that it misses no change in between.
 #pragma once
 
 #include <chrono>
@@ -25,7 +25,7 @@ class Watch {
     const std::lock_guard lock(mutex_);
     return count_;
   }
-  /// Until the count is another than `seen`, or the time is up.
+  /// Waits until the count differs from `seen`, or the time is up.
   void wait_beyond(std::uint64_t seen, Clock::time_point end) noexcept {
     std::unique_lock lock(mutex_);
     const auto has_changed = [&] { return count_ != seen; };

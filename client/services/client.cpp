@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The untyped half of Client: a publisher of requests, a subscription to the responses that are for
-// this client alone, and what is expected of whom.
+// The untyped half of Client: a publisher of requests, a subscription to the responses for this
+// client alone, and the pending requests with the servers that may answer them.
 //
-// A server is known by one number, the lineage of its subscription to requests and of its publisher
-// of responses to us. It can serve us when both are linked with ours. A request remembers the servers
-// that it went to, and ends with an error when none of them is there any more and nothing of them is
-// unread.
+// A server is identified by one number, the persistent endpoint id of its subscription to
+// requests and of its publisher of responses to this client. It can serve the client if both are
+// linked. A request remembers the servers that received it, and ends with an error when none of
+// them is left and nothing of them is unread.
 
 #include <agnocast/client.hpp>
 #include <agnocast/service_name.hpp>
@@ -27,11 +27,11 @@
 namespace agnocast::detail {
 namespace {
 
-// Before the next look at a server that has not said its number yet: it does at once, unless it is
-// stopped in that moment.
+// Intervals of polling for the number of a new server: it announces it at once, unless it is
+// stopped at that moment.
 constexpr std::chrono::milliseconds unnamed_look_first{1}, unnamed_look_last{100};
 
-/// Both are called where the node's callbacks run.
+/// Both callbacks run where the node's callbacks run.
 class ReplyOptions : public SubscriptionOptions {
  public:
   ReplyOptions(std::function<void()> changed) {
@@ -74,7 +74,7 @@ class ClientCore {
       return fail(state, "sending a request");
     const auto replies = this->replies();
     const LoanPause pause;
-    // What gives requests up has the lock as well: it comes before this look, or finds the request.
+    // give_up() takes the lock as well: it runs before this look, or finds the request.
     const std::lock_guard lock(mutex_);
     Servers now = replies != nullptr ? servers_of(*replies) : Servers();
     if (now.ready.empty()) return fail_with(Errc::no_server, service_.topic);
@@ -106,13 +106,13 @@ class ClientCore {
       block->users.fetch_add(1, std::memory_order_relaxed);
       run(completion, block, Errc::ok, thrown);
     }
-    // The last one of a server that is gone is an event as well.
+    // The last response of a dead server is an event as well.
     give_up(thrown);
     if (thrown) std::rethrow_exception(thrown);
   }
-  /// No completion begins any more.
+  /// Prevents further completions.
   void end() noexcept { is_ended_ = true; }
-  /// A server has come or gone, or what was unread of one that is gone is lost.
+  /// Called when a server has come or gone, or the unread messages of a dead one are lost.
   void on_change() {
     std::exception_ptr thrown;
     give_up(thrown);
@@ -121,7 +121,7 @@ class ClientCore {
 
   bool remove(std::int64_t request) noexcept {
     if (is_forked_child()) return false;
-    UntypedClient::Completion gone;  // user code, so after the lock; as below
+    UntypedClient::Completion gone;  // user code: destroyed after unlocking; likewise below
     const std::lock_guard lock(mutex_);
     const auto found = pending_.find(request);
     if (found == pending_.end()) return false;
@@ -190,7 +190,8 @@ class ClientCore {
     return found;
   }
 
-  /// Takes away what nobody will answer; all of it, or nothing and there is no memory.
+  /// Removes the requests that no server can answer any more; all of them, or none if there is no
+  /// memory.
   std::map<std::int64_t, Pending> take_unanswerable() {
     const LoanPause pause;
     std::map<std::int64_t, Pending> gone;
@@ -212,7 +213,7 @@ class ClientCore {
     return gone;
   }
 
-  /// What is given up and has not been told yet: it goes on waiting if this thread ends before.
+  /// Cancelled requests not completed yet: they become pending again if this thread ends before.
   struct GivenUp {
     ClientCore& client;
     std::map<std::int64_t, Pending> requests;
@@ -226,7 +227,7 @@ class ClientCore {
     }
   };
 
-  /// One of them may end the client, or the thread.
+  /// Completes unanswerable requests. A completion may end the client, or the thread.
   void give_up(std::exception_ptr& thrown) {
     try {
       GivenUp gone{*this, take_unanswerable()};
@@ -238,7 +239,7 @@ class ClientCore {
       if (!thrown) thrown = std::current_exception();
     }
   }
-  /// All of them are called, whatever one throws.
+  /// Calls a completion and records the first exception, so that all are called.
   static void run(const UntypedClient::Completion& completion, Block* response, Errc why,
                   std::exception_ptr& thrown) {
     try {
@@ -289,7 +290,7 @@ Result<std::shared_ptr<UntypedClient>> UntypedClient::create(const EndpointName&
 UntypedClient::~UntypedClient() {
   const auto end = Watch::Clock::now() + Connection::answer_timeout;  // for both
   core_->end();
-  replies_->end(end);  // waits for a callback that runs, unless it is this one
+  replies_->end(end);  // waits for a running callback, unless it is this one
   requests().end_by(end);
   (void)core_->prune();
 }

@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // The untyped half of Service: a subscription to requests, and a publisher of responses for each
-// client, from the moment its requests are linked until it is gone.
+// client, from the time its requests are linked until it has gone.
 //
-// A client is known by one number, the lineage of its publisher of requests, and its responses go to
-// a topic of that number. The publishers are made and ended by a thread of the library's own: making
-// one asks the daemon, and clients shall find the service ready also while nobody runs the node's
-// callbacks. A publisher says whose it is when it can be found here, and not before: so who sees the
-// service ready can be answered, and nobody who answers ever waits for that thread.
+// A client is identified by one number, the persistent endpoint id of its publisher of requests;
+// its responses go to a topic with that number. A library thread creates and ends these
+// publishers: creation is a request to the daemon, and clients must find the service ready even
+// if nothing runs the node's callbacks. A publisher announces its id only once it can be found
+// here. So a client that sees the service ready can be answered, and an answering thread never
+// waits for the library thread.
 
 #include <agnocast/heap.hpp>
 #include <agnocast/service.hpp>
@@ -54,25 +55,26 @@ class ServiceCore {
     const std::lock_guard lock(mutex_);
     return requests_;
   }
-  /// What users have given; null when it has ended. Whoever calls it keeps it until it returns.
+  /// Returns the user's callback; null when the service has ended. The caller keeps it alive
+  /// while it runs.
   std::shared_ptr<UntypedService::Callback> callback() const noexcept {
     const std::lock_guard lock(mutex_);
     return callback_;
   }
-  /// No callback runs afterwards, nobody is answered any more, and the callback is destroyed: unless
-  /// this is called from inside of it, then when it returns. Whoever else has the core, or the
-  /// subscription, for a moment (the library's thread, an executor) has nothing of the user's.
+  /// Ends callbacks and answers, and destroys the callback: if called from inside it, when it
+  /// returns. The core or the subscription may live on for a moment (in the library's thread, an
+  /// executor), but holds no objects of the user any more.
   void end() noexcept {
-    if (is_forked_child()) return;  // the lock may be the parent's
-    // For all endpoints together.
+    if (is_forked_child()) return;  // the lock may belong to the parent
+    // One time limit for all endpoints together.
     const auto end = Watch::Clock::now() + Connection::answer_timeout;
     std::shared_ptr<UntypedSubscription> requests;
     {
       const std::lock_guard lock(mutex_);
       requests.swap(requests_);
     }
-    if (requests != nullptr) requests->end(end);  // a callback that runs may still answer
-    // These go after the lock.
+    if (requests != nullptr) requests->end(end);  // a running callback may still answer
+    // Destroyed after unlocking.
     std::map<std::uint64_t, std::shared_ptr<UntypedPublisher>> publishers;
     std::shared_ptr<UntypedService::Callback> callback;
     const std::lock_guard lock(mutex_);
@@ -82,7 +84,8 @@ class ServiceCore {
     for (const auto& [client, publisher] : publishers) publisher->end_by(end);
   }
 
-  /// Publishers for the clients that are there, and no others. False: look again soon.
+  /// Makes publishers for the connected clients, and ends all others. Returns false if it must
+  /// run again soon.
   bool meet_clients() {
     const auto requests = this->requests();
     if (requests == nullptr) return true;
@@ -96,14 +99,14 @@ class ServiceCore {
     const auto is_gone = [&](const auto& entry) {
       return std::find(present.begin(), present.end(), entry.first) == present.end();
     };
-    std::vector<std::shared_ptr<UntypedPublisher>> gone;  // ended after the lock
+    std::vector<std::shared_ptr<UntypedPublisher>> gone;  // ended after unlocking
     {
       const std::lock_guard lock(mutex_);
       for (auto at = publishers_.begin(); at != publishers_.end();) {
         if (!is_gone(*at)) {
           ++at;
         } else {
-          // Nobody waits for the end of these; the last who has one may be about to answer.
+          // Ends without waiting; a thread that still has one may be about to answer.
           at->second->end_by(Watch::Clock::time_point::min());
           gone.push_back(std::move(at->second));
           at = publishers_.erase(at);
@@ -160,7 +163,7 @@ class ServiceCore {
         qos_, {}, code_);
     {
       const std::lock_guard lock(mutex_);
-      if (requests_ == nullptr) {  // it has ended meanwhile
+      if (requests_ == nullptr) {  // the service has ended meanwhile
         if (made) (*made)->end_by(Watch::Clock::time_point::min());
         return true;
       }
@@ -183,7 +186,7 @@ class ServiceCore {
         return writer.lineage == client && !writer.is_gone;
       });
     } catch (const std::bad_alloc&) {
-      return true;  // to be tried again
+      return true;  // unknown: the caller tries again
     }
   }
 
@@ -207,7 +210,7 @@ namespace {
 class Receptionist {
  public:
   static Receptionist& instance() {
-    static Receptionist* const only = new Receptionist;  // immortal, as the context
+    static Receptionist* const only = new Receptionist;  // immortal, like the context
     return *only;
   }
   const std::shared_ptr<Watch>& watch() const noexcept { return watch_; }
@@ -234,7 +237,8 @@ class Receptionist {
   }
 
  private:
-  // Until a client has said its number, or after the daemon has refused a publisher.
+  // Intervals until a client has announced its number, or after the daemon has refused a
+  // publisher.
   static constexpr std::chrono::milliseconds look_first{1}, look_last{1000};
 
   void serve() {
@@ -279,7 +283,7 @@ class Receptionist {
 }  // namespace
 
 ServiceTypes make_service_types(const MessageType& request, const MessageType& response) noexcept {
-  // Each half is told apart from the same half of another service.
+  // Makes each half different from the same half of other services.
   const auto hash = [&](std::uint64_t half) {
     return LayoutHash()
         .add(std::string_view("service 1"))

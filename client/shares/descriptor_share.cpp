@@ -39,7 +39,7 @@ std::uint64_t DescriptorShare::limit() const noexcept {
 
 bool DescriptorShare::are_free(unsigned count) const noexcept { return can_open(count); }
 
-// Each time anew: an administrator may have raised it because of this process.
+// Read each time: an administrator may have raised it because of this process.
 std::uint64_t MappingShare::limit() const noexcept { return read_map_count_max(); }
 
 bool PeerShare::fits(Owner owner, std::uint64_t count) const noexcept {
@@ -70,7 +70,7 @@ PeerShare::Part PeerShare::take(Owner owner, std::uint64_t count) {
 bool PeerShare::has_more() noexcept {
   {
     const std::lock_guard lock(mutex_);
-    // A good part of them, or the next one is refused again.
+    // Requires room for several: otherwise the next one would be refused again.
     if (!was_refused_ || !fits(refused_, limit() / foreign_user_divisor / 8)) return false;
   }
   if (!are_free(2 * left_free)) return false;

@@ -1,19 +1,21 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// PeerShare: how many of some thing of this process its peers may cause. DescriptorShare counts descriptors, MappingShare
-// mappings.
+// PeerShare: limits how many resources of this process its peers may use. DescriptorShare counts
+// descriptors, MappingShare mappings.
 //
-// A peer costs bells (one or two for each of its sleepers and each publisher here), the file of its region and those of
-// its windows. A user who starts processes enough would take all numbers that this process may open, and nobody
-// else could be attached. So one foreign user gets a quarter of the soft limit and all foreign users together half;
-// whatever its user, no peer gets any of the last few. Who gets none is attached without: its bell is mute, the file of its region
-// is closed once it is mapped. Of mappings (vm.max_map_count) the shares are the same: a peer's region costs two, and each
-// endpoint of it and each window two more, as it splits what is reserved. Who gets none is not mapped: of a
-// publisher nothing can be read, and a subscription is one that cannot be attached.
+// A peer costs doorbells (one or two for each of its wait sets and each publisher here), the file
+// of its region and those of its windows. A user with enough processes would otherwise use up all
+// descriptors of this process, and no other peer could be attached. So one foreign user gets a
+// quarter of the soft limit and all foreign users together half; no peer of any user gets one of
+// the last few. A peer beyond its share is attached without: its doorbell is mute, and the file
+// of its region is closed once it is mapped. Mappings (vm.max_map_count) have the same shares: a
+// peer's region costs two, and each of its endpoints and windows two more, because it splits a
+// reservation. A peer beyond its share of mappings is not mapped: its publishers cannot be read,
+// and its subscriptions cannot be attached.
 //
 //   Part part = DescriptorShare::instance().take(owner, 2);   empty: close them
 //
-// Of this process, whatever memberships it has. Any thread.
+// One per process, for all its sessions. Any thread.
 #pragma once
 
 #include <client/shares/peer_owner.hpp>
@@ -30,10 +32,11 @@ class PeerShare {
  public:
   using Owner = PeerOwner;
   static constexpr std::uint64_t foreign_user_divisor = 4, foreign_divisor = 2;
-  /// Numbers that are left to the program, and to packets with descriptors that are closed again.
+  /// Descriptors left to the program, and to packets whose descriptors are closed again.
   static constexpr unsigned left_free = 16;
 
-  /// Counted as long as it lives. Its end takes no lock: a forked child may inherit that of another thread.
+  /// Counts as long as it lives. Its destructor takes no lock: a forked child may inherit one
+  /// held by another thread.
   class Part {
    public:
     Part() = default;
@@ -60,15 +63,16 @@ class PeerShare {
       std::swap(count_, other.count_);
       std::swap(is_granted_, other.is_granted_);
     }
-    Sum* user_ = nullptr;  // null: nobody counts them
+    Sum* user_ = nullptr;  // null: not counted
     Sum* all_ = nullptr;
     std::uint64_t count_ = 0;
     bool is_granted_ = false;
   };
 
-  /// For so many, which are open already. Empty: they are more than the share, or hardly any number is free.
+  /// Takes `count`, which are open already. Returns empty if they exceed the share, or hardly any
+  /// number is free.
   [[nodiscard]] Part take(Owner owner, std::uint64_t count);
-  /// Once for each time that somebody got none and would get some now.
+  /// Returns true once after each refusal, when a peer like the refused one would get some.
   bool has_more() noexcept;
 
  protected:
@@ -76,7 +80,7 @@ class PeerShare {
   PeerShare(const PeerShare&) = delete;
   PeerShare& operator=(const PeerShare&) = delete;
   ~PeerShare() = default;
-  /// Of which this is a share.
+  /// Returns the limit that the shares are parts of.
   virtual std::uint64_t limit() const noexcept = 0;
   virtual bool are_free(unsigned count) const noexcept = 0;
 
@@ -87,7 +91,7 @@ class PeerShare {
   std::map<std::uint32_t, Part::Sum> used_;  // by foreign uid; stays, as parts refer to it
   Part::Sum foreign_{0};                     // their sum
   bool was_refused_ = false;
-  Owner refused_;  // the last one
+  Owner refused_;  // the last refused one
 };
 
 class DescriptorShare final : public PeerShare {
@@ -102,18 +106,20 @@ class DescriptorShare final : public PeerShare {
 
 class MappingShare final : public PeerShare {
  public:
-  /// What one part costs that is mapped into a reservation: itself, and the rest of the reservation behind it.
+  /// Cost of one part mapped into a reservation: itself, and the rest of the reservation behind
+  /// it.
   static constexpr std::uint64_t of_one_part = 2;
   /// Immortal.
   static MappingShare& instance() noexcept;
 
  private:
   std::uint64_t limit() const noexcept override;
-  /// The kernel says so when they are mapped.
+  /// Always true: the kernel checks when they are mapped.
   bool are_free(unsigned) const noexcept override { return true; }
 };
 
-/// Whether so many numbers are free now, at most twice left_free. A few system calls for each.
+/// Returns whether `count` descriptors are free now, at most twice left_free. A few system calls
+/// for each.
 bool can_open(unsigned count) noexcept;
 
 }  // namespace agnocast

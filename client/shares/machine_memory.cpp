@@ -19,21 +19,21 @@ namespace {
 constexpr std::uint64_t no_bound = std::numeric_limits<std::uint64_t>::max();
 using Text = char[PATH_MAX];
 
-/// What is read of it, at most one buffer full.
+/// Reads the beginning of a file, at most one buffer.
 std::string_view contents_of(const char* path, Text& buffer) noexcept {
   const UniqueFd file(::open(path, O_RDONLY | O_CLOEXEC));
   const ssize_t got = file ? ::read(file.get(), buffer, sizeof buffer) : -1;
   return {buffer, got > 0 ? static_cast<std::size_t>(got) : 0};
 }
 
-/// "max", and what is no number, is no bound.
+/// Returns the number; "max" and other texts are no bound.
 std::uint64_t bound_in(std::string_view text) noexcept {
   std::uint64_t bytes = no_bound;
   const auto end = std::from_chars(text.data(), text.data() + text.size(), bytes);
   return end.ec == std::errc() ? bytes : no_bound;
 }
 
-/// The line "0::/PATH" of /proc/self/cgroup.
+/// Returns PATH in the line "0::/PATH" of /proc/self/cgroup.
 std::string_view group_in(std::string_view text) noexcept {
   constexpr std::string_view unified = "0::";
   while (!text.empty()) {
@@ -59,7 +59,7 @@ std::uint64_t machine_memory_bytes(const char* root) noexcept {
                   static_cast<int>(group.size()), group.data());
     bytes = std::min(bytes, bound_in(contents_of(path, number)));
     if (group.empty())
-      return bytes;  // of a container it has a bound, of the machine there is no such file
+      return bytes;  // the root of a container has a bound, that of the machine has no such file
     group = group.substr(0, std::min(group.size() - 1, group.rfind('/')));
   }
 }

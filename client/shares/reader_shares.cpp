@@ -8,11 +8,11 @@
 namespace agnocast {
 namespace {
 
-// So a publisher whose readers of all other users are at their limit has half of its heap.
+// So a publisher has half of its heap even if all foreign readers are at their limit.
 constexpr std::uint64_t share_of_all(std::uint64_t heap_bytes) noexcept { return heap_bytes / 2; }
 constexpr std::uint64_t share_of_one(std::uint64_t heap_bytes) noexcept { return heap_bytes / 4; }
 
-/// What each of these users may keep of so large a heap.
+/// Returns what each of these users may keep of a heap of this size.
 std::uint64_t share_in(std::uint64_t heap_bytes, std::uint64_t together,
                        std::span<const ReaderShares::Held> users) {
   const std::uint64_t most = share_of_one(heap_bytes);
@@ -31,8 +31,8 @@ std::uint64_t share_in(std::uint64_t heap_bytes, std::uint64_t together,
 
 }  // namespace
 
-// Of what was refused between two looks of which the first one finds that the heap may grow, nobody knows whether it was
-// before the next window came, or was refused.
+// Ignores refusals between two checks if the first finds that the heap may grow: they may have
+// happened before the next window came, or before it was refused.
 bool ReaderShares::has_refused(const Room& room) noexcept {
   const bool could_grow = std::exchange(may_grow_, room.may_grow);
   const bool is_more = std::exchange(refused_, room.refused) != room.refused;
@@ -61,7 +61,7 @@ std::vector<ReaderShares::Above> ReaderShares::look(Clock::time_point now, const
     }
   }
   above_.look(now, costly);
-  // A publisher may try rarely: between two refusals nothing says that there is no room.
+  // A publisher may allocate rarely: without a new refusal there may be room again.
   if (!is_refused && !is_beyond) return {};
   std::erase_if(above, [&](const Above& user) { return !above_.is_over(user.uid); });
   for (const Above& user : above) {

@@ -2,10 +2,10 @@
 //
 // UnmappedUsers: users whose subscriptions this process could not map for too long. Pure.
 //
-// Everything counts as held by a subscription that is announced and cannot be mapped. So it has some seconds, and these
-// belong to its user (UserPatience): subscriptions that follow each other, each of which leaves in time, use up the same
-// ones. Nor does a subscription that can be mapped give them back: an attacker would have one of these at hand.
-// A process's own user always has patience.
+// A subscription that is announced but cannot be mapped counts as holding everything. So it has
+// some seconds, which belong to its user (UserPatience): consecutive subscriptions, each of which
+// leaves in time, use up the same time. A subscription that can be mapped does not give it back:
+// an attacker would keep one of these. A process's own user always has patience.
 #pragma once
 
 #include <client/shares/peer_owner.hpp>
@@ -19,13 +19,14 @@ class UnmappedUsers {
  public:
   using Clock = UserBans::Clock;
 
-  /// A subscription of this user was not mapped at some time since the last look. Allocates.
+  /// Notes that a subscription of this user was unmapped at some time since the last look().
+  /// Allocates.
   void note(PeerOwner owner);
-  /// Once a second or so: bans the users that were noted too often. Allocates.
+  /// Call it about once a second: bans the users that were noted too often. Allocates.
   void look(Clock::time_point now);
-  /// One of the user's subscriptions alone was not mapped for too long. Allocates.
+  /// Bans a user because one of its subscriptions alone was unmapped for too long. Allocates.
   void ban(PeerOwner owner, Clock::time_point now);
-  /// Returns whether this process waits for no subscription of the user that it cannot map.
+  /// Returns whether this process waits for none of the user's subscriptions that it cannot map.
   bool is_out(PeerOwner owner, Clock::time_point now) const { return bans_.has(owner, now); }
 
  private:

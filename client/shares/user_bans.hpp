@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// UserBans: users of whose subscriptions this process bears nothing for a while, because those cost it more than
-// their share. Pure.
+// UserBans: users whose subscriptions this process refuses for a while, because those cost it
+// more than their share. Pure.
 //
-// The first ban of a user lasts a minute, each further one twice as long as the one before, up to an hour. The
-// daemon's users are many and cheap (subordinate uids): were each ban as short as the first, a dozen of them could
-// take turns, and one or another would always be back. A user is forgotten an hour after its last ban.
-// The process's own user is never banned.
+// The first ban of a user lasts a minute, each further one twice as long as the one before, up to
+// an hour. The daemon's users are many and cheap (subordinate uids): if each ban were as short as
+// the first, a dozen of them could alternate, and one of them would always be back. A user is
+// forgotten an hour after its last ban. The process's own user is never banned.
 #pragma once
 
 #include <client/shares/peer_owner.hpp>

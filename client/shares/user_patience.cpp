@@ -16,7 +16,7 @@ void UserPatience::look(Clock::time_point now, const Uids& costly) {
     if (costly.count(user->first) == 0) user->second -= leak;
     user = user->second <= Clock::duration::zero() ? times_.erase(user) : std::next(user);
   }
-  // Longer times say nothing more, and would take longer to leak away.
+  // Longer times have no further effect, and would take longer to leak away.
   const Clock::duration longest = patience_ + longest_look;
   for (const std::uint32_t uid : costly) {
     Clock::duration& time = times_[uid];

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What the subscriber tells the publisher about each message of a latency measurement: through a
-// pipe, after the message was looked at, so that the next one meets two idle processes.
+// The subscriber's answer to each message of a latency measurement, sent to the publisher through
+// a pipe after the message was checked, so that the next message meets two idle processes.
 #pragma once
 
 #include <cstdint>
@@ -9,7 +9,7 @@
 
 namespace demo {
 
-inline constexpr int ack_descriptor = 3;  // where the demo puts the pipe's end in both processes
+inline constexpr int ack_descriptor = 3;  // the demo puts the pipe's end there in both processes
 
 enum class Road : std::uint32_t { agnocast, dds };
 

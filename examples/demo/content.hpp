@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What the demo sends: a PointCloud2 built at random by operations of std::vector and std::string,
-// in an order nobody plans for, and sealed with a checksum over every member.
+// Content of the demo's messages: a PointCloud2 built by random operations of std::vector and
+// std::string, in random order, and sealed with a checksum over every member.
 //
-// The seal travels as the last 16 characters of header.frame_id; it covers everything else, the
-// text before it included. Who receives a message computes it again. The same sum is computed over
-// the sample of Cyclone DDS, so that both roads carry the same content and are judged alike.
+// The seal is the last 16 characters of header.frame_id; it covers everything else, including the
+// text before it. Each receiver computes it again. The same sum is computed over the sample of
+// Cyclone DDS, so that both transports carry the same content and get the same check.
 #pragma once
 
 #include <sensor_msgs/msg/point_cloud2.hpp>
@@ -89,7 +89,7 @@ inline std::string seal_text(std::uint64_t sum) {
   return text;
 }
 
-/// Of any type with PointCloud2's members whose text and sequences `Access` can read.
+/// Works for any type with PointCloud2's members whose text and sequences `Access` can read.
 template <class Access, class Message>
 std::uint64_t checksum_of(const Message& cloud, std::string_view frame_id_unsealed) noexcept {
   Checksum sum;
@@ -137,7 +137,7 @@ bool is_intact(const Message& cloud) {
   return frame.substr(plain.size()) == seal_text(checksum_of<Access>(cloud, plain));
 }
 
-/// Some bytes built by an operation that `random` picks. Grows on the whole; ends at `bytes`.
+/// Builds `bytes` bytes by operations that `random` picks. Grows on the whole.
 inline void build_data(std::vector<std::uint8_t>& data, std::size_t bytes, Random& random) {
   while (data.size() < bytes) {
     const std::size_t old = data.size();
@@ -160,7 +160,7 @@ inline void build_data(std::vector<std::uint8_t>& data, std::size_t bytes, Rando
         break;
       }
       case 3:
-        // Throws away what there is, so only near the beginning.
+        // Discards the content, so only near the beginning.
         if (old < bytes / 4) data.assign(some, random.byte());
         break;
       case 4:
@@ -195,7 +195,7 @@ inline void build_fields(decltype(Cloud::fields)& fields, Random& random) {
     }
   }
   for (std::size_t i = 0; i < count; ++i) {
-    // Short names lie in the string object, long ones in memory of their own.
+    // Short names are inside the string object, long ones in allocated memory.
     fields[i].name.assign(1 + random.below(40), static_cast<char>('a' + i));
     fields[i].offset = static_cast<std::uint32_t>(i * 4);
     fields[i].datatype = sensor_msgs::msg::PointField::FLOAT32;
@@ -219,7 +219,7 @@ inline void build_frame(Cloud& cloud, std::uint64_t number, std::size_t bytes, R
   cloud.is_dense = random.below(2) == 1;
 }
 
-/// A whole message with `bytes` of data, sealed. What it becomes follows from its number.
+/// Builds a whole sealed message with `bytes` of data. Its content follows from its number.
 inline void build(Cloud& cloud, std::uint64_t number, std::size_t bytes) {
   Random random(number);
   build_frame(cloud, number, bytes, random);
@@ -227,7 +227,8 @@ inline void build(Cloud& cloud, std::uint64_t number, std::size_t bytes) {
   seal(cloud);
 }
 
-/// Where a message lies: the object, and the memory its members own. One line without spaces.
+/// Returns the addresses of a message: the object, and the memory of its members. One line
+/// without spaces.
 inline std::string places_of(const Cloud& cloud) {
   char text[128];
   std::snprintf(text, sizeof text, "%p,%p,%p,%p", static_cast<const void*>(&cloud),

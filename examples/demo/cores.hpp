@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Who measures where: the sender's thread on the first core, the receiving process on the others, so that each message of
-// each system wakes an idle core. Left to the scheduler, a thread that a socket wakes often runs on the sender's core, and
-// one that a doorbell wakes does not: then the comparison is between places and not between systems.
+// Placement of the measurement: the sender's thread on the first core, the receiving process on
+// the others, so that each message of each system wakes an idle core. The scheduler alone often
+// puts a thread woken by a socket on the sender's core, and one woken by a doorbell on another
+// one: the comparison would then be between placements, not systems.
 #pragma once
 
 #include <sched.h>
@@ -11,7 +12,7 @@
 
 namespace demo {
 
-/// The cores that this process may use; those that begin with the second are none where there is only one.
+/// The cores that this process may use; `others` is empty if there is only one.
 struct Cores {
   cpu_set_t first, others;
   bool are_several = false;
@@ -31,12 +32,13 @@ inline Cores own_cores() noexcept {
   return cores;
 }
 
-/// The calling thread goes to the first core. Where there is only one, nothing changes.
+/// Moves the calling thread to the first core. Does nothing if there is only one.
 inline void take_first_core() noexcept {
   const Cores cores = own_cores();
   if (cores.are_several) (void)::sched_setaffinity(0, sizeof cores.first, &cores.first);
 }
-/// The calling thread, and those that it makes, leave the first core to the sender.
+/// Leaves the first core to the sender: moves the calling thread, and threads it creates, to the
+/// others.
 inline void leave_first_core() noexcept {
   const Cores cores = own_cores();
   if (cores.are_several) (void)::sched_setaffinity(0, sizeof cores.others, &cores.others);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Stands in for Cyclone DDS where it was not found when this was built.
+// Replaces dds_road.cpp if Cyclone DDS was not found at build time.
 
 #include <examples/demo/dds_road.hpp>
 

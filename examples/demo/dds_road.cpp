@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Cyclone DDS with the quality of service of a ROS 2 sensor topic made reliable: keep-last 1. The
-// transport's settings come from CYCLONEDDS_URI, which the demo sets.
+// Cyclone DDS with the QoS of a ROS 2 sensor topic made reliable: keep-last 1. The transport's
+// settings come from CYCLONEDDS_URI, which the demo sets.
 
 #include <examples/demo/ack.hpp>
 #include <examples/demo/dds_road.hpp>

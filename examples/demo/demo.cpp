@@ -1,17 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The demo: starts a daemon, a publisher and two subscribers of its own, gives them work, and judges
-// what they report. It is not itself a user of agnocast: what it believes, it read in the others'
-// reports and in /proc.
+// The demo: starts a daemon, a publisher and two subscribers of its own, gives them work, and
+// checks their reports. It does not use agnocast itself: its results come from the reports of the
+// other processes and from /proc.
 //
 //   [1] every message arrives intact     seals checked by both subscribers, none missing, in order
 //   [2] no byte moved                    the same addresses in all three, the publisher's memfd at
 //                                        them, read-only in the subscribers, nothing adopted
 //   [3] moved-in memory                  adopted_bytes of msg->data = std::move(v) in each scope
-//   [4] latency by size                  beside Cyclone DDS, taking turns in the same processes
+//   [4] latency by size                  beside Cyclone DDS, alternating in the same processes
 //
-// Whatever happens, the processes die with this one, and the directory TMPDIR/agnocast-demo-PID-… is
-// removed. When its own parent dies it ends.
+// The other processes die with this one in any case, and the directory TMPDIR/agnocast-demo-PID-…
+// is removed. The demo ends when its own parent dies.
 
 #include <examples/demo/ack.hpp>
 #include <examples/demo/maps.hpp>
@@ -43,7 +43,7 @@ using Environment = std::map<std::string, std::string>;
 
 constexpr std::array<std::uint64_t, 5> sizes = {1 << 10, 10 << 10, 100 << 10, 1 << 20, 8 << 20};
 constexpr std::uint64_t moved_bytes = 1 << 20;
-constexpr std::size_t faults_shown = 20;  // what is wrong is often wrong everywhere
+constexpr std::size_t faults_shown = 20;  // one fault often occurs in every message
 
 /// One sent message, as the publisher reports it.
 struct Sent {
@@ -73,7 +73,8 @@ class Directory {
   std::string path_;
 };
 
-// All on the loopback interface, found without multicast, and apart from every other DDS here.
+// All on the loopback interface, without multicast, and separate from every other DDS on this
+// host.
 constexpr const char* dds_configuration = R"(<CycloneDDS><Domain id="any">
   <General>
     <Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces>
@@ -197,7 +198,7 @@ class Demo {
         format("    subscribers    pid %d, %d", subscribers_[0]->pid(), subscribers_[1]->pid()));
   }
 
-  /// Gives an order and calls `each` with the words of each line of the answer.
+  /// Sends an order and calls `each` with the words of each line of the answer.
   template <class Each>
   static void order(Process& process, const std::string& order, Each each) {
     process.send(order);
@@ -212,7 +213,7 @@ class Demo {
     }
   }
 
-  /// Sends, then looks at what both subscribers say about each message, in order.
+  /// Sends messages, then checks the lines of both subscribers about each message, in order.
   std::vector<Sent> exchange(Process& publisher, const std::string& text, std::uint64_t bytes) {
     std::vector<Sent> sent;
     order(publisher, text, [&](const std::string&, std::istringstream& line) {
@@ -251,7 +252,7 @@ class Demo {
       const std::size_t faults_before = faults_;
       if (options_.corrupt_one && bytes == sizes[2])
         order(*publisher_, "corrupt", [](auto&&...) {});
-      // In small batches, so that there is progress to show.
+      // In small batches, to show progress.
       for (unsigned done = 0; done < options_.clouds_per_size; done += 5) {
         report_.progress(static_cast<double>(done) / options_.clouds_per_size, size_text(bytes));
         const std::string text =
@@ -265,7 +266,7 @@ class Demo {
     }
   }
 
-  /// The address of a message's bytes: the second of its places.
+  /// Returns the address of a message's bytes: the second of its places.
   static std::uint64_t data_address(const Sent& sent) {
     return std::stoull(sent.places.substr(sent.places.find(',') + 1), nullptr, 16);
   }
@@ -280,7 +281,7 @@ class Demo {
     const std::uint64_t address = data_address(sent_.back());
     const auto show = [&](const Process& process) {
       const auto place = place_in(process.pid(), address).value_or(MappedPlace{});
-      // Of the name, not the window's place and owner behind it.
+      // The name is shown without the window's address and owner behind it.
       report_.line(format("    %-13s %#llx  %s  inode %llu  %s", process.name().c_str(),
                           static_cast<unsigned long long>(address), place.permissions.c_str(),
                           static_cast<unsigned long long>(place.inode),
@@ -295,7 +296,8 @@ class Demo {
     report_.line("    " + std::to_string(adopted) + " bytes adopted");
   }
 
-  /// Every piece of memory of a message: the publisher's memfd in all three, read-only in two.
+  /// Checks each piece of memory of a message: the publisher's memfd in all three, read-only in
+  /// two.
   void check_places(const Sent& sent) {
     std::istringstream places(sent.places);
     for (std::string text; std::getline(places, text, ',');) {
@@ -334,7 +336,7 @@ class Demo {
     order(*all, "wait cloud 2", [](auto&&...) {});
     once(*all, "all", 0, "v was built in the shared heap");
     all->close_input();
-    if (all->wait() != 0) fault("the publisher with scope all did not end well");
+    if (all->wait() != 0) fault("the publisher with scope all failed");
   }
 
   void end_second_subscriber() {
@@ -408,18 +410,18 @@ class Demo {
   void explain(bool with_dds) {
     const std::string rounds = std::to_string(options_.rounds);
     report_.line();
-    report_.line("What is measured: from the call of publish to the first line of the callback,");
-    report_.line("one subscriber process, the next message when this one was checked; medians");
+    report_.line("Measured: from the call of publish to the first line of the callback, one");
+    report_.line("subscriber process; the next message follows when this one was checked. Medians");
     report_.line("over " + rounds + (options_.rounds == 1 ? " round" : " rounds") +
-                 ". Filling the message is not measured.");
+                 ". Filling the message is not included.");
     report_.line(with_dds ? "Both alike: sender and receiver on cores of their own, one receiver, 1 ms rest"
                           : "Sender and receiver are on cores of their own, with 1 ms rest");
-    report_.line("before each message, in turn: waking an idle core is in the times.");
+    report_.line("before each message, alternating: the times include waking an idle core.");
     if (!with_dds) return;
     report_.line("Cyclone DDS: from the call of dds_write (which serializes) to the return of");
     report_.line("dds_take (which deserializes) in its listener; reliable, keep-last 1, loopback");
     report_.line("UDP, 64 KB fragments, socket buffers as large as the kernel permits; the same");
-    report_.line("content and processes, in turn. Not its shared-memory mode.");
+    report_.line("content and processes, alternating. Not its shared-memory mode.");
   }
 
   void end_subscriber(Process& subscriber) {
@@ -433,15 +435,15 @@ class Demo {
     if (wrong != 0 || lost != 0)
       fault(subscriber.name() + ": " + std::to_string(wrong) + " wrong, " + std::to_string(lost) +
             " lost");
-    if (subscriber.wait() != (wrong == 0 ? 0 : 1)) fault(subscriber.name() + " did not end well");
+    if (subscriber.wait() != (wrong == 0 ? 0 : 1)) fault(subscriber.name() + " failed");
   }
 
   void end() {
     end_subscriber(*subscribers_[0]);
     publisher_->close_input();
-    if (publisher_->wait() != 0) fault("the publisher did not end well");
+    if (publisher_->wait() != 0) fault("the publisher failed");
     ::kill(daemon_->pid(), SIGTERM);
-    if (daemon_->wait() != 0) fault("agnocastd did not end well");
+    if (daemon_->wait() != 0) fault("agnocastd failed");
   }
 
   Options options_;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What the kernel says is mapped at an address of a process (/proc/PID/maps), not what that process
-// says about itself.
+// The kernel's view of an address in a process (/proc/PID/maps), independent of that process's
+// own reports.
 #pragma once
 
 #include <sys/types.h>
@@ -24,7 +24,7 @@ struct MappedPlace {
   }
 };
 
-/// Empty: nothing is mapped there, or the process cannot be looked at.
+/// Returns nothing if nothing is mapped there, or /proc is not readable.
 std::optional<MappedPlace> place_in(pid_t process, std::uint64_t address);
 
 }  // namespace demo

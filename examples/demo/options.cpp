@@ -18,7 +18,7 @@ constexpr const char* help =
     "  --no-dds       without the comparison\n"
     "  --help         this text\n"
     "for tests:\n"
-    "  --corrupt-one  the publisher spoils one byte of one message; the demo has to fail\n"
+    "  --corrupt-one  the publisher changes one byte of one message; the demo must fail\n"
     "  --agnocastd FILE, --hook FILE   daemon and heap hook of a build tree\n";
 
 [[noreturn]] void refuse(const std::string& what) {
@@ -48,7 +48,7 @@ Options parse(int argc, char** argv) {
       char* end = nullptr;
       options.seconds = std::strtod(text.c_str(), &end);
       if (end == text.c_str() || *end != '\0' || !(options.seconds >= 1 && options.seconds <= 600))
-        refuse("--seconds wants a number from 1 to 600, not " + text);
+        refuse("--seconds needs a number from 1 to 600, not " + text);
     } else if (name == "--no-dds") {
       options.with_dds = false;
     } else if (name == "--corrupt-one") {

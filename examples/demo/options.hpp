@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Command line of the demo. Wrong usage ends with status 2.
+// Command line of the demo. Wrong usage exits with status 2.
 #pragma once
 
 #include <string>
@@ -17,7 +17,7 @@ struct Options {
   std::string hook;  // empty: agnocast-run sets the preload
 };
 
-/// Prints what is wrong, or the help, and ends the program where there is nothing else to do.
+/// Prints errors or the help, and exits then.
 Options parse(int argc, char** argv);
 
 }  // namespace demo

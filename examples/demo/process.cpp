@@ -70,7 +70,7 @@ int status_of(int wait_status) {
 
 void catch_signals() {
   struct sigaction action {};
-  action.sa_handler = note_signal;  // no SA_RESTART: what waits is to wake up
+  action.sa_handler = note_signal;  // no SA_RESTART: waiting calls must return
   for (const int signal : {SIGINT, SIGTERM, SIGHUP}) ::sigaction(signal, &action, nullptr);
   ::signal(SIGPIPE, SIG_IGN);
 }
@@ -102,7 +102,7 @@ Process::~Process() {
 void Process::send(const std::string& line) {
   const std::string text = line + "\n";
   if (::write(input_, text.data(), text.size()) != static_cast<ssize_t>(text.size()))
-    throw Failure(name() + " does not take orders any more");
+    throw Failure(name() + " no longer accepts orders");
 }
 
 void Process::close_input() {
@@ -117,7 +117,7 @@ std::string Process::line() {
       buffer_.erase(0, end + 1);
       return line;
     }
-    if (Clock::now() > end_of_patience) throw Failure(name() + " says nothing any more");
+    if (Clock::now() > end_of_patience) throw Failure(name() + " has stopped answering");
     pollfd descriptor{output_, POLLIN, 0};
     const int ready = ::poll(&descriptor, 1, 200);
     check_signals();

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // A program started by the demo: lines to its standard input, lines from its standard output. It
-// dies with the demo, however that ends (PR_SET_PDEATHSIG), and with this object.
+// dies with the demo in any case (PR_SET_PDEATHSIG), and with this object.
 #pragma once
 
 #include <sys/types.h>
@@ -15,18 +15,18 @@
 
 namespace demo {
 
-/// What ends the demo early; the text is for people.
+/// Ends the demo early; the text is for the user.
 struct Failure : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
-/// SIGINT, SIGTERM or SIGHUP came.
+/// SIGINT, SIGTERM or SIGHUP arrived.
 struct Interrupted {
   int signal;
 };
 
-/// From here on these signals end the demo by way of Interrupted, so that it can clean up.
+/// From now on these signals end the demo through Interrupted, so that it can clean up.
 void catch_signals();
-/// Throws Interrupted if one came. Everything here that waits calls it.
+/// Throws Interrupted if one arrived. Every waiting function here calls it.
 void check_signals();
 
 class Process {
@@ -35,7 +35,7 @@ class Process {
     std::string name;  // in failures
     std::vector<std::string> command;
     std::map<std::string, std::string> environment = {};  // beyond the demo's own
-    int descriptor_3 = -1;                                // passed on as 3, if given
+    int descriptor_3 = -1;                                // becomes descriptor 3, if given
     std::string error_file = {};                          // standard error; empty: the demo's
   };
   explicit Process(Options options);
@@ -47,11 +47,11 @@ class Process {
   const std::string& name() const noexcept { return options_.name; }
   void send(const std::string& line);
   void close_input();
-  /// The next line. Throws Failure when the process ended or says nothing for a minute.
+  /// Returns the next line. Throws Failure if the process has ended or is silent for a minute.
   std::string line();
-  /// Exit status; 128 + N after signal N. Waits, a minute at most.
+  /// Returns the exit status; 128 + N after signal N. Waits a minute at most.
   int wait();
-  /// Ended already?
+  /// Returns whether it has ended.
   bool has_ended();
 
  private:

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The publisher of the demo. Needs the heap hook. Does what the lines of its standard input say and
+// The publisher of the demo. Needs the heap hook. Executes the orders on its standard input and
 // answers each with lines that end with "end", or with "failed WHY":
 //
 //   wait cloud|latency|dds COUNT       until that many subscriptions are matched
@@ -9,7 +9,7 @@
 //   corrupt                            the next message gets one wrong byte after it was sealed
 //   move_in NUMBER BYTES               msg->data = std::move(v), v built before the loan was borrowed
 //   latency BYTES COUNT SECONDS dds|alone
-//                                      COUNT messages on each road in turn, fewer when the time is up
+//                                      COUNT messages per transport in turn, fewer if time is up
 //                                        latency ROAD COUNT P50_NS P99_NS WRONG LOST
 
 #include <agnocast/agnocast.hpp>
@@ -34,18 +34,18 @@ namespace {
 using Clock = std::chrono::steady_clock;
 using namespace std::chrono_literals;
 
-// Longer than anything here takes on a machine that is busy with other things.
+// Longer than anything here takes on a busy machine.
 constexpr auto patience = 30s;
 constexpr int ack_timeout_ms = 3000;
 
-// First numbers of what is not numbered by the demo itself: prototypes and timed messages.
+// First number of messages that the demo does not number: prototypes and timed messages.
 constexpr std::uint64_t first_timed_number = 1000000;
 
 struct Failure : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-/// Latencies of one road in one round.
+/// Latencies of one transport in one round.
 struct Latencies {
   std::vector<std::uint64_t> samples_ns;
   std::uint64_t wrong = 0;
@@ -104,14 +104,14 @@ class Work {
       return (whom == "cloud" ? clouds_ : timed_)->get_subscription_count() == count;
     });
     if (!matched && whom == "dds") {
-      // The comparison is not what the demo is about: it goes on without.
+      // The comparison is not the purpose of the demo: it goes on without.
       std::puts("no_dds writer and reader of Cyclone DDS do not find each other");
     } else if (!matched) {
       throw Failure("the subscriptions of " + whom + " did not appear");
     }
   }
 
-  /// Waits while a subscription that may lose nothing is behind.
+  /// Publishes; waits while a keep-all subscription is behind.
   static std::uint64_t publish(agnocast::Publisher<Cloud>& publisher, Loan message) {
     const agnocast::PublishResult result = publisher.publish_for(std::move(message), patience);
     if (!result) throw Failure(std::string("publish: ") + agnocast::sentence_of(result.code));
@@ -150,7 +150,8 @@ class Work {
     send_cloud(std::move(message));
   }
 
-  /// Waits for the answer to `number`; answers to earlier messages that were given up are skipped.
+  /// Waits for the answer to `number`; skips answers to earlier messages that were counted as
+  /// lost.
   void await(std::uint64_t number, std::uint64_t sent_ns, Latencies& latencies) {
     const auto end = Clock::now() + std::chrono::milliseconds(ack_timeout_ms);
     for (;;) {
@@ -201,7 +202,7 @@ class Work {
     build(prototype, next_timed_number_, bytes);
     const std::string frame(unsealed(prototype.header.frame_id));
     const auto end = Clock::now() + std::chrono::duration<double>(seconds);
-    // Ten messages go ahead untimed: pages are touched, buffers grown, threads awake.
+    // Ten messages go ahead untimed: to touch pages, grow buffers, wake threads.
     for (std::uint64_t i = 0;
          i < count + warm_up && (i < warm_up + samples_min || Clock::now() < end); ++i) {
       if (i == warm_up) {
@@ -211,7 +212,7 @@ class Work {
       prototype.header.stamp.sec = static_cast<std::int32_t>(++next_timed_number_);
       prototype.header.frame_id = frame;
       seal(prototype);
-      // The roads take turns at going first, so that neither always meets the other's caches.
+      // The transports alternate at going first, so that neither always meets the other's caches.
       const bool dds_too = with_dds && dds.lost < lost_max;
       if (dds_too && i % 2 == 0) time_dds(prototype, dds);
       time_agnocast(prototype, agnocast);
@@ -222,11 +223,12 @@ class Work {
   }
 
   static constexpr std::uint64_t warm_up = 10;
-  // Before each message of each road, when it is filled: the receiver's core is as idle for the one as for the other.
+  // Before each message of either transport, after filling: gives both an equally idle receiver
+  // core.
   static constexpr auto rest = 1ms;
-  // Where time is short: fewer say nothing.
+  // A minimum when time is short: fewer samples mean nothing.
   static constexpr std::uint64_t samples_min = 20;
-  // So many lost ones, and the other road is given up for this round.
+  // After so many lost messages, DDS is skipped for this round.
   static constexpr std::uint64_t lost_max = 3;
 
   agnocast::Publisher<Cloud>::SharedPtr clouds_;

@@ -15,11 +15,11 @@
 namespace demo {
 namespace {
 
-// Columns of the plot: what 80 leave beside the labels and the number behind the longest bar.
+// Columns of the plot: of 80, without the labels and the number behind the longest bar.
 constexpr std::size_t plot_columns = 48;
 constexpr std::size_t label_columns = 18;
 
-// Of text that may hold a two-byte micro sign, padded on the left to so many columns.
+// Pads text, which may contain a two-byte micro sign, on the left to `columns` columns.
 std::string right(const std::string& text, std::size_t columns) {
   const auto shown = static_cast<std::size_t>(std::count_if(text.begin(), text.end(), [](char c) {
     return (static_cast<unsigned char>(c) & 0xc0) != 0x80;

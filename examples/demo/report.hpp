@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What the demo prints for people: sizes and times with units, the table of latencies and its plot,
-// progress while something takes long. Fits 80 columns; characters beyond ASCII only where the
-// locale has them.
+// Output of the demo: sizes and times with units, the table of latencies and its plot, progress
+// of long steps. Fits 80 columns; uses characters beyond ASCII only if the locale has them.
 #pragma once
 
 #include <chrono>
@@ -30,12 +29,12 @@ class Report {
   Report();
   void line(const std::string& text = {});
   void heading(int number, const std::string& text);
-  /// On a terminal one line that is written again and again, else a line now and then.
+  /// Shows progress: on a terminal in one line that is rewritten, else as a line now and then.
   void progress(double done, const std::string& what);
   void progress_ends();
   void table(const std::vector<Latency>& latencies);
   void plot(const std::vector<Latency>& latencies);
-  /// With the locale's micro sign.
+  /// Formats a time, with the locale's micro sign.
   std::string time_text(double nanoseconds) const;
 
  private:

@@ -2,11 +2,11 @@
 //
 // A subscriber of the demo. Checks the seal of every message and prints a line for each:
 //
-//   received NUMBER intact|WRONG PLACES        of /demo/cloud; PLACES: where it lies in this process
+//   received NUMBER intact|WRONG PLACES        of /demo/cloud; PLACES: its addresses here
 //
-// Messages of /demo/latency are checked too and answered through the pipe at descriptor 3 (ack.hpp),
-// those of Cyclone DDS alike. Ends when its standard input ends, with "done RECEIVED WRONG LOST" and
-// status 1 if a message was wrong.
+// It also checks messages of /demo/latency, and answers them through the pipe at descriptor 3
+// (ack.hpp); those of Cyclone DDS likewise. Ends at the end of its standard input, with "done
+// RECEIVED WRONG LOST" and status 1 if a message was wrong.
 //
 //   demo_subscriber NAME [latency [dds]]
 
@@ -38,7 +38,7 @@ struct Counts {
 
 void answer(Road road, std::uint64_t number, bool intact, std::uint64_t received_ns) {
   const Ack ack{number, received_ns, road, intact};
-  // Shorter than PIPE_BUF, so it arrives whole. If the publisher is gone, its absence says so.
+  // Shorter than PIPE_BUF, so it arrives whole. If the publisher is gone, the demo notices.
   [[maybe_unused]] const auto written = ::write(ack_descriptor, &ack, sizeof ack);
 }
 
@@ -51,7 +51,7 @@ int run(const char* name, bool with_latency, bool with_dds) {
   if (with_latency) leave_first_core();  // before anything makes a thread
   agnocast::Node node(name);
   Counts counts;
-  // Keep-all with a small bound: nothing may be lost, and the publisher waits for the slower one.
+  // Keep-all with a small bound: nothing may be lost, so the publisher waits for the slower one.
   auto clouds = agnocast::create_subscription<Cloud>(
       node, "/demo/cloud", agnocast::QoS(1).keep_all(4), [&](const CloudPointer& cloud) {
         const bool intact = is_intact<RosAccess>(*cloud);

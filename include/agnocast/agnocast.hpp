@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Everything a node needs.
+// Includes the public interface of libagnocast: nodes, publishers, subscriptions, services,
+// errors.
 #pragma once
 
 #include <agnocast/client.hpp>

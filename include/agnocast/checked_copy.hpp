@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Copying a message whose publisher may lie, by rosidl's table: each string and sequence is looked at once, and
-// followed only inside the windows that the message itself may lie in. relay.hpp says why.
+// Copies a received message by rosidl's table without trusting its publisher: each string and
+// sequence header is read once, and followed only inside the heap windows that may hold this
+// message. See relay.hpp.
 #pragma once
 
 #include <agnocast/residency.hpp>
@@ -17,8 +18,9 @@
 
 namespace agnocast {
 
-/// A string, std::vector or vector<bool> of another process as it was at one moment: its own bytes, copied
-/// once. What it points to has still to be looked at. A string that is short points into the original.
+/// A string, std::vector or vector<bool> in another process's memory, copied once as raw bytes.
+/// The pointers in it are still unchecked. The text of a short string is inside the original
+/// object.
 template <class T>
 class Snapshot {
  public:
@@ -32,19 +34,20 @@ class Snapshot {
   alignas(T) std::byte bytes_[sizeof(T)];
 };
 
-/// What one message may lead to: each byte inside its windows, and no more bytes altogether than a message
-/// can have there, as no byte of an honest one is two strings' or sequences'. So the work for a message
-/// is bounded, however it refers to itself.
+/// The memory that one message may refer to: inside its windows, and in total no more bytes than
+/// the windows have, because in a valid message no byte belongs to two strings or sequences. This
+/// bounds the work for a message, even for one that refers to itself.
 class MessageBounds {
  public:
-  /// No message is passed on that has more: CDR counts with 32 bits.
+  /// Larger messages are rejected: CDR counts with 32 bits.
   static constexpr std::uint64_t bytes_max = std::numeric_limits<std::uint32_t>::max();
 
   explicit MessageBounds(const WindowSet& windows) noexcept : windows_(windows) {
     for (std::size_t i = 0; i < windows.count(); ++i) left_ += windows[i].end - windows[i].begin;
     if (left_ > bytes_max) left_ = bytes_max;
   }
-  /// Whether `count` elements of `bytes` each lie there. Counts them.
+  /// Returns whether `count` elements of `bytes` bytes each lie there, and subtracts them from
+  /// the total.
   bool take(const void* first, std::size_t count, std::size_t bytes = 1) noexcept {
     if (count == 0) return true;
     if (bytes != 0 && count > left_ / bytes) return false;
@@ -60,15 +63,16 @@ class MessageBounds {
 
 namespace detail {
 
-/// Where a std::vector of anything but bool keeps its elements, and where a vector<bool> its words.
+/// The layout of a std::vector: of its elements, or of the words of a vector<bool>.
 struct VectorEnds {
   const std::byte* begin;
   const std::byte* end;
   const std::byte* end_of_storage;
 };
 
-/// Whether the bits can be copied. Beside where they lie, what size() and copying compute with has to be what a
-/// vector can have: it begins with the first bit of a word, and ends within one.
+/// Returns whether the bits can be copied: they lie in the windows, and the iterators have values
+/// that size() and copying can work with: the first bit begins a word, the end offset lies within
+/// a word.
 #if defined(__GLIBCXX__) && !defined(_GLIBCXX_DEBUG)
 static_assert(sizeof(VectorEnds) == sizeof(std::vector<int>));
 inline bool take_bits(MessageBounds& bounds, const std::vector<bool>& bits) noexcept {
@@ -79,11 +83,11 @@ inline bool take_bits(MessageBounds& bounds, const std::vector<bool>& bits) noex
   return bounds.take(begin._M_p, words, sizeof(*begin._M_p));
 }
 #else
-// It is not known where they lie.
+// The layout of vector<bool> in this library is unknown.
 inline bool take_bits(MessageBounds&, const std::vector<bool>&) noexcept { return false; }
 #endif
-/// Whether the letters lie in the object itself, as few do, which was looked at with what contains it, or in
-/// its publisher's memory.
+/// Returns whether the text lies in the publisher's memory, or (a short string) in the string
+/// object itself, which was checked together with the object that contains it.
 template <class Text>
 bool take_text(MessageBounds& bounds, const Text& text, const void* original) noexcept {
   constexpr std::size_t letter = sizeof(typename Text::value_type);
@@ -93,7 +97,8 @@ bool take_text(MessageBounds& bounds, const Text& text, const void* original) no
   return bounds.take(text.data(), text.size(), letter);
 }
 
-/// copy_by_table() of a message of somebody who may lie.
+/// copy_by_table() for a message whose publisher is not trusted. Functions return false for an
+/// invalid one.
 class CheckedCopy {
  public:
   explicit CheckedCopy(const WindowSet& windows) noexcept : bounds_(windows) {}

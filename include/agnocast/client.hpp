@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Client: sends requests to whoever serves a service, and gets the responses. Names and shapes are
-// rclcpp's; requests are loans and responses received messages, so nothing is copied. What a service
-// is made of, and what happens when a side dies: docs/services.md.
+// Client: sends requests to a service and receives the responses. Names and signatures follow
+// rclcpp; requests are loans and responses are received messages, so nothing is copied. How a
+// service is built from topics, and what happens when a side dies: docs/services.md.
 #pragma once
 
 #include <agnocast/heap.hpp>
@@ -26,10 +26,10 @@ namespace detail {
 
 class ClientCore;
 
-/// Requests and the responses they wait for, whatever their type.
+/// Requests and their pending responses, independent of the message types.
 class AGNOCAST_PUBLIC UntypedClient {
  public:
-  /// Called once: with one use of a response, behind its header, or with null and why there is none.
+  /// Called once per request: with a response (one reference to it), or with null and the reason.
   using Completion = std::function<void(Block* response, Errc why)>;
 
   [[nodiscard]] static Result<std::shared_ptr<UntypedClient>> create(const EndpointName& service,
@@ -41,7 +41,7 @@ class AGNOCAST_PUBLIC UntypedClient {
   UntypedClient& operator=(const UntypedClient&) = delete;
 
   UntypedPublisher& requests() const noexcept;
-  /// The number of a request that is sent next. Errors: no_server, shut_down, revoked, switched_off.
+  /// Registers a request and returns its id. Errors: no_server, shut_down, revoked, switched_off.
   [[nodiscard]] Result<RequestId> begin(Completion completion);
   bool remove(std::int64_t request) noexcept;
   std::size_t prune() noexcept;
@@ -62,7 +62,7 @@ class AGNOCAST_PUBLIC UntypedClient {
 
 }  // namespace detail
 
-/// A future and the number of its request, as rclcpp has them.
+/// A future and the number of its request, as in rclcpp.
 template <class FutureT>
 struct FutureAndRequestId {
   FutureT future;
@@ -71,8 +71,9 @@ struct FutureAndRequestId {
   FutureAndRequestId(FutureT impl, std::int64_t request) noexcept
       : future(std::move(impl)), request_id(request) {}
   operator FutureT&() noexcept { return future; }
-  /// The response. Throws Error: no_server, when whoever had the request ended without having
-  /// answered; std::future_error (broken_promise), when the request was removed.
+  /// Returns the response; waits for it. Throws Error: no_server, when the server that had the
+  /// request ended without answering; std::future_error (broken_promise), when the request was
+  /// removed.
   auto get() { return future.get(); }
   bool valid() const noexcept { return future.valid(); }
   void wait() const { future.wait(); }
@@ -87,38 +88,41 @@ struct FutureAndRequestId {
   auto share() noexcept { return future.share(); }
 };
 
-/// What all clients can say. Any thread may call anything, but waits do not belong into callbacks of
-/// the client's own node: nothing else of it runs meanwhile.
+/// Functions common to all clients. Any thread may call any of them. Do not wait inside callbacks
+/// of the client's own node: its other callbacks cannot run meanwhile.
 class ClientBase {
  public:
   const char* get_service_name() const noexcept { return untyped_->service().c_str(); }
-  /// A server is there that gets what is sent from now on, and whose response will come here.
+  /// Returns whether a server is connected that receives requests sent now and can respond to
+  /// this client.
   bool service_is_ready() const { return untyped_->server_count() != 0; }
-  /// How many such servers.
+  /// Returns the number of such servers.
   std::size_t get_server_count() const { return untyped_->server_count(); }
-  /// Sleeps until that is so; false when `timeout` is over (negative: there is none), when the
-  /// client is not active, and in a forked child.
+  /// Waits until a server is ready. Returns false when `timeout` is over (negative: no limit),
+  /// when the client is not active, and in a forked child.
   template <class Rep = std::int64_t, class Period = std::milli>
   bool wait_for_service(
       std::chrono::duration<Rep, Period> timeout = std::chrono::duration<Rep, Period>(-1)) const {
     return untyped_->wait(std::chrono::duration_cast<std::chrono::nanoseconds>(timeout));
   }
-  /// The response is not wanted any more: its future breaks, its callback is not called, and what
-  /// comes for it is dropped. False: it has come, or there is no such request.
+  /// Cancels a request: its future breaks, its callback is not called, and its response is
+  /// dropped. Returns false if the response has arrived, or there is no such request.
   bool remove_pending_request(std::int64_t request) noexcept { return untyped_->remove(request); }
   template <class FutureT>
   bool remove_pending_request(const FutureAndRequestId<FutureT>& request) noexcept {
     return untyped_->remove(request.request_id);
   }
-  /// All of them; how many they were.
+  /// Cancels all pending requests. Returns their number.
   std::size_t prune_pending_requests() noexcept { return untyped_->prune(); }
-  /// Those sent before `time`; their numbers are appended to `pruned`, if there is one. How many.
+  /// Cancels the requests sent before `time`, and appends their ids to `pruned` unless it is
+  /// null. Returns their number.
   std::size_t prune_requests_older_than(std::chrono::system_clock::time_point time,
                                         std::vector<std::int64_t>* pruned = nullptr) {
     return untyped_->prune_older_than(time, pruned);
   }
   std::size_t get_pending_request_count() const noexcept { return untyped_->pending_count(); }
-  /// Responses that nobody waited for: to removed requests, and of further servers.
+  /// Responses without a pending request: for removed requests, and second responses from other
+  /// servers.
   std::uint64_t get_dropped_response_count() const noexcept { return untyped_->dropped_count(); }
   /// As PublisherBase::is_active().
   bool is_active() const noexcept { return untyped_->is_active(); }
@@ -154,24 +158,24 @@ class BasicClient : public ClientBase,
             this->untyped().requests().lender(), kind.request_code()),
         kind_(kind) {}
 
-  /// A request to fill. See Publisher::borrow_loaned_message.
+  /// Lends a request to fill. See Publisher::borrow_loaned_message.
   Request borrow_loaned_request() { return kind_.request_loan(this->lend()); }
 
-  /// Sends a loan of this client; every copy of it becomes empty. The future is ready when the first
-  /// response is here, or nobody is left who could give one; whoever runs the callbacks of the node
-  /// makes it so. Never waits. On failure `request` is as before. Errors: no_server (nobody is there
-  /// who could answer: wait_for_service()), would_block (a server has not read as many requests of
-  /// this client as the depth allows), loan_invalid, and those of PublishResult.
+  /// Sends a loan of this client; every copy of it becomes empty. The thread that runs the node's
+  /// callbacks makes the future ready: when the first response arrives, or when no server is left
+  /// that could respond. Never waits. On failure `request` is unchanged. Errors: no_server (no
+  /// server is connected: wait_for_service()), would_block (a server has as many unread requests
+  /// of this client as the depth allows), loan_invalid, and those of PublishResult.
   [[nodiscard]] Result<FutureAndRequestId> try_async_send_request(Request&& request) {
-    const LoanPause pause;  // what is remembered of a request is private
+    const LoanPause pause;  // the bookkeeping of a request is private memory
     auto promise = std::make_shared<Promise>();
     Future future = promise->get_future();
     const Result<std::int64_t> sent = send(std::move(request), fulfil(promise));
     if (!sent) return tl::unexpected<Failure>(sent.error());
     return FutureAndRequestId(std::move(future), *sent);
   }
-  /// The same; and `callback` is called with the shared future when it is ready, where the node's
-  /// callbacks run. Not if this fails: either the failure is said here, or the callback is called.
+  /// The same with a callback: it receives the shared future when that is ready, where the node's
+  /// callbacks run. If this function returns an error, the callback is never called.
   template <class Callback,
             class = std::enable_if_t<std::is_invocable_v<std::decay_t<Callback>&, SharedFuture>>>
   [[nodiscard]] Result<SharedFutureAndRequestId> try_async_send_request(Request&& request,
@@ -189,7 +193,7 @@ class BasicClient : public ClientBase,
     if (!sent) return tl::unexpected<Failure>(sent.error());
     return SharedFutureAndRequestId(std::move(future), *sent);
   }
-  /// The same; these throw Error.
+  /// The same; throws Error.
   FutureAndRequestId async_send_request(Request&& request) {
     auto sent = try_async_send_request(std::move(request));
     if (!sent) detail::throw_error(sent.error());
@@ -228,7 +232,7 @@ class BasicClient : public ClientBase,
               commit(this->untyped().requests(), this->code(), std::move(message));
           has_failed = !result && this->untyped().remove(id->sequence);
           if (result || has_failed) return result;
-          message.reset();  // it was given up meanwhile, and its completion has said so
+          message.reset();  // cancelled meanwhile: its completion was already called
           return PublishResult{};
         });
     if (sent || (!has_failed && !this->untyped().remove(id->sequence))) return id->sequence;
@@ -252,8 +256,9 @@ Result<std::shared_ptr<Made>> make_client(Node& node, const std::string& service
 
 }  // namespace detail
 
-/// A client of services of type ServiceT: anything with a Request and a Response that can be messages
-/// (message_traits.hpp), such as example_interfaces::srv::AddTwoInts with <agnocast/rosidl.hpp>.
+/// A client of services of type ServiceT: any type with a Request and a Response that can be
+/// messages (message_traits.hpp), such as example_interfaces::srv::AddTwoInts with
+/// <agnocast/rosidl.hpp>.
 template <class ServiceT>
 class Client : public detail::BasicClient<detail::TypedService<ServiceT>> {
  public:
@@ -261,10 +266,11 @@ class Client : public detail::BasicClient<detail::TypedService<ServiceT>> {
   using detail::BasicClient<detail::TypedService<ServiceT>>::BasicClient;
 };
 
-/// A client, or why there is none. Of `qos` the depth counts: requests that a server has not read yet,
-/// and responses that this client has not, at most. Responses are taken where the node's callbacks
-/// run. Errors: those of try_create_publisher and try_create_subscription; invalid_argument (best
-/// effort, transient local); invalid_name, also of a name of more than service_name_length_max bytes.
+/// Creates a client. Of `qos` only the depth is used: the limit for requests that a server has
+/// not read yet, and for responses that this client has not read. Responses are taken where the
+/// node's callbacks run. Errors: those of try_create_publisher and try_create_subscription;
+/// invalid_argument (best effort, transient local); invalid_name, also for a name of more than
+/// service_name_length_max bytes.
 template <class ServiceT, class Node>
 [[nodiscard]] Result<typename Client<ServiceT>::SharedPtr> try_create_client(
     Node&& node, const std::string& service, const QoS& qos = ServicesQoS()) {

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What can go wrong, as values. One table holds every code with its sentence, its usual cause and its
-// remedy; messages, agnocast-ctl explain, documentation and tests are made from it, so a code exists
-// exactly once.
+// Errors as values. One table holds every code with its sentence, its usual cause and its remedy;
+// error texts, agnocast-ctl explain, documentation and tests are generated from it, so each code
+// exists exactly once.
 #pragma once
 
 #include <agnocast/export.hpp>
@@ -15,8 +15,8 @@
 
 namespace agnocast {
 
-// AGNOCAST_ERROR_TABLE(X): X(enumerator, sentence, cause, remedy). Codes are appended, never renumbered:
-// they travel on the wire.
+// AGNOCAST_ERROR_TABLE(X): X(enumerator, sentence, cause, remedy). Append codes, never renumber
+// them: they are part of the wire protocol.
 // clang-format off
 #define AGNOCAST_ERROR_TABLE(X)                                                                                                                \
   X(os_failure, "the operating system refused an operation",                                                                                   \
@@ -50,8 +50,8 @@ namespace agnocast {
     "it was not started, or it listens at another socket than the one that is named",                                                          \
     "start it: systemctl start agnocastd; or name its socket in AGNOCAST_SOCKET")                                                              \
   X(permission_denied, "this user may not do that",                                                                                            \
-    "the socket's mode and group do not let this user in, or what it asks for is another user's",                                             \
-    "ask the administrator to be let in: into the group of the socket, see agnocast-ctl doctor")                                              \
+    "the socket's mode and group do not let this user in, or what it asks for is another user's",                                              \
+    "ask the administrator to be let in: into the group of the socket, see agnocast-ctl doctor")                                               \
   X(layout_mismatch, "library and daemon disagree about the layout of shared memory",                                                          \
     "they were built from different versions, or one of them was not restarted after an update",                                               \
     "use both from the same version, and restart agnocastd and the process")                                                                   \
@@ -84,7 +84,7 @@ namespace agnocast {
     "release messages, or raise [heap] window_bytes or windows_per_process in agnocastd.toml")                                                 \
   X(bad_configuration, "the configuration of agnocastd cannot be used",                                                                        \
     "agnocastd.toml has an unknown key, a value of the wrong kind, or values that contradict each other",                                      \
-    "correct the line that is named beside it; agnocastd --check-config looks again")                                                          \
+    "correct the line that is named beside it; agnocastd --check-config checks it")                                                            \
   X(already_running, "another agnocastd has this socket",                                                                                      \
     "a daemon is running there already, for example the one that systemd has started",                                                         \
     "stop it, or start this one with another --socket")                                                                                        \
@@ -112,37 +112,37 @@ namespace agnocast {
   X(started_anew, "agnocastd was started anew and does not know this process any more",                                                        \
     "the daemon was stopped and started, or what it keeps across restarts was lost",                                                           \
     "nothing: the library goes to it by itself; if that lasts, see island_reason and its log")                                                 \
-  X(revoked, "the membership of this process was ended from outside",                                                                          \
-    "somebody asked for it (agnocast-ctl process revoke), or the process held more than its quota, or did not let go of what others wait for", \
-    "see the log of agnocastd for who did it and why, then restart the process")                                                               \
+  X(revoked, "the session of this process was ended from outside",                                                                             \
+    "a user asked for it (agnocast-ctl process revoke), or the process held more than its quota, or kept memory mapped that it must unmap",    \
+    "see the log of agnocastd for the user and the reason, then restart the process")                                                          \
   X(store_damaged, "what agnocastd keeps across its restarts is damaged",                                                                      \
     "a fault of the machine, or of agnocastd, or another program has written into its memory",                                                 \
     "stop agnocastd and start it: what it kept is given up, and processes go to it by themselves")                                             \
   X(type_not_found, "there is no support for a message type of this name",                                                                     \
     "the package of the type is not installed or not sourced, or has no type support for introspection",                                       \
-    "check the spelling, and source the workspace that has its package (AMENT_PREFIX_PATH)")                                                  \
-  X(access_denied, "a rule of [[access]] does not let this user publish or subscribe there",                                                  \
-    "the first rule of agnocastd.toml that matches the topic and speaks of the action names others",                                          \
-    "see who may and why with agnocast-ctl access TOPIC, and ask the administrator for a rule")                                               \
-  X(descriptors_withheld, "agnocastd has answered, but the descriptors of its answer did not arrive",                                         \
-    "a security profile (AppArmor, SELinux) keeps them from this process, or something that passes no descriptors stands in between",         \
-    "allow it in the profile: share/agnocast/apparmor and share/agnocast/selinux have what it needs, see docs/containers.md")     \
-  X(no_server, "nobody is there who could answer",                                                                                                         \
-    "no process serves this service, or the one that had the request has ended without having answered it",                                                \
-    "start the server, wait for it with wait_for_service, and send the request again if it may be done twice")                                           \
-  X(already_answered, "this request has been answered",                                                                                                    \
-    "two responses were sent to one request, or to two copies of it",                                                                                      \
-    "send one response to each request")                                                                                                                   \
-  X(daemon_untrusted, "the socket is served by another user, who is not trusted",                                                                          \
-    "another user's program listens there instead of agnocastd, or agnocastd has a user of its own that this process does not know of",                     \
-    "name the right socket in AGNOCAST_SOCKET; if that user's daemon is meant, put its number into AGNOCAST_DAEMON_UID")                                     \
-  X(readers_differ, "this process has shared memory that others than the readers of this topic may read",                                                 \
+    "check the spelling, and source the workspace that has its package (AMENT_PREFIX_PATH)")                                                   \
+  X(access_denied, "a rule of [[access]] does not let this user publish or subscribe there",                                                   \
+    "the first rule of agnocastd.toml that covers the topic and the action names other users",                                                 \
+    "see the allowed users and the rule with agnocast-ctl access TOPIC, and ask the administrator for a rule")                                 \
+  X(descriptors_withheld, "agnocastd has answered, but the descriptors of its answer did not arrive",                                          \
+    "a security profile (AppArmor, SELinux) keeps them from this process, or something that passes no descriptors stands in between",          \
+    "allow it in the profile: share/agnocast/apparmor and share/agnocast/selinux have what it needs, see docs/containers.md")                  \
+  X(no_server, "no server is there that could answer",                                                                                         \
+    "no process serves this service, or the one that had the request has ended without having answered it",                                    \
+    "start the server, wait for it with wait_for_service, and send the request again if it may be done twice")                                 \
+  X(already_answered, "this request has been answered",                                                                                        \
+    "two responses were sent to one request, or to two copies of it",                                                                          \
+    "send one response to each request")                                                                                                       \
+  X(daemon_untrusted, "the socket is served by another user that this process does not trust",                                                 \
+    "another user's program listens there instead of agnocastd, or agnocastd has a user of its own that this process does not know of",        \
+    "name the right socket in AGNOCAST_SOCKET; if that user's daemon is meant, put its number into AGNOCAST_DAEMON_UID")                       \
+  X(readers_differ, "other users than the readers of this topic may read the shared memory of this process",                                   \
     "all topics of a process lie in one heap, and the rules of [[access]] let other users subscribe to this topic than to the one that is named beside it", \
     "publish it from a process of its own, or let the rules name the same users for both: agnocast-ctl access TOPIC")
 // clang-format on
 
-/// Codes of everything that a user of the library can be told. Zero is success (std::error_code
-/// convention).
+/// The codes of all errors that a user of the library can get. Zero is success (the convention of
+/// std::error_code).
 enum class Errc : std::int32_t {
   ok = 0,
 #define AGNOCAST_ERROR_ENUMERATOR(name, sentence, cause, remedy) name,
@@ -150,62 +150,64 @@ enum class Errc : std::int32_t {
 #undef AGNOCAST_ERROR_ENUMERATOR
 };
 
-/// The sentence of a code, static text; "unknown error" for a number outside the table. Any thread;
-/// no allocation.
+/// Returns the sentence of a code, static text; "unknown error" for a number outside the table.
+/// Any thread; no allocation.
 AGNOCAST_PUBLIC const char* sentence_of(Errc code) noexcept;
-/// What is usually behind it, static text; empty for a number outside the table. Any thread; no
+/// Returns the usual cause, static text; empty for a number outside the table. Any thread; no
 /// allocation.
 AGNOCAST_PUBLIC const char* cause_of(Errc code) noexcept;
-/// What the user can do about it, static text; empty for a number outside the table. Any thread; no
-/// allocation.
+/// Returns what the user can do about it, static text; empty for a number outside the table. Any
+/// thread; no allocation.
 AGNOCAST_PUBLIC const char* remedy_of(Errc code) noexcept;
 
-/// The enumerator itself, as the documentation, the log and agnocast-ctl name the code: "hook_missing"; "?" for a
-/// number outside the table. Any thread; no allocation.
+/// Returns the enumerator as text, as documentation, log and agnocast-ctl write it:
+/// "hook_missing"; "?" for a number outside the table. Any thread; no allocation.
 AGNOCAST_PUBLIC const char* word_of(Errc code) noexcept;
 
-/// The std::error_category of Errc; its name is "agnocast". Lives as long as the process.
+/// Returns the std::error_category of Errc, named "agnocast". It lives as long as the process.
 AGNOCAST_PUBLIC const std::error_category& error_category() noexcept;
 inline std::error_code make_error_code(Errc code) noexcept {
   return {static_cast<int>(code), error_category()};
 }
 
-/// Why a function that returns Result did not do its work. Trivially copyable; `what` is static
-/// text, never owned.
+/// Why a function that returns Result failed. Trivially copyable; `what` is static text, never
+/// owned.
 ///
-/// What is particular about the case (the path, the name, the limit and its value) does not fit
-/// into a small value. It is kept as text in the thread that got the failure, until that thread
-/// gets the next one; `detail` is its number. text_of() puts everything into one sentence.
+/// Details of one failure (a path, a name, a limit and its value) do not fit into a small value.
+/// The library keeps them as text in the thread that got the failure, until that thread gets the
+/// next one with a detail; `detail` is the number of that text. text_of() joins everything into
+/// one sentence.
 struct Failure {
   Errc code = Errc::internal;
   int os_errno = 0;          ///< errno of the refusing call, 0 when no call was involved
-  const char* what = "";     ///< which part, in plain words
+  const char* what = "";     ///< which part failed, in plain words
   std::uint64_t detail = 0;  ///< see detail_of(); 0 = none
 };
 
-/// What is particular about the case; "" if there is nothing, if another thread got the failure, or
-/// if this thread has got a later one with a detail. Valid until then. No allocation.
+/// Returns the details as text; "" if there are none, if another thread got the failure, or if
+/// this thread has got a later one with a detail. Valid until then. No allocation.
 AGNOCAST_PUBLIC const char* detail_of(const Failure& failure) noexcept;
-/// The failure as one sentence, "what: why": the sentence of its code, then its detail (or its
-/// part), then the text of its errno.
+/// Returns the failure as one sentence, "what: why": the sentence of its code, then its detail
+/// (or its part), then the text of its errno.
 AGNOCAST_PUBLIC std::string text_of(const Failure& failure);
-/// A Failure whose detail is `detail`, cut to detail_bytes_max. For the thread that calls it. No
-/// allocation; not for the data path, which has codes alone.
+/// Makes a Failure with `detail`, cut to detail_bytes_max, for the calling thread. No allocation.
+/// Not for the data path, which uses codes alone.
 AGNOCAST_PUBLIC Failure failure_with(Errc code, const char* detail, int os_errno = 0) noexcept;
-/// Two names of 255 bytes, a path, and the words around them.
+/// Enough for two names of 255 bytes, a path, and the words around them.
 constexpr std::size_t detail_bytes_max = 1024;
 
-/// Thrown by creation functions of the public interface and by async_send_request() (rclcpp users
-/// expect exceptions there), never by publish and take.
+/// Thrown by creation functions of the public interface and by async_send_request(), because
+/// rclcpp users expect exceptions there. Publish and take never throw it.
 class AGNOCAST_PUBLIC Error : public std::system_error {
  public:
-  /// To be made where the failure was got: later its detail is gone.
+  /// Construct it in the thread that got the failure, before its next one: later the detail is
+  /// gone.
   explicit Error(const Failure& failure);
   /// "what: why", as text_of().
   const char* what() const noexcept override { return text_->c_str(); }
   /// What the user can do about it; static text.
   const char* remedy() const noexcept { return remedy_of(failure_.code); }
-  /// The value this was made from; its `what` is static text.
+  /// Returns the value this was made from; its `what` is static text.
   const Failure& failure() const noexcept { return failure_; }
 
  private:

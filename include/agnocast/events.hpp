@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Events of an endpoint: who has matched it, who could not, and whether the daemon is there to bring
-// others. Each is counted from the endpoint's first moment; a status getter tells the counts and what changed since it was asked last, a
-// callback (set in the endpoint's options) is called when they change. Event callbacks run where
-// the message callbacks of the node run, and count for themselves: asking for a status takes no
-// change away from a callback.
+// Events of an endpoint: matched endpoints, endpoints that could not match, and the connection to
+// the daemon. Each event is counted from the creation of the endpoint. A status getter returns
+// the counts and their change since its last call; a callback (set in the endpoint's options) is
+// called when they change. Event callbacks run where the message callbacks of the node run. They
+// keep their own count of changes: a status getter does not take a change away from a callback.
 #pragma once
 
 #include <agnocast/connection_state.hpp>
@@ -31,31 +31,33 @@ enum class QosPolicyKind : std::int32_t {
   reliability = 1 << 4,
 };
 
-/// Endpoints of the topic that ask for more than is offered (or offer less than is asked for).
+/// Endpoints of the topic that request more than this one offers (or offer less than it
+/// requests).
 struct IncompatibleQosInfo {
   std::int32_t total_count = 0;
   std::int32_t total_count_change = 0;
-  /// Of the newest of them. Where both policies are at fault it says reliability.
+  /// Policy of the newest one; reliability if both policies are incompatible.
   QosPolicyKind last_policy_kind = QosPolicyKind::invalid;
 };
 using QOSOfferedIncompatibleQoSInfo = IncompatibleQosInfo;
 using QOSRequestedIncompatibleQoSInfo = IncompatibleQosInfo;
 
 /// Attempts of other processes to use the topic with another type, or the same type with another
-/// layout. They were refused; a process is counted once.
+/// layout. The daemon refused them; each process is counted once.
 struct IncompatibleTypeInfo {
   std::int32_t total_count = 0;
   std::int32_t total_count_change = 0;
 };
 
-/// Heaps that lie where a reader's process has something else (a JIT, a GPU's driver): a publisher is
-/// told of its readers, a subscription of its publishers. What is published there is lost to that
-/// reader; the text says whether the heap goes on elsewhere.
+/// Heap windows whose addresses are in use in a reader's process (by a JIT or a GPU driver, for
+/// example). A publisher is notified of its readers, a subscription of its publishers. Messages
+/// in such a window do not reach that reader; the text says whether the publisher continues in
+/// another window.
 struct HeapCollisionInfo {
   std::int32_t total_count = 0;
   std::int32_t total_count_change = 0;
-  /// Of the newest: which processes, which window, what happens now, which range is taken, and what is
-  /// there if the reader is this user's. Ends with a NUL.
+  /// The newest case: the processes, the window, the consequence, the occupied range, and its
+  /// content if the reader belongs to the same user. Ends with a NUL.
   char last_text[256] = "";
 };
 
@@ -67,7 +69,8 @@ struct EventCallbacks {
   std::function<void(IncompatibleTypeInfo&)> incompatible_type;
   std::function<void(ConnectionInfo&)> connection;
   std::function<void(HeapCollisionInfo&)> heap_collision;
-  /// For services: what was unread of a publisher that is gone is lost, and nothing more comes of it.
+  /// For services: all unread messages of a dead publisher were read or lost; it sends nothing
+  /// more.
   std::function<void()> drained;
   explicit operator bool() const noexcept {
     return matched != nullptr || incompatible_qos != nullptr || incompatible_type != nullptr ||
@@ -88,7 +91,7 @@ class EventOptions {
   Options& incompatible_type_callback(std::function<void(IncompatibleTypeInfo&)> callback) {
     return events_.incompatible_type = std::move(callback), static_cast<Options&>(*this);
   }
-  /// Called when connection_state() has changed, with what it is now.
+  /// Called when connection_state() has changed, with the new state.
   Options& connection_callback(std::function<void(ConnectionInfo&)> callback) {
     return events_.connection = std::move(callback), static_cast<Options&>(*this);
   }

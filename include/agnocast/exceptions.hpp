@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Exceptions, and programs that have none (-fno-exceptions). The library throws in its own code: in such a
-// program what it throws ends in std::terminate, which says what it was. The functions that return a Result,
-// and everything that passes messages on, throw nothing there.
+// Exceptions, also for programs without them (-fno-exceptions). The library throws from its own
+// code; in such a program that ends in std::terminate, which prints the reason. Functions that
+// return a Result, and the whole data path, throw nothing there.
 #pragma once
 
 #include <agnocast/export.hpp>
@@ -23,7 +23,7 @@ inline constexpr bool has_exceptions = false;
 /// Throws std::bad_array_new_length.
 [[noreturn]] AGNOCAST_PUBLIC void throw_bad_array_new_length();
 
-/// `body()`; what it throws is answered instead by `no_memory()`, if it is a std::bad_alloc, or else by `thrown()`.
+/// Returns body(). If it throws, returns no_memory() for a std::bad_alloc and thrown() otherwise.
 template <class Body, class NoMemory, class Thrown>
 auto guarded(const Body& body, [[maybe_unused]] const NoMemory& no_memory,
              [[maybe_unused]] const Thrown& thrown) -> decltype(body()) {

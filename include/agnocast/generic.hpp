@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Publishers and subscriptions whose message type is known at run time by its ROS name: for bridges,
-// recorders, tools. The names are those of rclcpp; what crosses is the message itself, not its bytes:
-// a GenericMessage is the message of the publisher together with rosidl's introspection table, by
-// which it can be read; a GenericLoan is one that can be written.
+// Publishers and subscriptions whose message type is found at run time by its ROS name: for
+// bridges, recorders, tools. Names follow rclcpp. Processes exchange the message object itself,
+// not serialized bytes: a GenericMessage is the publisher's message with rosidl's introspection
+// table to read it by; a GenericLoan is one to fill.
 //
-// A type is found in the introspection library of its package, which every message package of ROS 2
-// has. Generic and typed endpoints of one type meet each other and cost the same.
+// A type is loaded from the introspection library of its package, which every ROS 2 message
+// package has. Generic and typed endpoints of one type match each other and cost the same.
 #pragma once
 
 #include <agnocast/publisher.hpp>
@@ -37,7 +37,7 @@ using MessageMember = detail::RosMember;
 
 namespace detail {
 
-/// alignof the struct that rosidl generated for `members`.
+/// Returns alignof the struct that rosidl generated for `members`.
 inline std::uint32_t ros_alignment(const RosMembers& members) noexcept {
   namespace ros = rosidl_typesupport_introspection_cpp;
   std::uint32_t alignment = 1;
@@ -54,8 +54,8 @@ inline std::uint32_t ros_alignment(const RosMembers& members) noexcept {
   return alignment;
 }
 
-/// Copies a message member by member, as T(const T&) would. `to` is constructed memory. May throw
-/// bad_alloc; then `to` is still a message.
+/// Copies a message member by member, as T(const T&) would. `to` is a constructed message. May
+/// throw bad_alloc and leaves `to` a valid message then.
 inline void copy_by_table(const RosMembers& members, const void* from, void* to) {
   namespace ros = rosidl_typesupport_introspection_cpp;
   const auto copy_elements = [](const RosMember& member, const std::byte* source, std::byte* target,
@@ -116,7 +116,7 @@ struct EndByTable {
 
 }  // namespace detail
 
-/// A message of a type that was found at run time, in this process's own memory.
+/// A message of a type found at run time, in private memory.
 using OwnedGenericMessage = std::unique_ptr<std::byte, detail::EndByTable>;
 
 namespace detail {
@@ -145,43 +145,44 @@ struct CodeByTable {
 
 }  // namespace detail
 
-/// A message type that was found by its name. A pointer: cheap to copy, valid as long as the process
+/// A message type found by its name. A pointer: cheap to copy, valid as long as the process
 /// lives. Any thread.
 class IntrospectedType {
  public:
-  /// Of a table that is at hand, which must live as long as the process.
+  /// Uses an existing table, which must live as long as the process.
   explicit IntrospectedType(const MessageMembers& members) noexcept : members_(&members) {}
 
   const MessageMembers& members() const noexcept { return *members_; }
-  /// What an endpoint of this type is matched by; equal to message_type_of<T>() of the same message.
-  /// Errors and cost as there.
+  /// Returns the type that endpoints are matched by; equal to message_type_of<T>() of the same
+  /// message, with the same errors and cost.
   [[nodiscard]] Result<MessageType> message_type() const noexcept {
     const detail::TableReader reader{&detail::read_ros_message, &detail::read_ros_field,
                                      &detail::construct_ros_message, &detail::destroy_ros_message};
     return detail::make_described_type(reader, members_, detail::ros_alignment(*members_),
                                        detail::build_hash);
   }
-  /// A default message, and a copy of one of this type. Throw what constructors of messages throw:
-  /// std::bad_alloc.
+  /// Return a default message, and a copy of one of this type. Throw what message constructors
+  /// throw: std::bad_alloc.
   OwnedGenericMessage make() const { return detail::CodeByTable{members_}.make(); }
   OwnedGenericMessage copy(const void* message) const {
     return detail::CodeByTable{members_}.copy(*static_cast<const std::byte*>(message));
   }
-  /// Makes `to` equal to `from`; both are messages of this type. Throws std::bad_alloc, and then `to`
-  /// is a message of parts of both.
+  /// Makes `to` equal to `from`; both are messages of this type. Throws std::bad_alloc; `to` is
+  /// then a valid mixture of both.
   void assign(const void* from, void* to) const { detail::copy_by_table(*members_, from, to); }
 
  private:
   const MessageMembers* members_;
 };
 
-/// The type of that ROS name: "sensor_msgs/msg/PointCloud2", short "sensor_msgs/PointCloud2"; of a
-/// service "sensor_msgs/srv/SetCameraInfo_Request". Its package's introspection library
-/// (lib<package>__rosidl_typesupport_introspection_cpp.so) is looked for in the directories `paths`,
-/// then in lib/ of each prefix of AMENT_PREFIX_PATH, then where the loader looks; so are libraries
-/// that it needs. It is loaded once and stays loaded, so later calls for its package search no more.
-/// Any thread. Loading costs milliseconds and runs that library's initialisers. Errors: invalid_name;
-/// type_not_found with what was searched; shut_down in a forked child.
+/// Finds the type with this ROS name: "sensor_msgs/msg/PointCloud2", short
+/// "sensor_msgs/PointCloud2"; a part of a service is "sensor_msgs/srv/SetCameraInfo_Request".
+/// Searches for the introspection library of its package
+/// (lib<package>__rosidl_typesupport_introspection_cpp.so), and for the libraries that this one
+/// needs, in the directories `paths`, in lib/ of each prefix of AMENT_PREFIX_PATH, then where the
+/// loader searches. The library is loaded once and stays; later calls for the package do not
+/// search. Any thread. Loading takes milliseconds and runs that library's initialisers. Errors:
+/// invalid_name; type_not_found with the searched places; shut_down in a forked child.
 [[nodiscard]] inline Result<IntrospectedType> try_find_message_type(
     const std::string& name, const std::vector<std::string>& paths = {}) {
   const Result<void*> found = detail::find_type_support(name, paths);
@@ -199,7 +200,7 @@ inline IntrospectedType find_message_type(const std::string& name,
   return *found;
 }
 
-/// A message in shared memory with its table. Copies share it, as those of ipc_shared_ptr do.
+/// A message in shared memory with its table. Copies share it, as copies of ipc_shared_ptr do.
 template <class Byte>
 class BasicGenericMessage {
  public:
@@ -209,10 +210,11 @@ class BasicGenericMessage {
   BasicGenericMessage(ipc_shared_ptr<Byte> message, const MessageMembers* members) noexcept
       : message_(std::move(message)), members_(members) {}
 
-  /// The message object; null if empty, published or moved from.
+  /// Returns the message object; null if empty, published or moved from.
   Void* get() const noexcept { return message_.get(); }
   explicit operator bool() const noexcept { return get() != nullptr; }
-  /// Null if the subscription was created for a TypeIdentity alone, or this was default constructed.
+  /// Null if the subscription was created for a TypeIdentity alone, or this is default
+  /// constructed.
   const MessageMembers* members() const noexcept { return members_; }
   const MessageInfo& info() const noexcept { return message_.info(); }
   void reset() noexcept { message_.reset(); }
@@ -225,14 +227,14 @@ class BasicGenericMessage {
   const MessageMembers* members_ = nullptr;
 };
 
-/// A received message: read-only memory of its publisher. What it says is another process's: a string
-/// or sequence of a hostile publisher may lead anywhere, as with any received message.
+/// A received message: read-only memory of its publisher. Its content belongs to another process:
+/// strings and sequences of a hostile publisher may point anywhere, as in any received message.
 using GenericMessage = BasicGenericMessage<const std::byte>;
-/// A message to fill with the functions of its table.
+/// A message to fill through the functions of its table.
 using GenericLoan = BasicGenericMessage<std::byte>;
 
-/// As Publisher, of a type that is found at run time: publish(), publish_for(), pause() and the rest
-/// are the same. Any thread may call anything.
+/// A Publisher of a type found at run time: publish(), publish_for(), pause() and the rest are
+/// the same. Any thread may call any function.
 class GenericPublisher : public detail::LendingPublisher<std::byte, detail::CodeByTable> {
  public:
   using SharedPtr = std::shared_ptr<GenericPublisher>;
@@ -242,7 +244,7 @@ class GenericPublisher : public detail::LendingPublisher<std::byte, detail::Code
                    const MessageMembers& members) noexcept
       : LendingPublisher(std::move(untyped), detail::CodeByTable{&members}), members_(&members) {}
 
-  /// A default message to fill; see Publisher::borrow_loaned_message.
+  /// Lends a default message to fill; see Publisher::borrow_loaned_message.
   GenericLoan borrow_loaned_message() { return {lend(), members_}; }
   using LendingPublisher::publish;
   /// See LendingPublisher::publish.
@@ -253,7 +255,7 @@ class GenericPublisher : public detail::LendingPublisher<std::byte, detail::Code
   const MessageMembers* members_;
 };
 
-/// As Subscription and PollingSubscriber. Any thread may call anything.
+/// Subscription and PollingSubscriber in one. Any thread may call any function.
 class GenericSubscription : public SubscriptionBase {
  public:
   using SharedPtr = std::shared_ptr<GenericSubscription>;
@@ -263,7 +265,8 @@ class GenericSubscription : public SubscriptionBase {
                       const MessageMembers* members) noexcept
       : SubscriptionBase(std::move(untyped)), members_(members) {}
 
-  /// The oldest unread message, or an empty one. Not for a subscription with a callback.
+  /// Takes the oldest unread message, or returns an empty one. Not for a subscription with a
+  /// callback.
   GenericMessage take() noexcept {
     return {ipc_shared_ptr<const std::byte>(untyped().take()), members_};
   }
@@ -307,7 +310,7 @@ Result<GenericSubscription::SharedPtr> make_generic_subscription(
 
 }  // namespace detail
 
-/// A publisher of a type that was found, or why there is none. Errors as of try_create_publisher.
+/// Creates a publisher of a type found at run time. Errors as of try_create_publisher.
 template <class Node>
 [[nodiscard]] Result<GenericPublisher::SharedPtr> try_create_generic_publisher(
     Node&& node, const std::string& topic, const IntrospectedType& type, const QoS& qos,
@@ -322,7 +325,7 @@ template <class Node>
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
   return std::make_shared<GenericPublisher>(std::move(*untyped), type.members());
 }
-/// The type by its name; errors also those of try_find_message_type.
+/// Finds the type by its name; errors also those of try_find_message_type.
 template <class Node>
 [[nodiscard]] Result<GenericPublisher::SharedPtr> try_create_generic_publisher(
     Node&& node, const std::string& topic, const std::string& type, const QoS& qos,
@@ -332,8 +335,8 @@ template <class Node>
   return try_create_generic_publisher(node, topic, *found, qos, options);
 }
 
-/// A subscription to a type that was found, or why there is none. The callback is called as that of
-/// try_create_subscription; without one it is for take().
+/// Creates a subscription to a type found at run time. The callback is called as that of
+/// try_create_subscription; without one, use take().
 template <class Node>
 [[nodiscard]] Result<GenericSubscription::SharedPtr> try_create_generic_subscription(
     Node&& node, const std::string& topic, const IntrospectedType& type, const QoS& qos,
@@ -341,7 +344,7 @@ template <class Node>
   return detail::make_generic_subscription(node, topic, type.message_type(), &type.members(), qos,
                                            std::move(callback), options);
 }
-/// The type by its name; errors also those of try_find_message_type.
+/// Finds the type by its name; errors also those of try_find_message_type.
 template <class Node>
 [[nodiscard]] Result<GenericSubscription::SharedPtr> try_create_generic_subscription(
     Node&& node, const std::string& topic, const std::string& type, const QoS& qos,
@@ -350,8 +353,9 @@ template <class Node>
   if (!found) return tl::unexpected<Failure>(found.error());
   return try_create_generic_subscription(node, topic, *found, qos, std::move(callback), options);
 }
-/// A subscription to what somebody else publishes, whatever it is: its messages have no table, and
-/// their size is in MessageInfo. `identity` is what agnocast-ctl topic info --json says of the topic.
+/// Subscribes to messages of a type without a table: only their address and their size
+/// (MessageInfo) are known. `identity` is what agnocast-ctl topic info --json prints for the
+/// topic.
 template <class Node>
 [[nodiscard]] Result<GenericSubscription::SharedPtr> try_create_generic_subscription(
     Node&& node, const std::string& topic, const TypeIdentity& identity, const QoS& qos,

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Services and clients whose type is known at run time by its ROS name, as generic.hpp has publishers
-// and subscriptions: for bridges and tools. Requests and responses are GenericMessage and GenericLoan;
-// everything else is as in service.hpp and client.hpp, and generic and typed sides meet each other.
+// Services and clients whose type is found at run time by its ROS name, like the publishers and
+// subscriptions of generic.hpp: for bridges and tools. Requests and responses are GenericMessage
+// and GenericLoan; everything else is as in service.hpp and client.hpp. Generic and typed sides
+// match.
 #pragma once
 
 #include <agnocast/client.hpp>
@@ -18,13 +19,13 @@
 
 namespace agnocast {
 
-/// A service type that was found by its name. Cheap to copy, valid as long as the process lives.
+/// A service type found by its name. Cheap to copy, valid as long as the process lives.
 struct IntrospectedServiceType {
   IntrospectedType request, response;
 };
 
-/// The service type of that ROS name: "example_interfaces/srv/AddTwoInts", short
-/// "example_interfaces/AddTwoInts". Searched as try_find_message_type() says, and with its errors.
+/// Finds the service type with this ROS name: "example_interfaces/srv/AddTwoInts", short
+/// "example_interfaces/AddTwoInts". Searches like try_find_message_type(), with the same errors.
 [[nodiscard]] inline Result<IntrospectedServiceType> try_find_service_type(
     const std::string& name, const std::vector<std::string>& paths = {}) {
   std::string full = name;
@@ -136,23 +137,23 @@ struct GenericServiceKind {
 /// As ServiceRequest.
 using GenericServiceRequest = detail::BasicServiceRequest<detail::GenericServiceKind>;
 
-/// As Service, of a type that is found at run time.
+/// A Service of a type found at run time.
 class GenericService : public detail::BasicService<detail::GenericServiceKind> {
  public:
   using SharedPtr = std::shared_ptr<GenericService>;
   using BasicService::BasicService;
 };
 
-/// As Client, of a type that is found at run time.
+/// A Client of a type found at run time.
 class GenericClient : public detail::BasicClient<detail::GenericServiceKind> {
  public:
   using SharedPtr = std::shared_ptr<GenericClient>;
   using BasicClient::BasicClient;
 };
 
-/// A service of a type that was found, or why there is none. `callback` takes a GenericMessage and a
-/// GenericLoan&, which is sent when it returns, or a GenericServiceRequest that is answered later.
-/// Errors as of try_create_service.
+/// Creates a service of a type found at run time. `callback` takes a GenericMessage and a
+/// GenericLoan&, which is sent when the callback returns, or a GenericServiceRequest to answer
+/// later. Errors as of try_create_service.
 template <class Node, class Callback>
 [[nodiscard]] Result<GenericService::SharedPtr> try_create_generic_service(
     Node&& node, const std::string& service, const IntrospectedServiceType& type,
@@ -160,7 +161,7 @@ template <class Node, class Callback>
   return detail::make_service<GenericService>(node, service, detail::GenericServiceKind(type),
                                               std::forward<Callback>(callback), qos);
 }
-/// The type by its name; errors also those of try_find_service_type.
+/// Finds the type by its name; errors also those of try_find_service_type.
 template <class Node, class Callback>
 [[nodiscard]] Result<GenericService::SharedPtr> try_create_generic_service(
     Node&& node, const std::string& service, const std::string& type, Callback&& callback,
@@ -170,14 +171,14 @@ template <class Node, class Callback>
   return try_create_generic_service(node, service, *found, std::forward<Callback>(callback), qos);
 }
 
-/// A client of a type that was found, or why there is none. Errors as of try_create_client.
+/// Creates a client of a type found at run time. Errors as of try_create_client.
 template <class Node>
 [[nodiscard]] Result<GenericClient::SharedPtr> try_create_generic_client(
     Node&& node, const std::string& service, const IntrospectedServiceType& type,
     const QoS& qos = ServicesQoS()) {
   return detail::make_client<GenericClient>(node, service, detail::GenericServiceKind(type), qos);
 }
-/// The type by its name; errors also those of try_find_service_type.
+/// Finds the type by its name; errors also those of try_find_service_type.
 template <class Node>
 [[nodiscard]] Result<GenericClient::SharedPtr> try_create_generic_client(
     Node&& node, const std::string& service, const std::string& type,

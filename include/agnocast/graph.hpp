@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Graph: who publishes and subscribes what on this host, in all domains, and being told when that changes:
-// for bridges, recorders, tools. It looks on a connection of its own and takes part in nothing: neither
-// matching nor anybody's messages change.
+// Graph: lists the publishers and subscriptions of this host in all domains, and reports changes:
+// for bridges, recorders, tools. It observes over a connection of its own, and affects neither
+// matching nor messages.
 #pragma once
 
 #include <agnocast/export.hpp>
@@ -24,45 +24,46 @@ enum class EndpointKind : std::uint8_t { publisher, subscription };
 struct EndpointInfo {
   EndpointKind kind = EndpointKind::publisher;
   std::uint64_t domain = 0;
-  std::string topic;  ///< "/ns/name"; whether it is one of a service, says role_of_topic()
-  std::string type;   ///< "std_msgs/msg/String", or whatever its message type calls itself
+  std::string topic;  ///< "/ns/name"; role_of_topic() tells the topics of services
+  std::string type;   ///< "std_msgs/msg/String", or the name that the message type gives itself
   std::uint64_t layout_hash = 0;
   std::string node_name, node_namespace;  ///< "talker", "/ns"
-  QoS qos{1};                             ///< as the endpoint asked for it
+  QoS qos{1};                             ///< as requested by the endpoint
   std::uint64_t generation =
-      0;                  ///< never the same for two of one incarnation; of a publisher it is
+      0;                  ///< unique within one incarnation; for a publisher, equal to
                           ///< MessageInfo::publisher of its messages
-  std::uint32_t pid = 0;  ///< as the daemon sees it; 0 when it does not
+  std::uint32_t pid = 0;  ///< in the daemon's pid namespace; 0 if not visible there
   std::uint32_t uid = 0;
   std::uint64_t client =
-      0;  ///< of the process: the same for all its endpoints, and no other process's
+      0;  ///< of the process: the same for all its endpoints, and unique to it
   std::string process_name;
 };
 
-/// One moment. Endpoints whose process is gone are not in it, although others may still read what they
-/// published.
+/// The state at one moment, without the endpoints of dead processes, although others may still
+/// read what those published.
 struct GraphSnapshot {
   std::uint64_t incarnation =
-      0;  ///< of the daemon's tables; another one: nothing said before is true
-  std::vector<EndpointInfo> endpoints;  ///< topic by topic, publishers before subscriptions
+      0;  ///< of the daemon's tables; if it differs, earlier snapshots are void
+  std::vector<EndpointInfo> endpoints;  ///< by topic, publishers before subscriptions
 };
 
-/// Not for two threads at once, but for interrupt(). A forked child has none.
+/// One thread at a time, except for interrupt(). Not usable in a forked child.
 class AGNOCAST_PUBLIC Graph {
  public:
-  /// Connects when it is first asked. The socket is $AGNOCAST_SOCKET, or where the daemon listens.
+  /// Connects at the first wait(). The socket is $AGNOCAST_SOCKET, or the daemon's default.
   Graph();
   ~Graph();
   Graph(Graph&&) noexcept;
   Graph& operator=(Graph&&) noexcept;
 
-  /// The first time, and after an error: what there is now. From then on it sleeps until something has
-  /// changed, and says everything again; what happens within 10 ms comes together. Nothing when nothing has
-  /// changed for `patience`, or after interrupt(). Errors: daemon_not_running (nobody there for `patience`; one
-  /// that is started again meanwhile is no error), permission_denied, layout_mismatch and whatever else the
-  /// daemon refuses, at once; protocol_violation. After one it may be asked again: it connects anew.
+  /// The first call, and the first after an error, returns the present state. Later calls sleep
+  /// until something changes and return the whole state again; changes within 10 ms are combined.
+  /// Returns nothing if nothing has changed for `patience`, or after interrupt(). Errors:
+  /// daemon_not_running (no daemon for `patience`; a restart in that time is no error); at once
+  /// permission_denied, layout_mismatch and other refusals of the daemon; protocol_violation. The
+  /// next call connects again.
   [[nodiscard]] Result<std::optional<GraphSnapshot>> wait(std::chrono::milliseconds patience);
-  /// Ends the present wait(), or the next one. Any thread, also a signal's handler.
+  /// Ends the present wait(), or the next one. Any thread, any signal handler.
   void interrupt() noexcept;
 
  private:

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What a program decides about its shared heap. Everything here is optional: a loan that one thread
-// borrows, fills and publishes has its memory where it must be.
+// Controls which allocations go to the shared heap. Everything here is optional: a message that
+// one thread borrows, fills and publishes is allocated there anyway.
 #pragma once
 
 #include <agnocast/export.hpp>
@@ -12,24 +12,24 @@
 
 namespace agnocast {
 
-/// Which allocations of a process lie in its shared heap once it has a publisher.
+/// Which allocations of a process go to its shared heap once it has a publisher.
 enum class HeapScope : std::uint8_t {
   loan,  ///< Those of a thread while it has a loan open. The default.
-  all,   ///< All: a message made anywhere is published without a copy. Such a process must not fork
-  ///< without exec, and everything it allocates counts against its heap quota and is readable
-  ///< by its subscribers.
+  all,   ///< All: a message made anywhere is published without a copy. Such a process must not
+         ///< fork without exec. Everything it allocates counts against its heap quota and is
+         ///< readable by its subscribers.
 };
 
-/// Chooses the scope. The heap is opened with the first publisher, so call this before; what was
-/// allocated earlier stays private. AGNOCAST_SCOPE=loan|all in the environment wins: it is the word
-/// of whoever starts the process. Errors: invalid_argument: the heap is open with the other scope.
-/// Any thread.
+/// Chooses the scope. Call it before creating the first publisher, which opens the heap; earlier
+/// allocations stay private. AGNOCAST_SCOPE=loan|all in the environment overrides it: the person
+/// that starts the process decides. Errors: invalid_argument: the heap is open with the other
+/// scope. Any thread.
 [[nodiscard]] AGNOCAST_PUBLIC Result<void> set_heap_scope(HeapScope scope) noexcept;
 
-/// Takes a loan to another thread: while this object lives, the calling thread allocates from the
-/// shared heap, so that it can fill the message too. Also for a loan that Publisher::pause() set
-/// aside. Nests. Must end in the thread that made it; the loan may be published before. A few
-/// instructions, no system call.
+/// Extends a loan to another thread: while this object lives, the calling thread allocates from
+/// the shared heap, so that it can fill the message too. Also for a loan set aside with
+/// Publisher::pause(). Nests. Destroy it in the thread that made it; the loan may be published
+/// before. A few instructions, no system call.
 ///
 ///     auto loan = publisher->borrow_loaned_message();
 ///     loan->points.resize(4);
@@ -47,8 +47,8 @@ class LoanScope {
   ~LoanScope() {
     if (is_open_) close();
   }
-  /// False if it was given no loan (empty, published, or a received message), or agnocast is
-  /// switched off: then it does nothing.
+  /// Returns false if this object has no effect: the argument is no loan (empty, published, or a
+  /// received message), or agnocast is switched off.
   bool is_open() const noexcept { return is_open_; }
 
  private:
@@ -63,9 +63,9 @@ class LoanScope {
   bool is_open_;
 };
 
-/// While this object lives, the calling thread allocates from the shared heap, without a loan: for messages
-/// that are made before it is known which publisher they are for (a bridge's). Such a message is published
-/// without a copy by any publisher of this process. Nests. Must end in the thread that made it. A few
+/// Makes the calling thread allocate from the shared heap without a loan while this object lives:
+/// for messages made before their publisher is known (in a bridge). Any publisher of this process
+/// publishes such a message without a copy. Nests. Destroy it in the thread that made it. A few
 /// instructions, no system call.
 class SharedHeapScope {
  public:
@@ -75,8 +75,8 @@ class SharedHeapScope {
   ~SharedHeapScope() {
     if (is_open_) end();
   }
-  /// False if the process has no shared heap yet, because it has no publisher, or agnocast is switched off:
-  /// then it does nothing.
+  /// Returns false if this object has no effect: the process has no shared heap yet, because it
+  /// has no publisher, or agnocast is switched off.
   bool is_open() const noexcept { return is_open_; }
 
  private:
@@ -86,10 +86,10 @@ class SharedHeapScope {
   bool is_open_;
 };
 
-/// While this object lives, the calling thread's allocations are private, whatever loans it has open
-/// and whatever the scope of the heap is: for working memory between borrow and publish. publish
-/// itself may be called meanwhile; a message that is borrowed meanwhile is adopted. Nests. Must end
-/// in the thread that made it. A few instructions, no system call.
+/// Makes the calling thread's allocations private while this object lives, whatever its open
+/// loans and the scope of the heap: for working memory between borrow and publish. Publishing is
+/// allowed meanwhile; a message borrowed meanwhile is adopted. Nests. Destroy it in the thread
+/// that made it. A few instructions, no system call.
 class LoanPause {
  public:
   LoanPause() noexcept : is_pause_(begin()) {}

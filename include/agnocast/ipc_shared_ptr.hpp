@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ipc_shared_ptr: a message. Either a loan (built by its publisher, not published yet) or one that
-// was received. Copies count within the process; the last copy of a received message gives it back
-// to its publisher with one instruction, the last copy of a loan destroys it.
+// ipc_shared_ptr: a handle to one message, either a loan (being built by its publisher) or a
+// received message. The copies are counted within the process; the last copy of a received
+// message releases it to its publisher with one instruction, the last copy of an unpublished loan
+// destroys it.
 #pragma once
 
 #include <agnocast/export.hpp>
@@ -15,34 +16,34 @@
 
 namespace agnocast {
 
-/// What is known about a received message.
+/// Metadata of a received message.
 struct MessageInfo {
   std::uint64_t sequence = 0;  ///< of its publisher; consecutive, the first is 1
   std::uint64_t publisher =
-      0;  ///< generation of the publisher: never the same for two publishers of a daemon's life
+      0;  ///< generation of the publisher: unique during the life of a daemon
   std::uint64_t publish_time_ns = 0;  ///< CLOCK_MONOTONIC when it was published
   std::uint64_t object_bytes = 0;     ///< sizeof the message object
-  /// The same in CLOCK_REALTIME nanoseconds, by the offset of the two clocks now. Costs two clock
-  /// reads.
+  /// Returns publish_time_ns in CLOCK_REALTIME nanoseconds, by the present offset of the two
+  /// clocks. Costs two clock reads.
   AGNOCAST_PUBLIC std::uint64_t source_timestamp() const noexcept;
 };
 
 namespace detail {
 
-/// One message in this process's hands. Made and ended by the library.
+/// One message that this process uses. Created and destroyed by the library.
 struct Block {
   std::atomic<std::uint64_t> users{1};
-  std::atomic<void*> message{nullptr};           // null: published or given back
-  void (*end)(Block* block) noexcept = nullptr;  // the last copy is gone; deletes the block
-  std::uint64_t lender = 0;                      // LenderId of who lent it; 0: received
-  Block* next = nullptr;                         // while several are handed over, or it is unused
+  std::atomic<void*> message{nullptr};           // null: published or released
+  void (*end)(Block* block) noexcept = nullptr;  // called for the last copy; deletes the block
+  std::uint64_t lender = 0;                      // LenderId of the lender; 0: received
+  Block* next = nullptr;                         // in a chain of taken or of unused blocks
   MessageInfo info;
 };
 
 }  // namespace detail
 
-/// Like std::shared_ptr, for T in shared memory. A received message is ipc_shared_ptr<const T>; its
-/// memory is read-only. Different copies may be used by different threads at the same time. After
+/// Like std::shared_ptr, for T in shared memory. A received message is ipc_shared_ptr<const T>;
+/// its memory is read-only. Different threads may use different copies at the same time. After
 /// publish() every copy of the loan is empty.
 template <class T>
 class ipc_shared_ptr {
@@ -69,7 +70,7 @@ class ipc_shared_ptr {
   void reset() noexcept {
     detail::Block* const block = std::exchange(block_, nullptr);
     if (block == nullptr) return;
-    // The only user is nobody's rival, and most are: they need no locked instruction.
+    // A single user has no rivals, the common case, and needs no locked instruction.
     if (block->users.load(std::memory_order_acquire) == 1 ||
         block->users.fetch_sub(1, std::memory_order_acq_rel) == 1)
       block->end(block);
@@ -86,13 +87,13 @@ class ipc_shared_ptr {
   friend bool operator==(std::nullptr_t, const ipc_shared_ptr& a) noexcept { return !a; }
   friend bool operator!=(const ipc_shared_ptr& a, std::nullptr_t) noexcept { return bool(a); }
   friend bool operator!=(std::nullptr_t, const ipc_shared_ptr& a) noexcept { return bool(a); }
-  /// Of a received message; zeros for a loan.
+  /// Returns the metadata of a received message; zeros for a loan.
   const MessageInfo& info() const noexcept {
     static const MessageInfo none;
     return block_ != nullptr ? block_->info : none;
   }
 
-  /// For the library: takes over one use of the block.
+  /// For the library: takes over one reference to the block.
   explicit ipc_shared_ptr(detail::Block* block) noexcept : block_(block) {}
   detail::Block* block() const noexcept { return block_; }
 

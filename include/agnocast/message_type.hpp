@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// MessageType: everything the library knows about one message type, made once when an endpoint is
+// MessageType: the library's description of one message type, made once when an endpoint is
 // created.
 //
 // The library itself never sees T and never includes a header of rosidl. The user's translation
-// unit hands it small plain structs (below) which it reads from the introspection table, because
-// the layout of that table differs between releases of ROS 2 and only the user's compiler knows
-// which one is at hand.
+// unit reads the introspection table and passes it as small plain structs (below), because the
+// layout of that table differs between releases of ROS 2 and only the user's compiler knows the
+// present one.
 #pragma once
 
 #include <agnocast/export.hpp>
@@ -33,17 +33,18 @@ struct AGNOCAST_PUBLIC DestroyPlan {
 enum class ElementKind : std::uint8_t { primitive, boolean, string, u16string, message };
 enum class ArrayKind : std::uint8_t { none, fixed, bounded, unbounded };
 
-/// One member of a described message. Texts and functions live as long as the user's type support.
+/// One member of a described message. Texts and functions live as long as the user's type
+/// support.
 struct FieldTable {
   const char* name;
   ElementKind element;
   ArrayKind array;
   std::uint8_t primitive_id;    ///< rosidl's number of a primitive element type
-  bool is_polymorphic;          ///< the generator says so (rosidl::Buffer)
-  std::uint32_t element_bytes;  ///< sizeof one element; 0 for a message, whose own table says it
+  bool is_polymorphic;          ///< marked by the generator (rosidl::Buffer)
+  std::uint32_t element_bytes;  ///< sizeof one element; 0 for a message, see its own table
   std::size_t offset;           ///< bytes from the start of the message object
-  std::size_t array_bound;   ///< elements of a fixed array, or the most a bounded sequence can have
-  std::size_t string_bound;  ///< letters of a bounded string, else 0
+  std::size_t array_bound;   ///< elements of a fixed array, or the upper bound of a sequence
+  std::size_t string_bound;  ///< characters of a bounded string, else 0
   const void* nested;        ///< table of the element, for messages
   std::size_t (*size)(const void* member);
   const void* (*get)(const void* member, std::size_t index);
@@ -57,7 +58,7 @@ struct MessageTable {
   std::size_t field_count;
 };
 
-/// How the library reads a table: compiled in the user's translation unit.
+/// Functions that read a table, compiled in the user's translation unit.
 struct TableReader {
   MessageTable (*message)(const void* table);
   FieldTable (*field)(const void* table, std::size_t index);
@@ -66,10 +67,10 @@ struct TableReader {
   void (*destroy)(const void* table, void* memory);
 };
 
-/// Ends a message: destructor and deallocation. What it points to lives as long as the process.
+/// Ends a message: destructor and deallocation. Its context lives as long as the process.
 struct MessageEnd {
   void (*code)(const void* context, void* message) noexcept;
-  const void* context;  ///< of a type that was found at run time its table, else null
+  const void* context;  ///< the table of a type found at run time, else null
   void operator()(void* message) const noexcept { code(context, message); }
 
   template <class T>
@@ -90,32 +91,33 @@ struct PlainType {
 
 }  // namespace detail
 
-/// A message type as the library knows it. Immutable, cheap to copy; any thread may use it at the
-/// same time.
+/// A message type as the library knows it. Immutable, cheap to copy; any number of threads may
+/// use it at the same time.
 class MessageType {
  public:
-  /// How residency is decided; see message_traits.hpp.
+  /// How residency is checked; see message_traits.hpp.
   enum class Kind : std::uint8_t { described, flat, visited, opaque };
 
-  /// "sensor_msgs/msg/PointCloud2", the name of the trait, or the C++ name. Valid as long as this
-  /// object.
+  /// Returns "sensor_msgs/msg/PointCloud2", the name of the trait, or the C++ name. Valid as long
+  /// as this object.
   AGNOCAST_PUBLIC std::string_view name() const noexcept;
-  /// Equal in two processes if and only if a message of one can be read by the other (see
-  /// LayoutHash for the odds).
+  /// Returns a number that is equal in two processes if and only if one can read the messages of
+  /// the other (see LayoutHash for the odds).
   AGNOCAST_PUBLIC std::uint64_t layout_hash() const noexcept;
-  /// sizeof and alignof the message object with its header, in bytes.
+  /// Return sizeof and alignof the message object with its header, in bytes.
   AGNOCAST_PUBLIC std::uint32_t message_bytes() const noexcept;
   AGNOCAST_PUBLIC std::uint32_t message_alignment() const noexcept;
   AGNOCAST_PUBLIC Kind kind() const noexcept;
-  /// The pair that is compared at match; its name is valid as long as this object.
+  /// Returns the pair that is compared at match; its name is valid as long as this object.
   TypeIdentity identity() const noexcept { return {name(), layout_hash()}; }
 
   /// Throws std::bad_alloc.
   explicit MessageType(std::unique_ptr<const detail::MessagePlan, detail::DestroyPlan> plan)
       : plan_(std::move(plan)) {}
   const detail::MessagePlan& plan() const noexcept { return *plan_; }
-  /// The same message behind a header of that many bytes, which its alignment divides; matched by a
-  /// hash of its own. Messages of it are still named by their own address, the header lies before.
+  /// Returns the same type behind a header of `bytes` bytes, a multiple of its alignment, with a
+  /// hash of its own. Messages are still identified by their own address; the header lies before
+  /// it.
   MessageType behind_header(std::uint32_t bytes, std::uint64_t layout_hash) const noexcept {
     MessageType type = *this;
     type.header_bytes_ = bytes;
@@ -147,14 +149,16 @@ void visit_message(const void* message, PointerVisitor& visitor) {
 
 }  // namespace detail
 
-/// What T is as a message. Does not compile if T cannot be one; message_traits.hpp has the rules.
+/// Returns the description of T. Does not compile if T cannot be a message; see
+/// message_traits.hpp.
 ///
-/// For a rosidl type its tables are not believed: a default message of each nested type is built,
-/// every sequence in it is resized to two elements, and the memory is compared with what a
-/// std::vector looks like. So call it when endpoints are created: it allocates, runs the message's
-/// constructors, and costs about a microsecond per member. Errors: type_refused: a member that only
-/// works in this process (rosidl::Buffer), a table that contradicts itself, or a library built with
-/// another standard library than the caller; os_failure with ENOMEM. Throws nothing. Any thread.
+/// The tables of a rosidl type are verified: a default message of each nested type is built,
+/// every sequence in it is resized to two elements, and the memory is compared with the layout of
+/// a std::vector. So call it when endpoints are created: it allocates, runs the message's
+/// constructors, and costs about a microsecond per member. Errors: type_refused: a member that
+/// only works in this process (rosidl::Buffer), a table that contradicts itself, or a library
+/// built with another standard library than the caller; os_failure with ENOMEM. Throws nothing.
+/// Any thread.
 template <class T>
 [[nodiscard]] Result<MessageType> message_type_of() noexcept {
   static_assert(detail::require_message<T>());

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Node: a name in the ROS graph, and the remap rules of its command line. Publishers, subscriptions,
-// services and clients belong to a node by its name; any other class that node_like.hpp describes (an
-// rclcpp::Node) does as well.
+// Node: a name in the ROS graph, and the remap rules of its command line. Publishers,
+// subscriptions, services and clients belong to a node by its name; so they can belong to any
+// class that node_like.hpp describes, such as an rclcpp::Node.
 #pragma once
 
 #include <agnocast/client.hpp>
@@ -24,8 +24,8 @@ namespace agnocast {
 /// Options of init(), with setters.
 class InitOptions {
  public:
-  /// False: init() writes nothing, and the program tells its user itself what ignored_ros_arguments()
-  /// returns.
+  /// False: init() writes nothing, and the program itself reports the result of
+  /// ignored_ros_arguments() to its user.
   InitOptions& warn_of_ignored_arguments(bool wanted) noexcept { return warns_ = wanted, *this; }
   bool warns_of_ignored_arguments() const noexcept { return warns_; }
 
@@ -33,28 +33,30 @@ class InitOptions {
   bool warns_ = true;
 };
 
-/// Takes the ROS arguments of the command line (`--ros-args … --`) for all nodes that are created
-/// later; the last call counts. Optional. It installs no signal handler. For each argument that has
-/// no effect (ignored_ros_arguments) it writes a line to standard error, once in the life of the
-/// process; the library writes nothing else anywhere. Throws Error: invalid_argument, invalid_name.
+/// Takes the ROS arguments of the command line (`--ros-args … --`) for all nodes created later;
+/// the last call counts. Optional. It installs no signal handler. For each argument without
+/// effect (ignored_ros_arguments) it writes a line to standard error, once in the life of the
+/// process; the library writes nothing else anywhere. Throws Error: invalid_argument,
+/// invalid_name.
 AGNOCAST_PUBLIC void init(int argc, char const* const* argv, const InitOptions& options = {});
-/// The arguments without those for ROS; the program's name stays the first. Throws as init().
+/// Returns the arguments without those for ROS; the program's name stays the first. Throws as
+/// init().
 [[nodiscard]] AGNOCAST_PUBLIC std::vector<std::string> remove_ros_arguments(
     int argc, char const* const* argv);
-/// The arguments for ROS that agnocast accepts and that have no effect (parameters, enclaves, log options), each with its
-/// value: {"-p rate:=10"}. Writes nothing. Throws as init().
+/// Returns the ROS arguments that agnocast accepts but that have no effect (parameters, enclaves,
+/// log options), each with its value: {"-p rate:=10"}. Writes nothing. Throws as init().
 [[nodiscard]] AGNOCAST_PUBLIC std::vector<std::string> ignored_ros_arguments(
     int argc, char const* const* argv);
 
 /// Options of a node, with setters.
 class NodeOptions {
  public:
-  /// ROS arguments of this node alone; its rules come before those of init(). As on a command line:
-  /// {"--ros-args", "-r", "from:=to"}.
+  /// Sets ROS arguments for this node alone; its rules come before those of init(). As on a
+  /// command line: {"--ros-args", "-r", "from:=to"}.
   NodeOptions& arguments(std::vector<std::string> arguments) {
     return arguments_ = std::move(arguments), *this;
   }
-  /// False: what init() was given does not count for this node.
+  /// False: this node ignores the arguments of init().
   NodeOptions& use_global_arguments(bool use) noexcept { return use_global_ = use, *this; }
 
   const std::vector<std::string>& arguments() const noexcept { return arguments_; }
@@ -65,15 +67,15 @@ class NodeOptions {
   bool use_global_ = true;
 };
 
-/// Names do not change after construction; any thread may call anything. Its endpoints do not keep
-/// it alive, nor it them.
+/// Names do not change after construction; any thread may call any function. A node and its
+/// endpoints do not keep each other alive.
 class AGNOCAST_PUBLIC Node {
  public:
   using SharedPtr = std::shared_ptr<Node>;
 
-  /// A name is one token; a namespace begins with a slash (one is added if it is missing), and the
-  /// empty one is "/". Remap rules change both. Throws Error: invalid_name (with the position),
-  /// invalid_argument (of the arguments).
+  /// A name is one token; a namespace begins with a slash (one is added if it is missing), and
+  /// the empty one is "/". Remap rules change both. Throws Error: invalid_name (with the
+  /// position), invalid_argument (for the arguments).
   explicit Node(const std::string& name, const NodeOptions& options = {});
   Node(const std::string& name, const std::string& node_namespace, const NodeOptions& options = {});
   virtual ~Node();
@@ -84,11 +86,11 @@ class AGNOCAST_PUBLIC Node {
   const char* get_namespace() const noexcept;
   const char* get_fully_qualified_name() const noexcept;
 
-  /// The ROS arguments of NodeOptions, then those of init(), that have no effect on this node:
-  /// see ignored_ros_arguments(). Valid as long as the node.
+  /// Returns the ROS arguments without effect on this node, those of NodeOptions first, then
+  /// those of init(): see ignored_ros_arguments(). Valid as long as the node.
   const std::vector<std::string>& ignored_arguments() const noexcept;
 
-  /// What this node calls `topic`, fully qualified and remapped. Errors: invalid_name.
+  /// Returns the fully qualified and remapped name of `topic` in this node. Errors: invalid_name.
   [[nodiscard]] Result<std::string> try_resolve_topic_name(const std::string& topic) const;
   /// The same; throws Error.
   std::string resolve_topic_name(const std::string& topic) const;
@@ -96,8 +98,8 @@ class AGNOCAST_PUBLIC Node {
   [[nodiscard]] Result<std::string> try_resolve_service_name(const std::string& service) const;
   std::string resolve_service_name(const std::string& service) const;
 
-  /// The members below are the free functions of publisher.hpp, subscription.hpp, service.hpp and
-  /// client.hpp. They throw Error.
+  /// The functions below are the free functions of publisher.hpp, subscription.hpp, service.hpp
+  /// and client.hpp. They throw Error.
   template <class T>
   typename Publisher<T>::SharedPtr create_publisher(const std::string& topic, const QoS& qos,
                                                     const PublisherOptions& options = {}) {

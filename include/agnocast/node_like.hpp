@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What the library needs of a node: a name, a namespace, and how topic names resolve. An
-// rclcpp::Node, an agnocast::Node or anything of that shape fits, by reference, pointer or shared
-// pointer; nothing here depends on rclcpp.
+// The library's requirements on a node: a name, a namespace, and resolution of topic names. An
+// rclcpp::Node, an agnocast::Node or any class of that shape fits, by reference, pointer or
+// shared pointer; nothing here depends on rclcpp.
 #pragma once
 
 #include <agnocast/exceptions.hpp>
@@ -21,20 +21,21 @@ namespace agnocast::detail {
 struct EndpointName {
   std::string topic;
   std::string node;
-  /// By which peers know it as long as it lives, whatever becomes of the daemon: a number that
-  /// several endpoints of one owner may share. 0: one that no other endpoint has.
+  /// Persistent endpoint id: peers identify the endpoint by it as long as it lives, also across
+  /// losses of the daemon. Several endpoints of one owner may share it. 0: generate a unique one.
   std::uint64_t lineage = 0;
-  /// Of a publisher: peers know its lineage when say_lineage() was called, and not before.
+  /// For a publisher: peers learn the id only after say_lineage().
   bool says_lineage_later = false;
 };
 
-/// ROS rules: relative names get the namespace, "~" the node's name. Errors: invalid_name.
+/// Applies the ROS rules: relative names get the namespace, "~" the node's name. Errors:
+/// invalid_name.
 [[nodiscard]] AGNOCAST_PUBLIC Result<std::string> expand_topic(const std::string& topic,
                                                                const std::string& node_name,
                                                                const std::string& node_namespace);
-/// Errors: invalid_name.
+/// Checks a fully qualified name. Errors: invalid_name.
 [[nodiscard]] AGNOCAST_PUBLIC Result<void> require_topic(const std::string& topic);
-/// The same for the name of a service.
+/// The same for the names of services.
 [[nodiscard]] AGNOCAST_PUBLIC Result<std::string> expand_service(const std::string& service,
                                                                  const std::string& node_name,
                                                                  const std::string& node_namespace);
@@ -54,8 +55,8 @@ auto& dereference(Node& node) noexcept {
   }
 }
 
-/// How a node is asked for the full name of a topic, or of a service: by the interface of an
-/// rclcpp::Node, by a member that returns a Result, by one that throws; else by the rules alone.
+/// How to get the full name of a topic, or of a service, from a node: through the interface of an
+/// rclcpp::Node, a member that returns a Result, or one that throws; else by the rules alone.
 struct TopicNames {
   template <class Node>
   static auto interface_of(Node& node) -> decltype(node.get_node_topics_interface()) {
@@ -113,7 +114,7 @@ inline constexpr bool has_resolve<
     Names, Node, std::void_t<decltype(Names::resolve(std::declval<Node&>(), std::string()))>> =
     true;
 
-/// Resolves `name` as `node` would: its remappings if it has any, else by the rules alone.
+/// Resolves `name` as `node` would: with its remappings if it has any, else by the rules alone.
 template <class Names, class Node>
 [[nodiscard]] Result<EndpointName> resolve_as(Node& node, const std::string& name) {
   EndpointName resolved;
@@ -124,7 +125,7 @@ template <class Names, class Node>
       resolved.topic = Names::resolve(names, name);
     } catch (const std::bad_alloc&) {
       throw;
-    } catch (const std::exception& refused) {  // rclcpp's, of a wrong name
+    } catch (const std::exception& refused) {  // from rclcpp, for an invalid name
       return fail_with(Errc::invalid_name, refused.what());
     }
 #else

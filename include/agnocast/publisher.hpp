@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Publisher: borrow a message, fill it with whatever its type can do, publish it. Nothing is copied
-// and nothing serialized; what was built outside the shared heap is adopted (copied once, and said
-// so).
+// Publisher: borrow a message, fill it by the means of its type, publish it. Nothing is copied or
+// serialized, except memory outside the shared heap: such a message is adopted (copied once, and
+// the result reports it).
 #pragma once
 
 #include <agnocast/events.hpp>
@@ -34,8 +34,8 @@ class Watch;
 /// Options of a publisher: its event callbacks (events.hpp).
 class PublisherOptions : public detail::EventOptions<PublisherOptions> {};
 
-/// What publish did. Converts to true when the message was committed; then it is the queue's.
-/// Otherwise the caller still has it.
+/// Outcome of publish. Converts to true when the message was committed and belongs to the queue;
+/// otherwise the caller still owns it.
 struct PublishResult {
   /// ok, no_slot, would_block, heap_exhausted, window_exhausted, loan_invalid, user_code_threw,
   /// protocol_violation, shut_down (in a forked child), switched_off, revoked
@@ -47,8 +47,8 @@ struct PublishResult {
 
 namespace detail {
 
-/// Keeps one thread's allocations in the shared heap from borrow to publish. May be closed by
-/// another thread: then the first one is told, and goes back to its ordinary heap at its next
+/// Keeps one thread's allocations in the shared heap from borrow to publish. Another thread may
+/// close it: then the first thread is notified, and returns to its ordinary heap at its next
 /// borrow or publish.
 class AGNOCAST_PUBLIC BorrowScope {
  public:
@@ -65,11 +65,12 @@ class AGNOCAST_PUBLIC BorrowScope {
   Home* home_ = nullptr;
 };
 
-/// Tells the loans of one publisher, service or client of this process from all others'. No address
-/// does: a loan may outlive its lender, and another one be made in the same place.
+/// Distinguishes the loans of one publisher, service or client of this process from all others.
+/// An address cannot: a loan may outlive its lender, and another lender be created at the same
+/// address.
 class LenderId {
  public:
-  /// One that nobody had before.
+  /// Makes a new id, unique in the process.
   AGNOCAST_PUBLIC LenderId() noexcept;
   std::uint64_t value() const noexcept { return value_; }
 
@@ -77,19 +78,19 @@ class LenderId {
   std::uint64_t value_;  // counted from 1; they do not run out
 };
 
-/// Sleeps between attempts, ever longer up to a millisecond, until the time is up.
+/// Sleeps between attempts, ever longer up to a millisecond, until the timeout.
 class Patience {
  public:
   template <class Rep, class Period>
   explicit Patience(std::chrono::duration<Rep, Period> timeout) noexcept {
-    // A year is for ever, and an end that can be computed.
+    // A year stands for "no limit", and an end that can be computed.
     constexpr auto for_ever = std::chrono::hours(24 * 365);
     end_ = std::chrono::steady_clock::now() +
            (timeout < for_ever
                 ? std::chrono::duration_cast<std::chrono::steady_clock::duration>(timeout)
                 : std::chrono::steady_clock::duration(for_ever));
   }
-  /// False when the time is up; then it did not sleep.
+  /// Returns false, without sleeping, when the time is up.
   AGNOCAST_PUBLIC bool wait() noexcept;
 
  private:
@@ -97,7 +98,7 @@ class Patience {
   std::chrono::microseconds step_{10};
 };
 
-/// What only the user's translation unit knows about a message type.
+/// The parts of a message type that only the user's translation unit knows.
 struct MessageCode {
   MessageEnd end;
   bool uses_shared_allocator;
@@ -112,23 +113,25 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   UntypedPublisher(const UntypedPublisher&) = delete;
   UntypedPublisher& operator=(const UntypedPublisher&) = delete;
 
-  /// Its destructor waits no longer for the daemon than until then. Not while another thread may
-  /// destroy it.
+  /// Bounds the time that its destructor waits for the daemon. Do not call it while another
+  /// thread may destroy this object.
   void end_by(std::chrono::steady_clock::time_point end) noexcept { end_ = end; }
   /// See EndpointName::says_lineage_later.
   void say_lineage() noexcept;
 
-  /// ok; shut_down in a forked child, switched_off, revoked: nothing can be published.
+  /// Returns ok, or why nothing can be published: shut_down in a forked child, switched_off,
+  /// revoked.
   Errc state() const noexcept;
-  /// `object_bytes` of `message_bytes` are the message object itself.
+  /// Publishes `message_bytes` bytes; `object_bytes` of them are the message object itself.
   Errc publish(void* message, std::size_t object_bytes, std::uint64_t message_bytes) noexcept;
-  /// Before a message is borrowed or adopted: destroys old ones that publish has left to be destroyed.
+  /// Destroys old messages that publish has deferred. Call it before borrowing or adopting a
+  /// message.
   void make_room() const noexcept;
-  /// The heap is full: destroys every old message of this process that nobody needs any more, those of
-  /// other publishers too. False: there was none. The next make_room() does the same, as a borrow may
-  /// come before the next publish.
+  /// For a full heap: destroys every unneeded old message of this process, also those of other
+  /// publishers. Returns false if there was none. The next make_room() does the same, because a
+  /// borrow may come before the next publish.
   bool has_more_room() const noexcept;
-  /// What make_resident did, unless nothing was foreign; for agnocast-ctl.
+  /// Counts an outcome of make_resident for agnocast-ctl, unless nothing was foreign.
   void count_adoption(const Result<Adoption>& adopted) noexcept;
   SharedHeap heap() const noexcept;
   LenderId lender() const noexcept { return lender_; }
@@ -141,11 +144,11 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   IncompatibleTypeInfo incompatible_type_status() noexcept;
   HeapCollisionInfo heap_collision_status() noexcept;
   bool is_active() const noexcept;
-  /// See EndpointName::lineage; 0: switched off.
+  /// Returns the persistent endpoint id (EndpointName::lineage); 0: switched off.
   std::uint64_t lineage() const noexcept;
-  /// Of the subscriptions that get what is published from now on.
+  /// Returns the persistent ids of the subscriptions that receive messages published from now on.
   std::vector<std::uint64_t> reader_lineages() const;
-  /// `watch` is told when what is matched has changed.
+  /// Registers `watch`, which is notified when matched endpoints change.
   void tell(std::shared_ptr<Watch> watch) noexcept;
 
  private:
@@ -162,21 +165,22 @@ class AGNOCAST_PUBLIC UntypedPublisher {
 
 }  // namespace detail
 
-/// What all publishers can say. Any thread may call anything.
+/// Functions common to all publishers. Any thread may call any of them.
 class PublisherBase {
  public:
-  /// False when AGNOCAST=off was in the environment as this was created (it can be used as always, and
-  /// publish says switched_off), and when the membership of the process was revoked (publish says
+  /// Returns false if AGNOCAST=off was in the environment at creation (all calls still work, and
+  /// publish returns switched_off), or the session of the process was revoked (publish returns
   /// revoked).
   bool is_active() const noexcept { return untyped_->is_active(); }
   const char* get_topic_name() const noexcept { return untyped_->topic().c_str(); }
-  /// Matched subscriptions: each gets what is published from now on.
+  /// Returns the number of matched subscriptions, which receive messages published from now on.
   std::size_t get_subscription_count() const noexcept { return untyped_->subscription_count(); }
-  /// Of event callbacks, in the library's thread (see Subscription).
+  /// Returns the number of exceptions thrown by event callbacks in the library's thread (see
+  /// Subscription).
   std::uint64_t get_callback_exception_count() const noexcept {
     return untyped_->callback_exception_count();
   }
-  /// Changes are counted since the last call (events.hpp).
+  /// These return changes since the last call (events.hpp).
   MatchedInfo get_matched_status() noexcept { return untyped_->matched_status(); }
   IncompatibleQosInfo get_incompatible_qos_status() noexcept {
     return untyped_->incompatible_qos_status();
@@ -200,7 +204,7 @@ class PublisherBase {
 
 namespace detail {
 
-/// Commits a message that lies in the shared heap. On failure `message` is as before.
+/// Commits a message in the shared heap. On failure `message` is unchanged.
 template <class Code>
 Errc commit_resident(UntypedPublisher& publisher, const Code& code, typename Code::Owner& message,
                      std::uint64_t message_bytes) noexcept {
@@ -209,8 +213,8 @@ Errc commit_resident(UntypedPublisher& publisher, const Code& code, typename Cod
   return outcome;
 }
 
-/// Commits a message that was made anywhere. What of it lies outside the shared heap is adopted. On
-/// failure `message` is as before. `Code` as for Lender.
+/// Commits a message that was made anywhere; adopts it if parts are outside the shared heap. On
+/// failure `message` is unchanged. `Code` as for Lender.
 template <class Code>
 PublishResult commit(UntypedPublisher& publisher, const Code& code,
                      typename Code::Owner&& message) noexcept {
@@ -225,17 +229,18 @@ PublishResult commit(UntypedPublisher& publisher, const Code& code,
           adopted->adopted_bytes};
 }
 
-/// Lends messages and takes them back. `Code` makes, copies, owns and measures messages, which are T
-/// to it: TypedCode, CodeByTable of generic.hpp, or those of service_message.hpp.
+/// Lends messages and takes them back. `Code` makes, copies, owns and measures messages of type
+/// T: TypedCode, CodeByTable of generic.hpp, or those of service_message.hpp.
 template <class T, class Code>
 class Lender {
  public:
   using Owner = typename Code::Owner;  // a unique_ptr
 
-  /// Sets a loan aside that will be filled later: from now on the thread that borrowed it allocates
-  /// as if it had not; LoanScope(loan) goes on. The thing to do before another thread gets it to
-  /// publish: that thread cannot end this one's scope, which then lasts to its next borrow. False if
-  /// it was not lent here. Any thread, but not while another publishes the same loan.
+  /// Suspends a loan that will be filled later: from now on the thread that borrowed it allocates
+  /// as if it had not; LoanScope(loan) resumes. Call it before passing the loan to another thread
+  /// that publishes it: that thread cannot end this one's scope, which then lasts until its next
+  /// borrow. Returns false for a loan of another lender. Any thread, but not while another one
+  /// publishes the same loan.
   bool pause(const ipc_shared_ptr<T>& message) noexcept {
     Loan* const loan = loan_of(message);
     if (loan == nullptr || loan->message == nullptr) return false;
@@ -255,7 +260,7 @@ class Lender {
     loan->message = code_.make().release();
     return ipc_shared_ptr<T>(loan.release());
   }
-  /// Gives what was lent to `commit_owned(Owner&&)`, which leaves it where it is unless it succeeds.
+  /// Passes the loan to `commit_owned(Owner&&)`, which leaves it in place unless it succeeds.
   template <class Commit>
   PublishResult take_back(ipc_shared_ptr<T>&& message, Commit&& commit_owned) const noexcept {
     Loan* const loan = loan_of(message);
@@ -280,8 +285,8 @@ class Lender {
     Code code;
     BorrowScope scope;  // closed after the message is gone: member order
   };
-  /// Of several copies of the handle one gets it. A single one is nobody's rival, and needs no locked
-  /// instruction.
+  /// Takes the message; only one of several copies of the handle gets it. A single copy has no
+  /// rivals, and needs no locked instruction.
   static void* take_message(Loan& loan) noexcept {
     if (loan.users.load(std::memory_order_acquire) != 1)
       return loan.message.exchange(nullptr, std::memory_order_acq_rel);
@@ -298,31 +303,31 @@ class Lender {
   Code code_;
 };
 
-/// Loans and their commit, of typed and of generic publishers.
+/// Loans and their commit, for typed and generic publishers.
 template <class T, class Code>
 class LendingPublisher : public PublisherBase, public Lender<T, Code> {
  public:
   using typename Lender<T, Code>::Owner;
 
-  /// Commits a loan of this publisher; every copy of the handle becomes empty, in other threads too.
-  /// Who published through one copy has published for all: publishing another copy, also at the same
-  /// time, is loan_invalid. A thread that still writes to the message then writes to what
-  /// subscriptions read. On failure `message` is as before, though an adopted message has moved.
+  /// Commits a loan of this publisher; every copy of the handle becomes empty, also in other
+  /// threads. Publishing a second copy, even at the same time, returns loan_invalid. A thread
+  /// that still writes to the message then writes to memory that subscriptions read. On failure
+  /// `message` is unchanged, though an adopted message has moved.
   PublishResult publish(ipc_shared_ptr<T>&& message) noexcept {
     return this->take_back(std::move(message),
                            [this](Owner&& object) { return publish(std::move(object)); });
   }
 
-  /// Commits a message that was made anywhere. What of it lies outside the shared heap is adopted.
-  /// On failure `message` is as before.
+  /// Commits a message that was made anywhere; adopts it if parts are outside the shared heap. On
+  /// failure `message` is unchanged.
   PublishResult publish(Owner&& message) noexcept {
     return commit(untyped(), this->code(), std::move(message));
   }
 
-  /// publish for keep-all: while a subscription has not read enough (would_block), waits for it, at
-  /// most `timeout`; one attempt at least. Nobody rings a publisher, so this asks again and again: 10
-  /// µs after the first refusal, then ever more rarely, every millisecond in the end. So a wait of
-  /// long standing costs a thousand short looks a second, and ends up to a millisecond late.
+  /// Publishes to keep-all subscriptions: while one has not read enough (would_block), retries
+  /// for at most `timeout`, at least once. Nothing wakes a publisher, so it polls: 10 µs after
+  /// the first refusal, then less and less often, at last every millisecond. A long wait
+  /// therefore costs a thousand short checks a second, and ends up to a millisecond late.
   template <class Message, class Rep, class Period>
   PublishResult publish_for(Message&& message,
                             std::chrono::duration<Rep, Period> timeout) noexcept {
@@ -336,7 +341,7 @@ class LendingPublisher : public PublisherBase, public Lender<T, Code> {
     }
   }
 
-  /// The same as publish, for callers that must look at the result.
+  /// The same as publish, for callers that must check the result.
   [[nodiscard]] PublishResult try_publish(ipc_shared_ptr<T>&& message) noexcept {
     return publish(std::move(message));
   }
@@ -349,7 +354,7 @@ class LendingPublisher : public PublisherBase, public Lender<T, Code> {
       : PublisherBase(std::move(untyped)), Lender<T, Code>(this->untyped().lender(), code) {}
   ~LendingPublisher() = default;
 
-  /// A copy in the shared heap; without a message, `code` says why.
+  /// A copy in the shared heap; without a message, `code` is the reason.
   struct Copied {
     Owner message;
     std::uint64_t bytes = 0;
@@ -380,15 +385,16 @@ class LendingPublisher : public PublisherBase, public Lender<T, Code> {
     return {commit_resident(untyped(), this->code(), copy.message, copy.bytes), copy.bytes};
   }
 
-  // Hides that of Lender, which clients and services use: what those leave goes by their next publish.
+  // Hides Lender's, which clients and services use: their next publish destroys their old
+  // messages.
   ipc_shared_ptr<T> lend() {
     untyped().make_room();
     return Lender<T, Code>::lend();
   }
 };
 
-/// Copies messages of a publisher that may lie, of a type with a table. `is_whole` becomes false of one that leads
-/// out of `windows`; the copy is then of no use.
+/// Copies messages of an untrusted publisher, of a type with a table. Sets `is_whole` to false
+/// for a message that refers to memory outside `windows`; the copy is then useless.
 template <class T>
 struct CheckedCode : TypedCode<T> {
   static constexpr bool copy_may_throw = true;
@@ -404,7 +410,7 @@ struct CheckedCode : TypedCode<T> {
 
 }  // namespace detail
 
-/// Any thread may call anything; publishes of one publisher are ordered by a private mutex.
+/// Any thread may call any function; a private mutex orders the publishes of one publisher.
 template <class T>
 class Publisher : public detail::LendingPublisher<T, detail::TypedCode<T>> {
   using Base = detail::LendingPublisher<T, detail::TypedCode<T>>;
@@ -416,11 +422,11 @@ class Publisher : public detail::LendingPublisher<T, detail::TypedCode<T>> {
   explicit Publisher(std::shared_ptr<detail::UntypedPublisher> untyped) noexcept
       : Base(std::move(untyped)) {}
 
-  /// A message to fill. From here to publish (or its destruction) this thread allocates from the
-  /// shared heap; many loans at once are fine, and LoanScope takes one to other threads. If the heap
-  /// is full the memory comes from libc and publish says heap_exhausted. Like publish it destroys old
-  /// messages: hold no lock that a destructor of theirs wants. Throws what T's constructor throws, and
-  /// std::bad_alloc.
+  /// Lends a message to fill. From here to publish (or its destruction) this thread allocates
+  /// from the shared heap; it may have many loans at once, and LoanScope extends one to other
+  /// threads. If the heap is full, the memory comes from libc and publish returns heap_exhausted.
+  /// Like publish it destroys old messages: hold no lock that their destructors need. Throws what
+  /// T's constructor throws, and std::bad_alloc.
   ipc_shared_ptr<T> borrow_loaned_message() {
     static_assert(std::is_default_constructible_v<T>,
                   "agnocast: this message has no default constructor, so it cannot be borrowed; "
@@ -429,16 +435,17 @@ class Publisher : public detail::LendingPublisher<T, detail::TypedCode<T>> {
   }
 
   using Base::publish;
-  /// Publishes a copy, which is made in the shared heap: for code that has a message of its own, or passes on
-  /// one that it has received. `adopted_bytes` is all of it; a loan or a std::unique_ptr costs less. Errors as
-  /// of the others, but for loan_invalid; and protocol_violation: a received message of rosidl's leads out of
-  /// the memory of its publisher (docs/messages.md, Forwarding).
+  /// Publishes a copy made in the shared heap: for a message that the caller keeps, or forwards
+  /// after receiving it. `adopted_bytes` is its whole size; a loan or a std::unique_ptr costs
+  /// less. Errors as of the other overloads without loan_invalid; and protocol_violation: a
+  /// received rosidl message refers to memory outside its publisher's (docs/messages.md,
+  /// Forwarding).
   PublishResult publish(const T& message) noexcept {
     return this->publish_copy(copy_of(message));
   }
   using Base::try_publish;
   [[nodiscard]] PublishResult try_publish(const T& message) noexcept { return publish(message); }
-  /// publish_for of a message of the caller's: one copy, however often it is tried.
+  /// publish_for with a message that the caller keeps: copies it once, however often it retries.
   template <class Rep, class Period>
   PublishResult publish_for(const T& message, std::chrono::duration<Rep, Period> timeout) noexcept {
     detail::Patience patience(timeout);
@@ -470,8 +477,8 @@ class Publisher : public detail::LendingPublisher<T, detail::TypedCode<T>> {
   }
 };
 
-/// A publisher, or why there is none. Errors: daemon_not_running, hook_missing, hook_ineffective,
-/// invalid_name, type_mismatch, type_refused, depth_refused, quota_exceeded, access_denied, …
+/// Creates a publisher. Errors: daemon_not_running, hook_missing, hook_ineffective, invalid_name,
+/// type_mismatch, type_refused, depth_refused, quota_exceeded, access_denied, …
 /// (include/agnocast/error.hpp).
 template <class T, class Node>
 [[nodiscard]] Result<typename Publisher<T>::SharedPtr> try_create_publisher(

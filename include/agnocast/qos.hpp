@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Quality of service, meaning what it means in ROS 2. An rclcpp::QoS (anything with its getters)
+// Quality of service with the meaning of ROS 2. An rclcpp::QoS (or any class with its getters)
 // converts to it.
 #pragma once
 
@@ -16,15 +16,16 @@ namespace agnocast {
 /// at least what the subscription requests (DDS 1.4, 2.2.3). Any thread; plain data.
 class QoS {
  public:
-  /// Keep-last: a publisher keeps that many messages for late joiners if it is transient-local; a
-  /// subscription gets that many unread messages, whatever the publisher's depth is. 0 and depths
-  /// above the daemon's limit are refused at creation. A number where a QoS is wanted is a depth.
+  /// Keep-last: a transient-local publisher keeps `depth` messages for late joiners; a
+  /// subscription keeps that many unread messages, whatever the publisher's depth is. Creation
+  /// refuses 0 and depths above the daemon's limit. A number converts to a QoS with that depth.
   QoS(std::size_t depth) noexcept : depth_(depth) {}
-  /// From an rclcpp::QoS or whatever else has depth(), history(), reliability() and durability() in
-  /// rmw's numbers. Keep-all has no depth in ROS 2, so its bound is the one of keep_all(); the
-  /// system's default history without a depth is the last message, as in DDS. "Best available" is
-  /// what matches everybody: a publisher is reliable, a subscription takes best effort, and both
-  /// are volatile. It is decided by the kind of endpoint, not by who is there at its creation.
+  /// Converts an rclcpp::QoS, or any class with depth(), history(), reliability() and
+  /// durability() in rmw's numbers. Keep-all has no depth in ROS 2, so it gets the bound of
+  /// keep_all(); the system's default history without a depth keeps the last message, as in DDS.
+  /// "Best available" becomes the value that matches every peer: a publisher is reliable, a
+  /// subscription best effort, and both are volatile. That depends on the kind of endpoint, not
+  /// on the endpoints present at its creation.
   template <class Like, class = decltype(std::declval<const Like&>().depth(),
                                          std::declval<const Like&>().history(),
                                          std::declval<const Like&>().reliability(),
@@ -37,9 +38,10 @@ class QoS {
         transient_local_(static_cast<int>(like.durability()) == rmw_transient_local) {}
 
   QoS& keep_last(std::size_t depth) noexcept { return depth_ = depth, keep_all_ = false, *this; }
-  /// On both sides, both reliable: nothing is lost, and the publisher gets would_block where it would
-  /// overrun the subscription. A keep-last publisher is not held up, also by a keep-all subscription,
-  /// which then loses what is beyond `bound`: the unread messages at most (of both, the smaller).
+  /// With reliable keep-all on both sides nothing is lost: the publisher gets would_block where
+  /// it would overrun the subscription. A keep-last publisher never waits, not even for a
+  /// keep-all subscription, which then loses messages beyond `bound`. `bound` limits the unread
+  /// messages (the smaller one of both sides).
   QoS& keep_all(std::size_t bound = keep_all_bound) noexcept {
     return depth_ = bound, keep_all_ = true, *this;
   }
@@ -50,7 +52,7 @@ class QoS {
 
   std::size_t depth() const noexcept { return depth_; }
   bool is_keep_all() const noexcept { return keep_all_; }
-  /// Of a publisher. A subscription whose reliability is the best available is not.
+  /// For a publisher. A subscription with "best available" reliability is not reliable.
   bool is_reliable() const noexcept { return reliable_; }
   bool is_best_available() const noexcept { return best_available_; }
   bool is_transient_local() const noexcept { return transient_local_; }

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Residency: is every byte that a reader of a message may touch in shared memory? And if not, the
-// repair.
+// Residency: checks whether every byte that a reader of a message may touch is in shared memory,
+// and repairs the message if not.
 //
-// A std::vector that was filled before the loan began, or moved in from elsewhere, lies in memory
-// that no other process has. publish therefore asks check_residency() about every message, and
-// hands foreign ones to make_resident(), which needs no knowledge of layouts: it copies the message
-// by its own copy constructor while the shared heap is on. Called by publish; users see the outcome
-// as PublishResult::adopted_bytes.
+// A std::vector filled before the loan began, or moved in from elsewhere, has memory that no
+// other process maps. publish therefore calls check_residency() for every message, and
+// make_resident() for those with foreign memory. That needs no knowledge of layouts: it copies
+// the message with its own copy constructor while the shared heap is on. Users see the outcome as
+// PublishResult::adopted_bytes.
 #pragma once
 
 #include <agnocast/exceptions.hpp>
@@ -27,8 +27,8 @@
 
 namespace agnocast {
 
-/// The address ranges of this process's shared heap that may be published from: each window up to
-/// its frontier.
+/// Address ranges of shared heap windows, each up to its frontier: for a publisher those that it
+/// may publish from.
 class WindowSet {
  public:
   static constexpr std::size_t count_max = 8;
@@ -37,15 +37,16 @@ class WindowSet {
     std::uintptr_t end;    ///< one past the last
   };
 
-  // What lies beyond count() is never read, and each publish makes one: it is not filled with zeros.
+  // Elements beyond count() are never read; they are not zeroed, because each publish makes a
+  // WindowSet.
   WindowSet() noexcept {}
 
-  /// Adds [begin, end). False, and nothing changed, if it is empty, overlaps another or is one too
-  /// many. Keeps order.
+  /// Adds [begin, end). Returns false, and changes nothing, if the range is empty, overlaps
+  /// another or is one too many. Keeps order.
   AGNOCAST_PUBLIC bool add(std::uintptr_t begin, std::uintptr_t end) noexcept;
 
-  /// Whether all of [first, first + bytes) lies in one window. At most eight comparisons; usually
-  /// one.
+  /// Returns whether all of [first, first + bytes) is in one window. At most eight comparisons;
+  /// usually one.
   bool contains(const void* first, std::size_t bytes) const noexcept {
     const auto address = reinterpret_cast<std::uintptr_t>(first);
     for (std::size_t i = 0; i < count_; ++i) {
@@ -63,40 +64,40 @@ class WindowSet {
   std::size_t count_ = 0;
 };
 
-/// What check_residency found.
+/// Result of check_residency.
 struct Residency {
   static constexpr std::size_t path_bytes_max = 160;
 
-  /// Bytes of all ranges that a reader would touch: the size of the message. Of an opaque type only
-  /// sizeof is known.
+  /// Bytes of all ranges that a reader would touch: the size of the message. For an opaque type
+  /// only sizeof is known.
   std::uint64_t message_bytes = 0;
 
-  /// Bytes of the ranges that a reader would touch and that lie outside the windows. A range is the
-  /// message object, the elements of one sequence (not its spare capacity), or the text of one
-  /// string outside its object with its terminator. Ranges are disjoint, so no byte counts twice;
-  /// text inside a string object counts with what contains that object.
+  /// Bytes of the ranges that a reader would touch outside the windows. A range is the message
+  /// object, the elements of one sequence (without spare capacity), or the text of one string
+  /// outside its object with its terminator. Ranges are disjoint, so no byte counts twice; text
+  /// inside a string object counts with the object that contains it.
   std::uint64_t foreign_bytes = 0;
-  /// How many such ranges.
+  /// Number of such ranges.
   std::uint64_t foreign_count = 0;
-  /// Ranges whose address cannot be learnt: an opaque type, or a vector<bool> of an unknown
-  /// standard library. Their bytes are in foreign_bytes too, as far as known: of an opaque message
-  /// only sizeof.
+  /// Ranges with an unknown address: an opaque type, or a vector<bool> of an unknown standard
+  /// library. foreign_bytes includes their bytes as far as known: only sizeof for an opaque
+  /// message.
   std::uint64_t unseen_count = 0;
   /// Start of the first foreign range; null if it is unseen.
   const void* first_address = nullptr;
-  /// Where the first one is: "fields[1].name". "(message)" is the object itself. Shortened if too
-  /// long; empty if resident.
+  /// Path of the first foreign range: "fields[1].name". "(message)" is the object itself. Cut if
+  /// too long; empty if resident.
   std::array<char, path_bytes_max> first_path;
 
   Residency() noexcept { first_path[0] = '\0'; }
   bool is_resident() const noexcept { return foreign_count == 0 && unseen_count == 0; }
 };
 
-/// Looks at every piece of memory of `message`, which must be a live object of that type that
-/// nobody changes meanwhile. Allocates nothing, calls nothing of the user's but for_each_pointer,
-/// throws nothing. Any thread. Cost: one range check per string and sequence; elements are walked
-/// only if they own memory themselves. So it grows with the number of strings and inner sequences,
-/// which the publisher built one by one, never with payload bytes.
+/// Checks every piece of memory of `message`, a live object of that type that no thread changes
+/// meanwhile. Allocates nothing, calls no user code except for_each_pointer, throws nothing. Any
+/// thread. Cost: one range check per string and sequence; it visits elements only if they own
+/// memory themselves. So the cost grows with the number of strings and inner sequences, never
+/// with payload bytes.
 [[nodiscard]] AGNOCAST_PUBLIC Residency check_residency(const MessageType& type,
                                                         const void* message,
                                                         const WindowSet& windows) noexcept;
@@ -105,14 +106,14 @@ namespace detail {
 class Walk;
 }
 
-/// What MessageTraits<T>::for_each_pointer is given. One call for each piece of memory; `label`
-/// (static text) names it in diagnoses. Objects inside objects (a vector of strings) need a call
+/// The argument of MessageTraits<T>::for_each_pointer. Call it once for each piece of memory;
+/// `label` (static text) names it in diagnoses. Nested objects (a vector of strings) need a call
 /// for the vector and one for each string.
 class PointerVisitor {
  public:
-  /// `bytes` bytes from `first`. Nothing to check if bytes is 0.
+  /// Visits `bytes` bytes from `first`. Nothing is checked if bytes is 0.
   AGNOCAST_PUBLIC void operator()(const char* label, const void* first, std::size_t bytes) noexcept;
-  /// The text of a string; one short enough to lie in the string object is fine.
+  /// Visits the text of a string; a short text inside the string object is always resident.
   template <class C, class Traits, class Allocator>
   void operator()(const char* label, const std::basic_string<C, Traits, Allocator>& text) noexcept {
     const auto first = reinterpret_cast<std::uintptr_t>(text.data());
@@ -120,7 +121,7 @@ class PointerVisitor {
     if (first >= self && first < self + sizeof(text)) return;
     (*this)(label, text.data(), (text.size() + 1) * sizeof(C));
   }
-  /// The elements of a vector.
+  /// Visits the elements of a vector.
   template <class E, class Allocator>
   void operator()(const char* label, const std::vector<E, Allocator>& elements) noexcept {
     static_assert(!std::is_same_v<E, bool>,
@@ -135,22 +136,23 @@ class PointerVisitor {
   detail::Walk& walk_;
 };
 
-/// How the library steers the heap hook. All concern the calling thread or are safe from any.
+/// The library's interface to the heap hook. Functions affect the calling thread or may be called
+/// by any.
 struct SharedHeap {
   void* context = nullptr;
-  /// From now on allocations of this thread come from the shared heap, until as many leave() as
-  /// enter(). Both return a running count; as long as it stays the same, whatever this thread
-  /// allocated in between lies in what windows() returns afterwards.
+  /// Make allocations of this thread come from the shared heap, until as many leave() as enter().
+  /// Both return a running count; if it is unchanged, everything that this thread allocated in
+  /// between is in the windows that windows() returns afterwards.
   std::uint64_t (*enter)(void* context) noexcept = nullptr;
   std::uint64_t (*leave)(void* context) noexcept = nullptr;
-  /// The windows as they are now; a scope may have opened another one.
+  /// Returns the present windows; a scope may have opened another one.
   WindowSet (*windows)(void* context) noexcept = nullptr;
-  /// Why there is no room: window_exhausted when this process gets no further window, else
-  /// heap_exhausted (also where this is null).
+  /// Returns why there is no room: window_exhausted if this process gets no further window, else
+  /// heap_exhausted (also if this is null).
   Errc (*why_full)(void* context) noexcept = nullptr;
-  /// Whether what the shared heap has no room for throws std::bad_alloc out of operator new of this
-  /// thread, in a scope, or comes from elsewhere; returns what was so before. Null: it always comes
-  /// from elsewhere.
+  /// Sets whether operator new of this thread, in a scope, throws std::bad_alloc if the shared
+  /// heap has no room, or allocates elsewhere; returns the previous setting. Null: it always
+  /// allocates elsewhere.
   bool (*refuse_private)(void* context, bool refuses) noexcept = nullptr;
 
   Failure full() const noexcept {
@@ -159,7 +161,7 @@ struct SharedHeap {
   }
 };
 
-/// The shared heap is on in this thread while this object lives.
+/// Turns on the shared heap in this thread while this object lives.
 class SharedScope {
  public:
   /// `heap` must outlive this object.
@@ -169,8 +171,8 @@ class SharedScope {
   SharedScope(const SharedScope&) = delete;
   SharedScope& operator=(const SharedScope&) = delete;
 
-  /// Ends the scope; 0 if all that was allocated in it lies in the windows. Later calls do nothing
-  /// and return 0.
+  /// Ends the scope. Returns 0 if everything allocated in it is in the windows. Later calls do
+  /// nothing and return 0.
   std::uint64_t close() noexcept {
     if (heap_ == nullptr) return 0;
     const SharedHeap& heap = *std::exchange(heap_, nullptr);
@@ -182,8 +184,8 @@ class SharedScope {
   std::uint64_t before_;
 };
 
-/// While this object lives, a copy that finds no room in the shared heap ends there: the rest of it is
-/// not written to private memory first, only to be thrown away.
+/// While this object lives, a copy that finds no room in the shared heap stops there instead of
+/// writing its rest to private memory in vain.
 class SharedOnly {
  public:
   SharedOnly(const SharedHeap& heap, bool may_throw) noexcept
@@ -200,17 +202,17 @@ class SharedOnly {
   bool before_;
 };
 
-/// What make_resident did.
+/// Outcome of make_resident.
 struct Adoption {
-  /// Residency::foreign_bytes of the original; 0 if nothing was to do.
+  /// Residency::foreign_bytes of the original; 0 if it was resident.
   std::uint64_t adopted_bytes = 0;
-  std::uint64_t message_bytes = 0;  ///< Residency::message_bytes of what is there now
+  std::uint64_t message_bytes = 0;  ///< Residency::message_bytes of the result
 };
 
 namespace detail {
 
-/// False of a copy constructor that would end the process if operator new threw in it. That of a
-/// trivially copyable class allocates nothing.
+/// False for a copy constructor that would terminate the process if operator new threw in it.
+/// That of a trivially copyable class allocates nothing.
 template <class T>
 inline constexpr bool copy_may_throw =
     std::is_trivially_copyable_v<T> || !std::is_nothrow_copy_constructible_v<T>;
@@ -222,8 +224,8 @@ struct ResidentCopy {
   std::uint64_t message_bytes = 0;
 };
 
-/// `code.copy(original)` with memory that is allocated while it runs; it may throw. Not inlined: publish, which seldom
-/// needs it, would get longer for each message.
+/// Runs `code.copy(original)` in the shared heap; it may throw. Not inlined: publish seldom needs
+/// it, and would get longer for each message type.
 template <class Code, class Object>
 [[gnu::noinline]] Result<ResidentCopy<typename Code::Owner>> try_copy_into_heap(const Code& code,
                                                               const Object& original,
@@ -237,7 +239,7 @@ template <class Code, class Object>
           const SharedOnly shared_only(heap, has_exceptions && Code::copy_may_throw);
           return code.copy(original);
         }();
-        // What is unseen cannot be looked at again, but then it is known that no allocation went
+        // Unseen ranges cannot be checked again, but the scope reports whether an allocation went
         // elsewhere.
         const bool has_strays = scope.close() != 0;
         const Residency now = check_residency(type, copy.get(), heap.windows(heap.context));
@@ -249,19 +251,19 @@ template <class Code, class Object>
       []() -> Made { return fail(Errc::user_code_threw, "copy constructor of the message"); });
 }
 
-/// The same; where there was no room `has_more_room()` is asked to make some, and it is tried once more.
+/// The same; if there is no room, calls `has_more_room()` to make some, and tries once more.
 template <class Code, class Object, class HasMoreRoom>
 [[gnu::noinline]] Result<ResidentCopy<typename Code::Owner>> copy_into_heap(const Code& code, const Object& original,
                                                           const HasMoreRoom& has_more_room,
                                                           const MessageType& type,
                                                           const SharedHeap& heap) noexcept {
-  // Nothing is assigned: without exceptions tl::expected assigns only what can be copied.
+  // No assignment: without exceptions tl::expected assigns only copyable types.
   auto copy = try_copy_into_heap(code, original, type, heap);
   if (copy || copy.error().code == Errc::user_code_threw || !has_more_room()) return copy;
   return try_copy_into_heap(code, original, type, heap);
 }
 
-/// make_resident() for any owning pointer; `make_room()` is called before a copy is made.
+/// make_resident() for any owning pointer; calls `make_room()` before it makes a copy.
 template <class Code, class MakeRoom, class HasMoreRoom>
 Result<Adoption> make_resident_by(const Code& code, const MakeRoom& make_room,
                                   const HasMoreRoom& has_more_room, typename Code::Owner& message,
@@ -289,13 +291,13 @@ struct TypedCode {
 
 }  // namespace detail
 
-/// Makes `message` resident, by adoption if it must: a copy is built in the shared heap, the
-/// original destroyed and `message` pointed at the copy. The whole message is copied, resident parts
-/// too; adopted_bytes says what would have been enough.
+/// Makes `message` resident, by adoption if necessary: builds a copy in the shared heap, destroys
+/// the original and points `message` at the copy. It copies the whole message, resident parts
+/// too; adopted_bytes has the foreign bytes alone.
 ///
-/// On failure `message` is as before. Errors: heap_exhausted: the shared heap cannot hold it;
+/// On failure `message` is unchanged. Errors: heap_exhausted: the shared heap cannot hold it;
 /// user_code_threw: the copy constructor threw something other than bad_alloc. Throws nothing,
-/// whatever T does. Cost: check_residency, and if anything is foreign a copy, a second check and a
+/// whatever T does. Cost: check_residency, and for foreign memory a copy, a second check and a
 /// destruction. Any thread.
 template <class T>
 [[nodiscard]] Result<Adoption> make_resident(std::unique_ptr<T>& message, const MessageType& type,

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// rosidl's introspection tables, as the library reads them: in the user's translation unit, whose compiler alone
+// Reads rosidl's introspection tables in the user's translation unit, because only its compiler
 // knows their layout.
 //
-// Members of rosidl's tables are taken by name only: Humble, Jazzy and Lyrical each added some.
+// Members of rosidl's tables are accessed by name only: Humble, Jazzy and Lyrical each added
+// some.
 #pragma once
 
 #include <agnocast/message_type.hpp>
@@ -47,8 +48,8 @@ struct RosElementLayout {
   }
 };
 
-// sizeof and alignof one element that is no message; zeros for a number this header does not know,
-// which the library refuses.
+// Returns sizeof and alignof one element that is no message; zeros for an unknown number, which
+// the library refuses.
 inline RosElementLayout ros_element_layout(std::uint8_t type_id) noexcept {
   namespace ros = rosidl_typesupport_introspection_cpp;
   switch (type_id) {

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Service: answers requests, at once or later. A callback gets the request and fills a response, or it
-// gets the request alone and somebody gives the response when there is one. Requests are received
-// messages, responses loans, so nothing is copied. docs/services.md has the whole.
+// Service: answers requests, at once or later. A callback gets the request and fills a response,
+// or it gets the request alone and any thread sends the response later. Requests are received
+// messages, responses are loans, so nothing is copied. See docs/services.md.
 #pragma once
 
 #include <agnocast/service_message.hpp>
@@ -22,10 +22,10 @@ namespace detail {
 
 class ServiceCore;
 
-/// Requests, and the publishers of responses, one for each client, whatever their type.
+/// Requests, and one publisher of responses for each client, independent of the message types.
 class AGNOCAST_PUBLIC UntypedService {
  public:
-  /// Takes over one use of a request, behind its header.
+  /// Takes over one reference to a request, which points behind its header.
   using Callback = std::function<void(const std::shared_ptr<ServiceCore>&, Block* request)>;
 
   [[nodiscard]] static Result<std::shared_ptr<UntypedService>> create(const EndpointName& service,
@@ -47,8 +47,9 @@ class AGNOCAST_PUBLIC UntypedService {
   std::size_t refused_client_count() const noexcept;
   Failure last_refusal() const noexcept;
 
-  /// To that client. Waits for nobody. Errors: endpoint_gone (it is, or this service is), would_block
-  /// (it is being made), and what the daemon has refused it with.
+  /// Returns the publisher of responses to `client`. Never waits. Errors: endpoint_gone (the
+  /// client or this service has ended), would_block (the publisher is being created), and the
+  /// code of the daemon's refusal.
   static Result<std::shared_ptr<UntypedPublisher>> publisher_to(ServiceCore& core,
                                                                 std::uint64_t client) noexcept;
   static void count_undelivered(ServiceCore& core) noexcept;
@@ -96,7 +97,7 @@ class Responder : public Lender<typename Kind::Response, typename Kind::Response
   Kind kind_;
 };
 
-/// A request that is answered later. Copies are the same request.
+/// A request that is answered later. All copies are the same request.
 template <class Kind>
 class BasicServiceRequest {
  public:
@@ -106,14 +107,14 @@ class BasicServiceRequest {
                       std::shared_ptr<Ticket> ticket) noexcept
       : message_(std::move(message)), ticket_(std::move(ticket)) {}
 
-  /// What was asked: read-only memory of the client, which this keeps. See release().
+  /// Returns the request: read-only memory of the client, held by this object. See release().
   const typename Kind::RequestMessage& message() const noexcept { return message_; }
   decltype(auto) operator*() const noexcept { return *message_; }
   auto operator->() const noexcept { return message_.get(); }
   explicit operator bool() const noexcept { return ticket_ != nullptr; }
   RequestId id() const noexcept { return ticket_ != nullptr ? ticket_->id : RequestId(); }
-  /// Lets go of the message; the request can still be answered. A client whose requests are held, 64
-  /// of them, cannot have further ones read.
+  /// Releases the message; the request can still be answered. While the service holds 64 requests
+  /// of a client, it reads no further ones of it.
   void release() noexcept { message_.reset(); }
 
  private:
@@ -122,15 +123,15 @@ class BasicServiceRequest {
   std::shared_ptr<Ticket> ticket_;
 };
 
-/// What create_service takes as a callback.
+/// The accepted callbacks of create_service.
 template <class Kind, class Callback, class Request>
 inline constexpr bool fills_response =
     std::is_invocable_v<Callback&, Request, typename Kind::ResponseLoan&>;
 template <class Kind, class Callback>
 inline constexpr bool answers_later = std::is_invocable_v<Callback&, BasicServiceRequest<Kind>>;
 
-/// Called with a request and a response to fill, which is sent when it returns, or with the request
-/// alone.
+/// Wraps a callback that takes a request and a response to fill, sent when it returns, or the
+/// request alone.
 template <class Kind, class Callback>
 UntypedService::Callback erase_service(const Kind& kind, Callback&& callback) {
   using Function = std::decay_t<Callback>;
@@ -158,7 +159,7 @@ UntypedService::Callback erase_service(const Kind& kind, Callback&& callback) {
       function(std::move(request), response);
       if (!responder.send(id, response)) UntypedService::count_undelivered(*core);
     } else {
-      auto message = kind.request(Read(block));  // owns it, whatever is thrown
+      auto message = kind.request(Read(block));  // owns it, also if the callback throws
       auto ticket = std::make_shared<Ticket>();
       ticket->id = id;
       ticket->service = UntypedService::lender_of(*core).value();
@@ -168,7 +169,7 @@ UntypedService::Callback erase_service(const Kind& kind, Callback&& callback) {
 }
 
 /// Service and GenericService; `Kind` is TypedService or GenericServiceKind. Any thread may call
-/// anything.
+/// any function.
 template <class Kind>
 class BasicService {
  public:
@@ -178,16 +179,17 @@ class BasicService {
   BasicService(std::shared_ptr<UntypedService> untyped, const Kind& kind) noexcept
       : untyped_(std::move(untyped)), responder_(untyped_->core(), kind) {}
 
-  /// A response to fill, for any request of this service. See Publisher::borrow_loaned_message.
+  /// Lends a response to fill, for any request of this service. See
+  /// Publisher::borrow_loaned_message.
   Response borrow_loaned_response() { return responder_.borrow(); }
-  /// Before another thread gets the loan: see Publisher::pause.
+  /// Call it before another thread gets the loan: see Publisher::pause.
   bool pause(const Response& response) noexcept { return responder_.pause(Kind::handle(response)); }
-  /// Sends a loan of this service to who has asked; every copy of it becomes empty. In any order.
-  /// Never waits. On failure `response` is as before, and the request can be answered once more.
-  /// Errors: already_answered; endpoint_gone (the client is); would_block (it has not read as many
-  /// responses as the depth allows, or the way to it is being made); invalid_argument (not a request of
-  /// this service); loan_invalid, those of PublishResult, and the code of get_last_refusal() if the
-  /// client is one of those.
+  /// Sends a loan of this service to the client of `request`; every copy of it becomes empty. Any
+  /// order of requests. Never waits. On failure `response` is unchanged, and the request can be
+  /// answered again. Errors: already_answered; endpoint_gone (the client has ended); would_block
+  /// (it has as many unread responses as the depth allows, or its publisher is being created);
+  /// invalid_argument (not a request of this service); loan_invalid, those of PublishResult, and
+  /// the code of get_last_refusal() for a refused client.
   PublishResult send_response(const Request& request, Response&& response) noexcept {
     Ticket* const ticket = request.ticket_.get();
     if (ticket == nullptr ||
@@ -200,20 +202,20 @@ class BasicService {
   }
 
   const char* get_service_name() const noexcept { return untyped_->service().c_str(); }
-  /// Clients that can be answered.
+  /// Returns the number of clients that can be answered.
   std::size_t get_client_count() const noexcept { return untyped_->client_count(); }
-  /// Clients that are there and cannot be answered, because agnocastd has refused the publisher that
-  /// this would take, for a limit, a quota or a rule. It is asked again every second. To them the
-  /// service is not ready.
+  /// Returns the number of connected clients that cannot be answered, because agnocastd refused
+  /// the necessary publisher for a limit, a quota or a rule. The service asks again every second;
+  /// to these clients it is not ready.
   std::size_t get_refused_client_count() const noexcept { return untyped_->refused_client_count(); }
-  /// Why, the last time; code ok if it never has.
+  /// Returns the last refusal; code ok if there was none.
   Failure get_last_refusal() const noexcept { return untyped_->last_refusal(); }
-  /// Responses that a callback has filled and that could not be sent: the client was gone, or does
-  /// not read, or there is no way to it.
+  /// Returns the number of responses filled by a callback that could not be sent: the client had
+  /// ended, does not read, or has no publisher yet.
   std::uint64_t get_undelivered_response_count() const noexcept {
     return untyped_->undelivered_count();
   }
-  /// As SubscriptionBase has them.
+  /// As in SubscriptionBase.
   std::uint64_t get_callback_exception_count() const noexcept {
     return untyped_->callback_exception_count();
   }
@@ -239,12 +241,12 @@ Result<std::shared_ptr<Made>> make_service(Node& node, const std::string& servic
 
 }  // namespace detail
 
-/// What a callback of a deferred service gets, to answer by Service::send_response(): from any thread,
+/// The argument of a callback that answers later, with Service::send_response(): from any thread,
 /// in any order, or never.
 template <class ServiceT>
 using ServiceRequest = detail::BasicServiceRequest<detail::TypedService<ServiceT>>;
 
-/// A service of type ServiceT: anything with a Request and a Response that can be messages
+/// A service of type ServiceT: any type with a Request and a Response that can be messages
 /// (message_traits.hpp), such as example_interfaces::srv::AddTwoInts with <agnocast/rosidl.hpp>.
 template <class ServiceT>
 class Service : public detail::BasicService<detail::TypedService<ServiceT>> {
@@ -253,10 +255,10 @@ class Service : public detail::BasicService<detail::TypedService<ServiceT>> {
   using detail::BasicService<detail::TypedService<ServiceT>>::BasicService;
 };
 
-/// A service, or why there is none. `callback` takes either ipc_shared_ptr<const Request> (or of
-/// Request) and ipc_shared_ptr<Response>&, which is sent when it returns, or a ServiceRequest<ServiceT>
-/// that is answered later; it is called where the node's callbacks run. Of `qos` the depth counts:
-/// requests of one client that are unread, and responses that it has not read, at most. Errors: those
+/// Creates a service. `callback` takes either ipc_shared_ptr<const Request> (or of Request) and
+/// ipc_shared_ptr<Response>&, which is sent when it returns, or a ServiceRequest<ServiceT> to
+/// answer later; it runs where the node's callbacks run. Of `qos` only the depth is used: the
+/// limit for unread requests of one client, and for responses that it has not read. Errors: those
 /// of try_create_client.
 template <class ServiceT, class Node, class Callback>
 [[nodiscard]] Result<typename Service<ServiceT>::SharedPtr> try_create_service(

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What requests and responses are in shared memory: a header, and behind it the message that users
-// see. And what client.hpp and service.hpp have in common.
+// Requests and responses in shared memory: a header, then the message that users see. Also the
+// common part of client.hpp and service.hpp.
 #pragma once
 
 #include <agnocast/message_type.hpp>
@@ -16,9 +16,10 @@
 
 namespace agnocast {
 
-/// Which request: in front of it and of its response. Sixteen bytes, so that what follows is aligned.
+/// Identifies a request; precedes it and its response. Sixteen bytes, so that the message behind
+/// is aligned.
 struct alignas(16) RequestId {
-  std::uint64_t client = 0;   ///< never the same for two clients of a daemon's life
+  std::uint64_t client = 0;   ///< unique among the clients of a daemon's life
   std::int64_t sequence = 0;  ///< of its client; the first is 1
   friend bool operator==(const RequestId& a, const RequestId& b) noexcept {
     return a.client == b.client && a.sequence == b.sequence;
@@ -35,13 +36,13 @@ class ServicesQoS : public QoS {
 
 namespace detail {
 
-/// Messages are known by the address behind the header.
+/// Returns the header of a message, which is identified by the address behind the header.
 template <class Message>
 RequestId& id_of(Message* message) noexcept {
   return *reinterpret_cast<RequestId*>(reinterpret_cast<std::byte*>(message) - sizeof(RequestId));
 }
 
-/// Both halves of a service, as topics of their own have them.
+/// Both halves of a service, as message types of their topics.
 struct ServiceTypes {
   MessageType request, response;
 };
@@ -49,7 +50,7 @@ struct ServiceTypes {
                                                               const MessageType& response) noexcept;
 
 struct NoBase {};
-/// Allocates by itself if its body does.
+/// Allocates from the shared heap by itself if its body does.
 template <class Body>
 struct ServiceMessage
     : std::conditional_t<std::is_base_of_v<SharedMessage, Body>, SharedMessage, NoBase> {
@@ -84,7 +85,7 @@ struct ServiceMessageCode {
   }
 };
 
-/// A service whose type is known to the compiler: what users see of it.
+/// A service type known at compile time, as users see it.
 template <class ServiceT>
 struct TypedService {
   using Request = typename ServiceT::Request;
@@ -94,7 +95,7 @@ struct TypedService {
   using RequestLoan = ipc_shared_ptr<Request>;
   using ResponseLoan = ipc_shared_ptr<Response>;
   using RequestMessage = ipc_shared_ptr<const Request>;
-  using WritableRequestMessage = ipc_shared_ptr<Request>;  // rclcpp users' habit; it is read-only
+  using WritableRequestMessage = ipc_shared_ptr<Request>;  // usual in rclcpp; it is read-only
   using ResponseMessage = ipc_shared_ptr<const Response>;
 
   RequestCode request_code() const noexcept { return {}; }
@@ -116,8 +117,8 @@ struct TypedService {
   }
 };
 
-/// The depth counts: a service is reliable and volatile, and nothing is overwritten. Errors:
-/// invalid_argument.
+/// Returns the QoS of a service's topics: reliable and volatile, nothing is overwritten, with the
+/// depth of `qos`. Errors: invalid_argument.
 [[nodiscard]] AGNOCAST_PUBLIC Result<QoS> service_qos(const QoS& qos);
 
 }  // namespace detail

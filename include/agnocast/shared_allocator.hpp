@@ -2,10 +2,10 @@
 //
 // SharedAllocator, SharedMessage: messages that allocate from the shared heap by themselves.
 //
-// Such a message is shared from its birth, in any thread, without a loan and whoever answers malloc
-// in the process. So its publisher also works where the heap hook cannot stand in front of malloc:
-// under AddressSanitizer and ThreadSanitizer, or beside another malloc. The hook must be in the
-// process all the same, linked or preloaded: it owns the memory.
+// Such a message is in the shared heap from its construction, in any thread, without a loan,
+// whichever library provides malloc. So its publisher also works where the heap hook cannot
+// replace malloc: under AddressSanitizer and ThreadSanitizer, or beside another malloc. The
+// process still needs the hook, linked or preloaded: the hook owns the memory.
 #pragma once
 
 #include <agnocast/exceptions.hpp>
@@ -20,15 +20,15 @@
 namespace agnocast {
 namespace detail {
 
-/// From the shared heap; from operator new when it has no room or is not open, in a LoanPause and in
-/// a forked child. Throws bad_alloc. Any thread.
+/// Allocates from the shared heap; from operator new if that has no room or is not open, in a
+/// LoanPause and in a forked child. Throws bad_alloc. Any thread.
 [[nodiscard]] AGNOCAST_PUBLIC void* allocate_shared(std::size_t bytes, std::size_t alignment);
 AGNOCAST_PUBLIC void deallocate_shared(void* block, std::size_t alignment) noexcept;
 
 }  // namespace detail
 
 /// A standard allocator on the shared heap of this process. Before the first publisher, and in
-/// processes without one, it allocates as usual; publish adopts what lies elsewhere, as always.
+/// processes without one, it allocates as usual; publish adopts such memory, as always.
 template <class T>
 class SharedAllocator {
  public:
@@ -59,10 +59,10 @@ template <class T>
 using SharedVector = std::vector<T, SharedAllocator<T>>;
 using SharedString = std::basic_string<char, std::char_traits<char>, SharedAllocator<char>>;
 
-/// Base of a message whose memory is all its own doing: the object itself by the operators here, what
-/// it refers to by SharedAllocator. Its publisher does not ask who answers malloc. A member that
-/// allocates otherwise (std::string) must not be there: where malloc is not the hook's it cannot be
-/// adopted, and publish says heap_exhausted.
+/// Base class of a message that allocates all of its memory from the shared heap: the object
+/// itself by these operators, its content by SharedAllocator. Its publisher does not check which
+/// library provides malloc. All members must allocate in this way (so no std::string): where the
+/// hook does not provide malloc, publish cannot adopt other memory and returns heap_exhausted.
 ///
 ///     struct Track : agnocast::SharedMessage {
 ///       std::uint32_t id = 0;

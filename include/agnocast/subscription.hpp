@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Subscription: messages by callback, by take() or take_batch(), or only ever the newest
-// (PollingSubscriber). A received message is read-only memory of its publisher, valid as long as it is
-// held: also after the subscription, its node or the publisher's process are gone.
+// Subscription: delivers messages by callback, by take() or take_batch(), or only the newest one
+// (PollingSubscriber). A received message is read-only memory of its publisher. It is valid as
+// long as it is held, even after the subscription, its node or the publisher's process has ended.
 #pragma once
 
 #include <agnocast/events.hpp>
@@ -30,23 +30,24 @@ class SubscriptionEndpoint;
 class CallbackSource;
 class Watch;
 
-/// Options of a subscription, with setters; those of the event callbacks are in events.hpp.
+/// Options of a subscription, with setters; the event callbacks are in events.hpp.
 class SubscriptionOptions : public detail::EventOptions<SubscriptionOptions> {
  public:
-  /// Messages held at once per publisher, at most; what is beyond stays unread. 0 is refused at
-  /// creation. Without a call: 64, and of publishers of other users what the daemon has left, 1 at
-  /// least (docs/agnocastd.md, Limits). A number that is set and not to be had there is refused with
-  /// quota_exceeded while every publisher of the topic is another user's.
+  /// Limits the messages held at once per publisher; further ones stay unread. Creation refuses
+  /// 0. Default: 64, and for publishers of other users the rest of the daemon's limit, at least 1
+  /// (docs/agnocastd.md, Limits). If that rest is smaller than an explicit quota, creation fails
+  /// with quota_exceeded while all publishers of the topic belong to other users.
   SubscriptionOptions& hold_quota(std::size_t messages) noexcept {
     return hold_quota_ = messages, is_hold_quota_set_ = true, *this;
   }
   std::size_t hold_quota() const noexcept { return hold_quota_; }
   bool is_hold_quota_set() const noexcept { return is_hold_quota_set_; }
-  /// Keep-last counts for each publisher by itself, and no longer over all of them together as in a
-  /// DDS reader (DDS 1.4, 2.2.3.18): a publisher that publishes much pushes out nothing of another
-  /// one, and a late subscription gets the whole history of each. Of publishers that are gone, all
-  /// together, 64 messages beyond the depth stay unread at most. For whoever passes on or records
-  /// what others publish; each publisher keeps as much for it as with one alone.
+  /// Counts keep-last depth for each publisher separately, instead of over all together as a DDS
+  /// reader does (DDS 1.4, 2.2.3.18): a frequent publisher then displaces no message of another
+  /// one, and a late subscription gets the whole history of each. Of all dead publishers
+  /// together, at most 64 messages beyond the depth stay unread. For programs that forward or
+  /// record messages of others; each publisher keeps as much for it as for a subscription with
+  /// one publisher.
   SubscriptionOptions& depth_per_publisher(bool wanted = true) noexcept {
     return depth_per_publisher_ = wanted, *this;
   }
@@ -62,9 +63,9 @@ namespace detail {
 
 class AGNOCAST_PUBLIC UntypedSubscription {
  public:
-  using Callback = std::function<void(Block*)>;  // takes over one use of the block
-  /// Without a callback: for take(). Callbacks are run by the node's executor, or by a library
-  /// thread of the node.
+  using Callback = std::function<void(Block*)>;  // takes over one reference to the block
+  /// Creates a subscription; without a callback it is for take(). The node's executor or its
+  /// library thread runs callbacks.
   [[nodiscard]] static Result<std::shared_ptr<UntypedSubscription>> create(
       const EndpointName& name, const MessageType& type, const QoS& qos,
       const SubscriptionOptions& options, Callback callback);
@@ -72,13 +73,14 @@ class AGNOCAST_PUBLIC UntypedSubscription {
   UntypedSubscription(const UntypedSubscription&) = delete;
   UntypedSubscription& operator=(const UntypedSubscription&) = delete;
 
-  /// No callback runs afterwards, unless this is called from inside one, and nothing is taken any
-  /// more. Once. Waits no longer for the daemon than until `end`.
+  /// Ends taking and callbacks; waits for a running callback, unless called from inside one. Call
+  /// it once. Waits for the daemon until `end` at most.
   void end(std::chrono::steady_clock::time_point end =
                std::chrono::steady_clock::time_point::max()) noexcept;
-  /// False in a forked child: then no lock may be taken, it may be held for ever.
+  /// Returns false in a forked child, where no lock may be taken: it may be held for ever.
   bool is_own() const noexcept;
-  /// The oldest unread messages, at most `count`, chained in order by Block::next; null: none.
+  /// Takes the oldest unread messages, at most `count`, chained in order by Block::next; null:
+  /// none.
   Block* take(std::size_t count = 1) noexcept;
   std::uint64_t lost() const noexcept;
   std::size_t publisher_count() const noexcept;
@@ -89,17 +91,17 @@ class AGNOCAST_PUBLIC UntypedSubscription {
   HeapCollisionInfo heap_collision_status() noexcept;
   const std::string& topic() const noexcept { return topic_; }
   bool is_active() const noexcept;
-  /// See EndpointName::lineage; 0: switched off.
+  /// Returns the persistent endpoint id (EndpointName::lineage); 0: switched off.
   std::uint64_t lineage() const noexcept;
   struct Writer {
-    std::uint64_t lineage;  // 0: not said yet; nothing tells when it is
-    bool is_gone;           // but something of it is unread
+    std::uint64_t lineage;  // 0: not announced yet; there is no notification when it is
+    bool is_gone;           // but some of its messages are unread
   };
-  /// Publishers that are there, and those that something can still come of.
+  /// Returns the connected publishers, and dead ones with undelivered messages.
   std::vector<Writer> writers() const;
-  /// `watch` is told when what is matched has changed.
+  /// Registers `watch`, which is notified when matched endpoints change.
   void tell(std::shared_ptr<Watch> watch) noexcept;
-  /// Its callback of what is drained is called again.
+  /// Makes the callback `drained` run again.
   void look_again() noexcept;
 
  private:
@@ -116,7 +118,7 @@ inline constexpr bool takes_message =
     std::is_invocable_v<Callback&, ipc_shared_ptr<T>> ||
     std::is_invocable_v<Callback&, ipc_shared_ptr<T>, const MessageInfo&>;
 
-/// What create_subscription takes as a callback for messages of type T.
+/// The accepted callbacks of create_subscription for messages of type T.
 template <class T, class Callback>
 inline constexpr bool is_callback = takes_message<std::remove_reference_t<Callback>, const T> ||
                                     takes_message<std::remove_reference_t<Callback>, T>;
@@ -126,13 +128,13 @@ void call(Callback& callback, Block* block) {
   if constexpr (std::is_invocable_v<Callback&, ipc_shared_ptr<Message>>) {
     callback(ipc_shared_ptr<Message>(block));
   } else {
-    const MessageInfo info = block->info;  // the callback may let the message go first
+    const MessageInfo info = block->info;  // the callback may release the message first
     callback(ipc_shared_ptr<Message>(block), info);
   }
 }
 
-/// How a user's callback is called: with ipc_shared_ptr<const T> if it takes that, else with
-/// ipc_shared_ptr<T> (rclcpp users' habit; the memory is read-only all the same).
+/// Wraps a user's callback: passes ipc_shared_ptr<const T> if the callback accepts it, else
+/// ipc_shared_ptr<T> (usual in rclcpp; the memory is read-only all the same).
 template <class T, class Callback>
 UntypedSubscription::Callback erase(Callback&& callback) {
   static_assert(is_callback<T, Callback>,
@@ -146,12 +148,12 @@ UntypedSubscription::Callback erase(Callback&& callback) {
   };
 }
 
-/// Gives the messages of a chain away one by one, as give(number, block). How many.
+/// Passes the messages of a chain one by one to give(number, block). Returns their number.
 template <class Give>
 std::size_t hand_out(Block* chain, Give give) noexcept {
   std::size_t count = 0;
   while (chain != nullptr) {
-    Block* const block = std::exchange(chain, chain->next);  // afterwards it is another's
+    Block* const block = std::exchange(chain, chain->next);  // now the receiver owns it
     give(count++, block);
   }
   return count;
@@ -159,20 +161,21 @@ std::size_t hand_out(Block* chain, Give give) noexcept {
 
 }  // namespace detail
 
-/// What all subscriptions can say. Any thread may call anything.
+/// Functions common to all subscriptions. Any thread may call any of them.
 class SubscriptionBase {
  public:
-  /// Messages that were dropped because this subscription's depth was exceeded.
+  /// Returns the number of messages dropped because this subscription's depth was exceeded.
   std::uint64_t get_lost_count() const noexcept { return untyped_->lost(); }
-  /// Matched publishers that this process has mapped; a moment ago. Not those that are gone, though
-  /// what they have published is still delivered.
+  /// Returns the number of matched publishers that this process maps, a moment ago. Dead
+  /// publishers do not count, though their messages are still delivered.
   std::size_t get_publisher_count() const noexcept { return untyped_->publisher_count(); }
-  /// Exceptions that left a callback of this subscription in the library's thread. There is nobody
-  /// to give them to; in an executor they leave spin() instead and are not counted.
+  /// Returns the number of exceptions thrown by callbacks of this subscription in the library's
+  /// thread, which cannot pass them on. In an executor they leave spin() instead and are not
+  /// counted.
   std::uint64_t get_callback_exception_count() const noexcept {
     return untyped_->callback_exception_count();
   }
-  /// Changes are counted since the last call (events.hpp).
+  /// These return changes since the last call (events.hpp).
   MatchedInfo get_matched_status() noexcept { return untyped_->matched_status(); }
   IncompatibleQosInfo get_incompatible_qos_status() noexcept {
     return untyped_->incompatible_qos_status();
@@ -183,8 +186,8 @@ class SubscriptionBase {
   HeapCollisionInfo get_heap_collision_status() noexcept {
     return untyped_->heap_collision_status();
   }
-  /// False when AGNOCAST=off was in the environment as this was created, and when the membership of the
-  /// process was revoked: nothing ever arrives.
+  /// Returns false if AGNOCAST=off was in the environment at creation, or the session of the
+  /// process was revoked: no message ever arrives.
   bool is_active() const noexcept { return untyped_->is_active(); }
   const char* get_topic_name() const noexcept { return untyped_->topic().c_str(); }
 
@@ -198,7 +201,7 @@ class SubscriptionBase {
   std::shared_ptr<detail::UntypedSubscription> untyped_;
 };
 
-/// Any thread may call anything.
+/// Any thread may call any function.
 template <class T>
 class Subscription : public SubscriptionBase {
  public:
@@ -206,23 +209,24 @@ class Subscription : public SubscriptionBase {
   explicit Subscription(std::shared_ptr<detail::UntypedSubscription> untyped) noexcept
       : SubscriptionBase(std::move(untyped)) {}
 
-  /// The oldest unread message, or an empty pointer. No system call, except after a publisher's
-  /// heap has grown. Not for one with a callback.
+  /// Takes the oldest unread message, or returns an empty pointer. No system call, except after a
+  /// publisher's heap has grown. Not for a subscription with a callback.
   ipc_shared_ptr<const T> take() noexcept { return ipc_shared_ptr<const T>(untyped().take()); }
 
-  /// The oldest unread messages, at most `count` of them, into messages[0], messages[1] …; how many.
-  /// They are those that as many calls of take() would have given, in the same order: of each
-  /// publisher as it published them, between publishers by the time of publishing. What is published
-  /// during the call may be left to the next one.
+  /// Takes the oldest unread messages, at most `count`, into messages[0], messages[1] …; returns
+  /// their number. They are the messages that as many calls of take() would return, in the same
+  /// order: per publisher as published, between publishers by the time of publishing. Messages
+  /// published during the call may be left to the next one.
   ///
-  /// What the array holds before, all `count` of it, is let go of first, so the same array can be used
-  /// again and again; behind the last message it is empty. Each message is held by itself, like one of
-  /// take(), with its MessageInfo and as one of the hold quota: what is beyond that (64 of a publisher
-  /// by default) stays unread. 0 is no error: there is nothing, as with take().
+  /// First resets all `count` elements of the array, so it can be used again and again; elements
+  /// after the last message stay empty. Each message is held individually, as with take(), with
+  /// its MessageInfo, and counts against the hold quota: messages beyond it (64 per publisher by
+  /// default) stay unread. 0 is no error: there is no message, as with take().
   ///
-  /// The subscription is locked and its publishers are looked at once for all of them, so a message
-  /// costs about half of a take(). Memory and system calls as there. Other calls of this subscription
-  /// in other threads wait meanwhile: `count` bounds that. Not for one with a callback.
+  /// It locks the subscription and examines its publishers once for all messages, so a message
+  /// costs about half of a take(). Memory and system calls as there. Other threads' calls of this
+  /// subscription wait meanwhile; `count` bounds that time. Not for a subscription with a
+  /// callback.
   std::size_t take_batch(ipc_shared_ptr<const T>* messages, std::size_t count) noexcept {
     for (std::size_t i = 0; i < count; ++i) messages[i].reset();
     return detail::hand_out(untyped().take(count), [&](std::size_t i, detail::Block* block) {
@@ -231,17 +235,17 @@ class Subscription : public SubscriptionBase {
   }
 };
 
-/// A subscription without a callback. Beside take() it has the habit of Autoware's polling
-/// subscribers: take_data() is whatever is newest now.
+/// A subscription without a callback. Besides take() it has the function of Autoware's polling
+/// subscribers: take_data() returns the newest message.
 template <class T>
 class PollingSubscriber : public Subscription<T> {
  public:
   using SharedPtr = std::shared_ptr<PollingSubscriber>;
   using Subscription<T>::Subscription;
 
-  /// The newest message, the same again while there is no newer one, empty before the first. What
-  /// came in between is skipped (it is not counted as lost). The subscription keeps holding it.
-  /// Empty in a forked child.
+  /// Returns the newest message: the same again while there is no newer one, empty before the
+  /// first. Skips messages in between (they do not count as lost). The subscription keeps holding
+  /// the message. Empty in a forked child.
   ipc_shared_ptr<const T> take_data() noexcept {
     if (!this->untyped().is_own()) return {};
     const std::lock_guard lock(mutex_);
@@ -274,9 +278,9 @@ Result<std::shared_ptr<Made>> make_subscription(Node& node, const std::string& t
 
 }  // namespace detail
 
-/// A subscription whose callback is called for each message, by the node's executor or by a library
-/// thread of the node; or why there is none. `callback` takes ipc_shared_ptr<const T> (or of T), by
-/// value, const reference or rvalue, and then a const MessageInfo& if it wants one.
+/// Creates a subscription that calls `callback` for each message, in the node's executor or its
+/// library thread. `callback` takes ipc_shared_ptr<const T> (or of T), by value, const reference
+/// or rvalue, and optionally a const MessageInfo&.
 template <class T, class Node, class Callback,
           class = std::enable_if_t<!std::is_same_v<std::decay_t<Callback>, SubscriptionOptions>>>
 [[nodiscard]] Result<typename Subscription<T>::SharedPtr> try_create_subscription(
@@ -285,7 +289,7 @@ template <class T, class Node, class Callback,
   return detail::make_subscription<Subscription<T>, T>(
       node, topic, qos, detail::erase<T>(std::forward<Callback>(callback)), options);
 }
-/// Without a callback: for take().
+/// The same without a callback: for take().
 template <class T, class Node>
 [[nodiscard]] Result<typename PollingSubscriber<T>::SharedPtr> try_create_subscription(
     Node&& node, const std::string& topic, const QoS& qos,

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Type identity: when do two processes mean the same C++ type, byte for byte?
+// Type identity: decides whether two processes have the same C++ type, byte for byte.
 //
 // A type is (name, layout hash). Publisher and subscription must agree in both, or they are not
-// matched. The layout hash covers what the type's own description says (members, offsets, sizes)
-// and what changes layouts silently and is said nowhere: the standard library, its ABI switches,
-// its debug mode, the machine. This header holds the second half, because only the user's own
-// translation unit knows it; client/api/message_type.cpp holds the first.
+// matched. The layout hash covers the type's own description (members, offsets, sizes) and
+// everything that changes layouts silently: the standard library, its ABI switches, its debug
+// mode, the machine. This header computes the second half, because only the user's own
+// translation unit knows it; client/api/message_type.cpp computes the first.
 #pragma once
 
 #include <cfloat>
@@ -25,8 +25,7 @@ which subscribers could not write; compile with _GLIBCXX_USE_CXX11_ABI=1"
 
 namespace agnocast {
 
-/// What is compared when a publisher meets a subscription. `name` belongs to the MessageType it
-/// came from.
+/// The pair that is compared at match. `name` belongs to the MessageType it came from.
 struct TypeIdentity {
   std::string_view name;
   std::uint64_t layout_hash = 0;
@@ -39,13 +38,13 @@ struct TypeIdentity {
   }
 };
 
-/// FNV-1a, 64 bits, over an unambiguous encoding: integers as eight bytes, texts with their length
-/// in front.
+/// FNV-1a, 64 bits, over an unambiguous encoding: integers as eight bytes, texts after their
+/// length.
 ///
-/// Why 64 bits are enough: the hash is compared only between types of the same name, so what must
-/// not collide are the few versions of one message that a machine ever has. A thousand versions
-/// collide with a chance of 2^-45 (n²/2 pairs over 2^64). It is no defence against a forger, who
-/// needs none: whoever may publish may write any bytes anyway.
+/// Why 64 bits are enough: the hash is compared only between types of the same name, so only the
+/// few versions of one message on a machine must not collide. A thousand versions collide with a
+/// chance of 2^-45 (n²/2 pairs over 2^64). It is no defence against forgery, which gains nothing:
+/// a process that may publish may write any bytes anyway.
 class LayoutHash {
  public:
   constexpr LayoutHash& add(std::uint64_t number) noexcept {
@@ -72,7 +71,7 @@ namespace detail {
 constexpr std::uint64_t hash_of_build() noexcept {
   LayoutHash hash;
   hash.add(
-      std::string_view("agnocast layout 1"));  // the encoding itself: a new one is a new number
+      std::string_view("agnocast layout 1"));  // the encoding itself: change it with the encoding
 #if defined(_LIBCPP_VERSION)
   hash.add(std::string_view("libc++")).add(std::uint64_t{_LIBCPP_ABI_VERSION});
 #elif defined(__GLIBCXX__)

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The one place of the version number: CMake, the package and the programs' --version read it from
-// here.
+// The only place of the version number: CMake, the package and the programs' --version read it
+// from here.
 #pragma once
 
 #define AGNOCAST_VERSION_MAJOR 0

@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 #
-# The skip rule of interfaces/: a package of this folder stands in for the package of ROS 2 that has the same
-# name, so it must vanish where a sourced ROS 2 brings the real one.
+# The skip rule of interfaces/: a package of this folder replaces the package of ROS 2 with the same name, so it
+# must be skipped if a sourced ROS 2 provides the real one.
 #
 #     skip_if_ros_provides(MESSAGES)   the real one lists its messages in the ament index
 #     skip_if_ros_provides(BUILD)      the real one has a package.xml
 #
-# Sourced means: in AMENT_PREFIX_PATH. That variable also holds prefixes of this folder's own packages: their
-# siblings while colcon builds, themselves after install/setup.bash was sourced, and those of other workspaces
-# with a copy of this folder. So our packages leave a mark in the ament index, and a prefix that has the mark is
-# never the real thing. Comparing paths instead would need to know the layouts of colcon, and would let a build
-# into a second install folder vanish because the first one is sourced.
+# Sourced means: in AMENT_PREFIX_PATH. That variable also has prefixes of this folder's own packages: of their
+# siblings while colcon builds, of themselves after install/setup.bash was sourced, and of other workspaces with
+# a copy of this folder. So our packages leave a mark in the ament index, and a prefix with the mark is never the
+# real package. Comparing paths would depend on the layouts of colcon, and would skip a build into a second
+# install folder because the first one is sourced.
 #
 # If the real one exists, the calling CMakeLists.txt ends here, after a STATUS message. It then has no install
-# target, about which colcon warns; an empty install target would be worse, as colcon's setup scripts would look
-# for files that nobody installed.
+# target, and colcon warns about that; an empty install target would be worse, because colcon's setup scripts
+# would look for files that were not installed.
 
 include(${CMAKE_CURRENT_LIST_DIR}/find_ros_python.cmake)
 
@@ -43,7 +43,7 @@ macro(skip_if_ros_provides kind)
   endif()
 
   if(ros_prefix)
-    message(STATUS "${PROJECT_NAME}: nothing to build or install, ROS 2 has it in ${ros_prefix}")
+    message(STATUS "${PROJECT_NAME}: nothing to build or install, ROS 2 provides it in ${ros_prefix}")
     if(EXISTS "${CMAKE_INSTALL_PREFIX}/share/ament_index/resource_index/${skip_rule_mark}/${PROJECT_NAME}")
       message(WARNING "An earlier build installed our ${PROJECT_NAME} in ${CMAKE_INSTALL_PREFIX}, "
         "where it may hide the one of ROS 2. Please remove the folders build and install.")

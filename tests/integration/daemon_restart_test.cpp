@@ -303,7 +303,7 @@ TEST(DaemonRestart, RefusesADamagedRedoLogAndNamesTheDamage) {
     EXPECT_EQ(all.incarnation, node.welcome().incarnation);
     EXPECT_EQ(all.processes.size(), 1u);
   };
-  with(0, 1, "the journal does not begin like one");
+  with(0, 1, "the redo log has no valid header");
   with(64, 1'000, "has not committed");
   with(64, 0, "has not committed");
 }

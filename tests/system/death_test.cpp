@@ -334,7 +334,7 @@ TEST_F(Death, ARevokedPublisherReportsItAndItsCommittedMessagesAreDelivered) {
   EXPECT_EQ(said["processes"][0]["pid"], publisher->pid());
   ASSERT_TRUE(publisher->eventually("active", "0 0"));
   EXPECT_EQ(publisher->ask("publish 1"),
-            "refused the membership of this process was ended from outside");
+            "refused the session of this process was ended from outside");
   EXPECT_EQ(publisher->ask("matched"), "0");
   EXPECT_TRUE(publisher->eventually("events", "2 0"));
   for (const char* number : {"2", "3", "4", "5"}) EXPECT_EQ(subscriber->ask("take"), number);

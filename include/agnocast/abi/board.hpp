@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Board: who takes part in which topic. One memfd, written by the daemon alone, mapped read-only by
-// every client.
+// Board: the endpoints of every topic. One memfd, written by the daemon alone, mapped read-only
+// by every client.
 //
 //      0  header page
 //   4096  topic[4096], 64 KiB each: TopicHeader, publisher[254], subscription[768]
@@ -20,7 +20,7 @@ namespace agnocast::abi {
 struct BoardHeader {
   SharedWord magic;
   SharedWord fingerprint;
-  SharedWord incarnation;  // of the daemon's tables; a board of another one is another system
+  SharedWord incarnation;  // of the daemon's tables; differs after their loss
 };
 inline constexpr std::uint64_t board_magic = 0x6472616f622e6761;  // "ag.board" in memory order
 static_assert(sizeof(BoardHeader) == 24 && sizeof(BoardHeader) <= page_bytes);

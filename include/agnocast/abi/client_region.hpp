@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Client region: one memfd per process, written by that process alone, mapped read-only by its
-// peers. Sparse; extents for endpoints are handed out by the daemon in whole pages.
+// peers. Sparse; the daemon assigns extents for endpoints in whole pages.
 //
 //      0  header page      windows, executors
 //   4096  extents …        publisher endpoints and subscription endpoints, in any order
@@ -20,8 +20,7 @@ namespace agnocast::abi {
 using SharedWord = std::atomic<std::uint64_t>;
 static_assert(SharedWord::is_always_lock_free && sizeof(SharedWord) == 8);
 
-// One message in a publisher's queue.   W = the publisher's process; everybody else maps them
-// read-only.
+// One message in a publisher's queue.   W = the publisher's process; all others map it read-only.
 //
 //    0  id        u64  0 free · sequence live · retired_mark|sequence
 //                      [sync:publish] release at P3; acquire at T3, seq_cst at T5
@@ -37,8 +36,8 @@ struct alignas(32) QueueSlot {
 static_assert(sizeof(QueueSlot) == 32 && offsetof(QueueSlot, address) == 8 &&
               offsetof(QueueSlot, stamp_ns) == 16 && offsetof(QueueSlot, size) == 24);
 
-// Publisher endpoint, an extent of its process's client region.   W = that process; the daemon writes
-// the initial head, and what recovery rolls back once the process is dead.
+// Publisher endpoint, an extent of its process's client region.   W = that process; the daemon
+// writes the initial head, and rolls back fields in recovery once the process is dead.
 //
 //    0  head      u64  sequence<<16 | slot of the newest message
 //                      [sync:publish] COMMIT: release at P5, acquire at T1
@@ -87,7 +86,7 @@ constexpr std::uint64_t slot_offset(std::uint64_t ring, std::uint64_t index) noe
   return order_offset(ring) + index * sizeof(QueueSlot);
 }
 
-// How one subscription stands towards one publisher; link[j] for the publisher with board index j.
+// State of one subscription towards one publisher; link[j] for the publisher with board index j.
 // W = the subscriber's process.
 //
 //    0  publisher_generation  u64  0 = not linked
@@ -104,7 +103,8 @@ struct alignas(cache_line_bytes) LinkLine {
 static_assert(sizeof(LinkLine) == 64 && offsetof(LinkLine, cursor) == 8 &&
               offsetof(LinkLine, hold) == 16);
 
-// What a subscription has not got, for people, and who it is.   W = the subscriber's process.
+// Messages that a subscription did not get, for diagnosis, and its persistent endpoint id.   W =
+// the subscriber's process.
 //
 //    0  lost         u64  messages that fell out of its depth, or were gone when it looked
 //    8  malformed    u64  of them, what no honest publisher writes
@@ -122,8 +122,8 @@ static_assert(sizeof(SubscriptionCounters) == 64 &&
               offsetof(SubscriptionCounters, unreachable) == 16 &&
               offsetof(SubscriptionCounters, lineage) == 24);
 
-// Subscription endpoint: link lines of all publisher indexes, counters, then the hold words of slots
-// 384… of each.   All zero at join.
+// Subscription endpoint: link lines of all publisher indexes, counters, then the hold words of
+// slots 384… of each. All zero at join.
 inline constexpr std::uint64_t far_hold_word_count = (slot_count_max - near_slot_count) / 64;  // 26
 constexpr std::uint64_t link_offset(std::uint64_t publisher) noexcept {
   return publisher * sizeof(LinkLine);
@@ -146,8 +146,8 @@ struct alignas(cache_line_bytes) ExecutorLine {
 };
 static_assert(sizeof(ExecutorLine) == 64);
 
-// A heap window as its owner sees it. Peers take base and length from the daemon's announcement and
-// only the frontier from here.
+// A heap window, as written by its owner. Peers take base and length from the daemon's
+// announcement, and read only the frontier here.
 //
 //    0  base      u64  address
 //    8  length    u64  bytes
@@ -161,8 +161,8 @@ struct alignas(32) WindowEntry {
 };
 static_assert(sizeof(WindowEntry) == 32 && offsetof(WindowEntry, frontier) == 16);
 
-// First page of a client region.   W = its process, but for magic, fingerprint and generation, which
-// the daemon writes before it hands the region out.
+// First page of a client region.   W = its process, except magic, fingerprint and generation,
+// which the daemon writes before it sends the region.
 //
 //     0  magic         u64
 //     8  fingerprint   u64
@@ -184,7 +184,7 @@ static_assert(offsetof(ClientRegionHeader, window) == 128 &&
 static_assert(sizeof(ClientRegionHeader) == page_bytes);
 static_assert(std::is_standard_layout_v<ClientRegionHeader>);
 
-// What an endpoint gets of its process's region: whole pages, enough for the largest geometry.
+// Extent sizes of endpoints: whole pages, enough for the largest geometry.
 constexpr std::uint64_t whole_pages(std::uint64_t bytes) noexcept {
   return (bytes + page_bytes - 1) / page_bytes * page_bytes;
 }

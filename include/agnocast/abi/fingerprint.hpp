@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Fingerprint of everything that two processes must agree on: every size and offset of the shared
-// regions and of the wire, every limit, every number that stands for something, and how words are
-// packed. Compared exactly when a client says hello: two builds that differ never touch each other's
-// memory. A field that is added to a struct is added here; tests/layout holds the value, so a change
-// of it is a change somebody meant.
+// regions and of the wire, every limit, every number with a meaning, and the packing of words.
+// Client and daemon compare it exactly in hello, so two different builds never touch each other's
+// memory. Add each new field of a struct here. tests/layout holds the value, so it cannot change
+// by accident.
 #pragma once
 
 #include <agnocast/abi/board.hpp>
@@ -19,8 +19,8 @@
 
 namespace agnocast::abi {
 
-// Raised by hand when the meaning of a word changes while its place does not.
-#ifdef AGNOCAST_OTHER_LAYOUT  // tests: what another build would be
+// Increment it when the meaning of a word changes but its place does not.
+#ifdef AGNOCAST_OTHER_LAYOUT  // for tests: simulates another build
 inline constexpr std::uint64_t layout_version = 0x7e57;
 #else
 inline constexpr std::uint64_t layout_version = 2;
@@ -50,7 +50,7 @@ constexpr std::uint64_t fingerprint() noexcept {
           near_slot_count, publisher_count_max, subscription_count_max, orphan_count_max,
           topic_count_max, client_count_max, window_count_max, executor_count_max,
           observer_count_max, heap_move_max, blocked_count_max);
-  // How words are packed, by what comes out for probes.
+  // Packing of words, by the results for probe values.
   sum.add(pack_entry(0x123456789abc, 0xdef0), sequence_of(0xfedcba9876543210),
           slot_of(0xfedcba9876543210), retired_mark, first_sequence_of(0x12345),
           pack_member(0x123456789abc, MemberState::leaving), generation_of(0xfedcba9876543210),

@@ -7,13 +7,13 @@
 
 namespace agnocast::abi {
 
-// 64 bytes: the cache line of every x86-64 and of the AArch64 cores of interest; 128-byte prefetch
-// pairs only cost speed.
+// 64 bytes: the cache line of every x86-64 and of the AArch64 cores of interest; 128-byte
+// prefetch pairs only cost speed.
 inline constexpr std::uint64_t cache_line_bytes = 64;
-// Extents are handed out in pages, so that one fallocate covers exactly one owner's metadata.
+// The daemon assigns extents in pages, so that one fallocate covers exactly one owner's metadata.
 inline constexpr std::uint64_t page_bytes = 4096;
 
-// Deepest keep-last or keep-all history of either side. rclcpp's own deepest default is 1000
+// Deepest keep-last or keep-all history of either side. rclcpp's deepest default is 1000
 // (/parameter_events).
 inline constexpr std::uint32_t depth_max = 1000;
 // Order ring of a publisher: a power of two above the widest window (depth_max, and one more for
@@ -25,44 +25,44 @@ static_assert(ring_count > depth_max + 1 && (ring_count & (ring_count - 1)) == 0
 // hold. 32 B each = 64 KiB.
 inline constexpr std::uint32_t slot_count_max = 2048;
 static_assert(slot_count_max <= 0x10000, "a slot index is 16 bits of the commit word");
-// Publishes in a row that may leave out the look at what may be freed (docs/protocol.md, lazy pass): what
-// they would have freed needs a slot each.
+// Consecutive publishes that may skip the reclamation scan (docs/protocol.md, lazy pass): each
+// needs one slot that the scan would have freed.
 inline constexpr std::uint32_t lazy_pass_count_max = 32;
-// Slots whose hold bits share the link line; 6 words are what one line has left beside generation
-// and cursor.
+// Slots whose hold bits share the link line; 6 words are left in one line beside generation and
+// cursor.
 inline constexpr std::uint32_t near_slot_count = 384;
 
-// One topic's board entry is 64 KiB = 2 lines + (254 + 768) lines: wide topics (128 endpoints of
-// each kind are asked for) with room.
+// One topic's board entry is 64 KiB = 2 lines + (254 + 768) lines: enough for the required 128
+// endpoints of each kind.
 inline constexpr std::uint32_t publisher_count_max = 254;
 inline constexpr std::uint32_t subscription_count_max = 768;
-// Publishers of one topic that are gone and not read to their end: what the 128 that are asked for
-// leave of the indexes. Of more, the oldest are given up, so that nobody keeps others from joining by
-// not reading. Where [limits] allows fewer publishers, half of those.
+// Dead publishers of one topic with unread messages: the indexes left beside the 128 required
+// ones. The daemon abandons the oldest beyond that, so that a subscription that does not read
+// cannot keep publishers from joining. Where [limits] allows fewer publishers, half of those.
 inline constexpr std::uint32_t orphan_count_max = publisher_count_max - 128;
-// 4096 topics × 64 KiB = 256 MiB of addresses, touched only where topics exist.
+// 4096 topics × 64 KiB = 256 MiB of addresses, touched only for existing topics.
 inline constexpr std::uint32_t topic_count_max = 4096;
 
-// Processes registered at once. A thousand are asked for; the daemon keeps one bit per process for
+// Processes registered at once. A thousand are required; the daemon keeps one bit per process for
 // everything it announces.
 inline constexpr std::uint32_t client_count_max = 2048;
 
 // Heap windows of one process: the first and its growth (each the configured length, 16 GiB by
 // default).
 inline constexpr std::uint32_t window_count_max = 8;
-// How often one process is asked to allocate elsewhere because a reader cannot map where it does: each
-// takes a window, and as many again stay to grow in.
+// How often the daemon asks one process to allocate elsewhere because a reader cannot map its
+// addresses: each time takes a window, and as many again stay to grow in.
 inline constexpr std::uint32_t heap_move_max = 3;
-// Ranges of the arena that one process can say it has not got; it makes the last as wide as it needs.
+// Ranges of the arena that one process can report as occupied; it widens the last one as needed.
 inline constexpr std::uint32_t blocked_count_max = 16;
-// Where windows begin and how long they are: whole huge pages, so that the kernel can use them.
+// Alignment of windows' base and length: whole huge pages, so that the kernel can use them.
 inline constexpr std::uint64_t window_granule_bytes = 2 << 20;
-// Connections of one user that only look. Each may let the daemon keep one dump for it.
+// Observers of one user. The daemon may have to store one dump for each.
 inline constexpr std::uint32_t observer_count_max = 8;
 
-// Executors of one process, one for each of its nodes with callbacks: one line each in what the
-// first page of the client region has left beside the windows. Containers of more nodes exist, but
-// are rare.
+// Executors of one process, one for each of its nodes with callbacks: one line each in the rest
+// of the client region's first page beside the windows. Containers with more nodes exist, but are
+// rare.
 inline constexpr std::uint32_t executor_count_max = 56;
 
 }  // namespace agnocast::abi

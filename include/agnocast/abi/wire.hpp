@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Wire: what client and daemon say to each other. AF_UNIX, SOCK_SEQPACKET: one packet, one message,
+// Wire: the packets between client and daemon. AF_UNIX, SOCK_SEQPACKET: one packet, one message,
 // in order per connection.
 //
-// Every packet starts with a Header; its body is one fixed struct, chosen by the opcode, and the
-// number of descriptors that come with it is fixed by the opcode as well (or, for announcements,
-// said in the body). A request carries an id that its reply repeats; a client that lost the
-// connection asks again under the same id and is answered once. Numbers are in native byte order:
-// both sides run on one host.
+// Every packet starts with a Header; the opcode determines its body, one fixed struct, and the
+// number of its descriptors (for announcements, the body has that number). A request carries an
+// id that its reply repeats; a client that lost the connection repeats the request with the same
+// id, and the daemon executes it once. Numbers are in native byte order: both sides run on one
+// host.
 //
-// docs/control-plane.md says what each message means and in which order they come.
+// docs/control-plane.md has the meaning and the order of the messages.
 //
 // clang-format off
 //   client → daemon       body               answer              descriptors of the answer
@@ -20,27 +20,27 @@
 //   open_executor         ExecutorRequest    executor_opened     eventfd, datagram socket
 //   create_publisher      CreateEndpoint     endpoint_created
 //   create_subscription   CreateEndpoint     endpoint_created
-//   leave                 Reference          done                takes or publishes no more
+//   leave                 Reference          done                stop taking or publishing
 //   drained               Reference          done                nothing held, lines zeroed
-//   unlinked              Unlinked           –                   rule RU: not mapped any more
-//   blocked               Blocked            –                   a range of the arena is taken
+//   unlinked              Unlinked           –                   rule RU: unmapped
+//   blocked               Blocked            –                   a range of the arena is occupied
 //   any request may be answered by `refused`
-//   observe, dump,        a connection that only looks: see observe.hpp
+//   observe, dump,        for observers: see observe.hpp
 //   revoke, read_journal,
 //   set_log_level, ask_access
 //
 //   daemon → client, unasked
-//   announce              Announcement       region (read), windows (read), bells: see the body
+//   announce              Announcement       region (read), windows (read), doorbells: see body
 //   window_announced      WindowAnnounced    window (read)
-//   forget                Reference          a subscription is over: detach it, say unlinked
-//   orphaned              Orphaned           a publisher is gone: drain it, then say unlinked
-//   kick                  Reference          make a pass over this publisher's queue
-//   move_heap             MoveHeap           allocate from another window: a reader cannot map these
+//   forget                Reference          a subscription has ended: detach it, send unlinked
+//   orphaned              Orphaned           a publisher has ended: drain it, then send unlinked
+//   kick                  Reference          run a reclamation scan of this publisher's queue
+//   move_heap             MoveHeap           allocate elsewhere: a reader cannot map this window
 //   notice                Notice             incompatible QoS, type mismatch, …
-//   own                   Own                after rejoined: an endpoint of yours that I know
-//   region                Reference          after rejoined: a region that you have been told about
-//   bells_renewed         BellsRenewed       eventfd, datagram socket: of an executor whose bells were lost
-//   revoked               Refused            your membership is over; the connection ends
+//   own                   Own                after rejoined: your endpoint, as the daemon knows it
+//   region                Reference          after rejoined: a region that was announced to you
+//   bells_renewed         BellsRenewed       eventfd, datagram socket: an executor's new doorbells
+//   revoked               Refused            your session is over; the connection ends
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
@@ -56,10 +56,10 @@ inline constexpr std::uint32_t version = 1;
 // ROS limits a fully qualified name to 255 bytes in practice (rmw_topic_endpoint_info); type names
 // are as long.
 inline constexpr std::uint32_t name_bytes = 256;
-// The largest body is two names and a dozen numbers; what is longer is not ours.
+// The largest body is two names and a dozen numbers; longer packets are invalid.
 inline constexpr std::uint32_t packet_bytes_max = 1024;
-// What an observer is answered at length: as many bodies to a packet as fit, since each packet is a system call on both
-// sides. With the kernel's own header it is four pages.
+// Long answers to observers: as many bodies per packet as fit, because each packet costs both
+// sides a system call. With the kernel's header it is four pages.
 inline constexpr std::uint32_t answer_bytes_max = 15 * 1024;
 // Client region, eight windows, two doorbells. The kernel allows 253 (SCM_MAX_FD).
 inline constexpr std::uint32_t descriptor_count_max = 1 + window_count_max + 2;
@@ -120,7 +120,7 @@ enum class Opcode : std::uint32_t {
   bells_renewed = 212,
 };
 
-/// What a Reference or Unlinked speaks of. A region is everything that belongs to one process:
+/// The object of a Reference or Unlinked. A region is everything that belongs to one process:
 /// client region and windows.
 enum class Kind : std::uint32_t { publisher = 1, subscription = 2, region = 3 };
 
@@ -131,11 +131,11 @@ struct Header {
   std::uint64_t request;
 };
 static_assert(sizeof(Header) == 16 && std::is_trivially_copyable_v<Header>);
-/// In the request id of what is asked a second time because the connection was lost before the answer
-/// came; the answer repeats the id without it. Ids are never used again by one process.
+/// Bit in the request id of a request repeated because the connection was lost before the answer;
+/// the answer repeats the id without it. A process never reuses an id.
 inline constexpr std::uint64_t asked_again = std::uint64_t{1} << 63;
 
-/// NUL-terminated inside its bytes, or the packet is malformed.
+/// NUL-terminated within its bytes; otherwise the packet is malformed.
 struct Name {
   char text[name_bytes];
 };
@@ -144,7 +144,7 @@ struct Hello {
   Header header;
   std::uint64_t fingerprint;
   std::uint64_t domain;  // ROS_DOMAIN_ID
-  Name process_name;     // for people
+  Name process_name;     // for diagnosis
 };
 struct Welcome {
   Header header;
@@ -156,7 +156,7 @@ struct Welcome {
   std::uint64_t arena_bytes;
   std::uint64_t client_region_bytes;
 };
-/// A process that the daemon knows, on a new connection. Who it is says the socket, not this packet.
+/// A known process on a new connection. The socket identifies the process, not this packet.
 struct Rejoin {
   Header header;
   std::uint64_t fingerprint;
@@ -175,8 +175,8 @@ struct Reference {
   std::uint64_t index;
   std::uint64_t generation;
 };
-/// `seen`: how many packets of this connection the client has read. What the daemon announced later
-/// is not unlinked by this.
+/// `seen`: number of packets of this connection that the client has read. It does not acknowledge
+/// later announcements.
 struct Unlinked {
   Header header;
   Kind kind;
@@ -185,35 +185,35 @@ struct Unlinked {
   std::uint64_t generation;
   std::uint64_t seen;
 };
-/// Something lies in the arena in this process: [base, base + bytes), whole window granules, at most
-/// blocked_count_max of them. Before the first endpoint, and again after `rejoined`.
+/// An occupied range of the arena in this process: [base, base + bytes), whole window granules,
+/// at most blocked_count_max of them. Sent before the first endpoint, and again after `rejoined`.
 struct Blocked {
   Header header;
   std::uint64_t base;
   std::uint64_t bytes;
-  Name what;  // for people
+  Name what;  // for diagnosis
 };
-/// A publisher of the process serves a subscription no more, or again. For the daemon's log and flight recorder:
-/// nothing follows from it.
+/// A publisher of the process stopped serving a subscription, or resumed. For the daemon's log
+/// and flight recorder only.
 struct Withdrawn {
   Header header;
   std::uint32_t topic;
-  std::uint32_t why;        // abi::Withdrawal; none: it is served again
+  std::uint32_t why;        // abi::Withdrawal; none: it serves it again
   std::uint64_t publisher;  // its index, and generation
   std::uint64_t publisher_generation;
   std::uint64_t subscription;
   std::uint64_t subscription_generation;
-  std::uint64_t bytes;  // that the subscription holds of it
+  std::uint64_t bytes;  // of the publisher that the subscription holds
 };
-/// The process's next heap window; `window` is its number, so that a repeated request is
-/// recognised.
+/// Requests the process's next heap window; `window` is its number, so that the daemon recognises
+/// a repeated request.
 struct WindowRequest {
   Header header;
   std::uint64_t window;
 };
-/// `first`: number of the first window of its group. Of one group the whole or nothing is readable: a
-/// message lies in windows of one group only. A window that is the first of a group is the only one to
-/// allocate from from now on.
+/// `first`: number of the first window of its window set. A reader maps a set completely or not
+/// at all: a message lies in windows of one set only. When the first window of a set opens, the
+/// process allocates from that one only.
 struct WindowOpened {
   Header header;
   std::uint64_t window;
@@ -221,15 +221,15 @@ struct WindowOpened {
   std::uint64_t bytes;
   std::uint64_t first;
 };
-/// A window that a former agnocastd gave this process, with all that lies in it: it keeps its place and
-/// its number. The only request that comes with a descriptor: the window, for writing, which others were
-/// never given.
+/// A window that a previous agnocastd gave this process, with its content: it keeps its address
+/// and its number. The only request with a descriptor: the window for writing, which no other
+/// process has.
 struct BringWindow {
   Header header;
   std::uint64_t window;
   std::uint64_t base;
   std::uint64_t bytes;
-  std::uint64_t first;  // of its group
+  std::uint64_t first;  // of its window set
 };
 struct WindowAnnounced {
   Header header;
@@ -238,9 +238,9 @@ struct WindowAnnounced {
   std::uint64_t window;
   std::uint64_t base;
   std::uint64_t bytes;
-  std::uint64_t first;  // of its group
+  std::uint64_t first;  // of its window set
 };
-/// To be done by opening window number `window`; nothing to do when it is open.
+/// Asks the client to open window number `window`; ignored if it is open.
 struct MoveHeap {
   Header header;
   std::uint64_t window;
@@ -249,19 +249,19 @@ struct ExecutorRequest {
   Header header;
   std::uint64_t executor;
 };
-/// Instead of those that the executor has.
+/// Replaces the doorbells of an executor.
 struct BellsRenewed {
   Header header;
   std::uint64_t executor;
 };
-/// Set in CreateEndpoint::quota: of publishers of other users fewer will do.
+/// Bit in CreateEndpoint::quota: a smaller quota for publishers of other users is acceptable.
 inline constexpr std::uint64_t quota_or_less = std::uint64_t{1} << 63;
 struct CreateEndpoint {
   Header header;
   std::uint64_t qos;  // abi::Qos, packed
   std::uint64_t layout_hash;
   std::uint64_t executor;  // of a subscription
-  std::uint64_t quota;     // messages a subscription holds at most
+  std::uint64_t quota;     // messages that a subscription holds at most
   Name topic;              // fully qualified, starts with a slash
   Name type;
   Name node;
@@ -276,36 +276,36 @@ struct EndpointCreated {
   std::uint64_t slot_count;
   std::uint64_t first_sequence;
 };
-/// A publisher for a subscriber's process, or a subscription for a publisher's process.
-/// Descriptors, in this order: the client region (always; a process that has it already closes it),
-/// window_count windows (publisher), doorbell_count doorbells (subscription).
+/// Announces a publisher to a subscriber's process, or a subscription to a publisher's process.
+/// Descriptors, in this order: the client region (always; a process that has it already closes
+/// it), window_count windows (publisher), doorbell_count doorbells (subscription).
 struct Announcement {
   Header header;
   Kind kind;
   std::uint32_t topic;
-  std::uint64_t own_index;  // the endpoint of the addressed process that this is for
+  std::uint64_t own_index;  // the endpoint of the receiving process that this is for
   std::uint64_t own_generation;
-  std::uint64_t index;  // the announced one
+  std::uint64_t index;  // of the announced endpoint
   std::uint64_t generation;
   std::uint64_t client;  // its process
   std::uint64_t client_generation;
   std::uint64_t extent;
   std::uint64_t qos;
   std::uint64_t first_sequence;  // publisher
-  std::uint64_t executor;        // subscription: which of its process
+  std::uint64_t executor;        // subscription: of its process
   std::uint32_t
-      from_start;  // publisher: it joined after the subscription, so nothing of it may be missed
+      from_start;  // publisher: it joined after the subscription, which may miss no message of it
   std::uint32_t window_count;    // publisher
   std::uint32_t doorbell_count;  // subscription: 1 datagram socket, 2 eventfd (same user), then
-                                 // datagram socket, 0 nobody can ring it
-  std::uint32_t uid;        // of its process, as the daemon knows it
-  std::uint32_t same_user;  // 1: the addressed process has it as well, in the same user namespace
+                                 // datagram socket, 0 mute: it cannot be rung
+  std::uint32_t uid;        // of its process, in the daemon's user namespace
+  std::uint32_t same_user;  // 1: same uid and user namespace as the receiving process
   std::uint32_t reserved;
   std::uint64_t quota;  // messages of the publisher that the subscription may hold
   struct Window {
     std::uint64_t base;
     std::uint64_t bytes;
-    std::uint64_t first;  // of its group
+    std::uint64_t first;  // of its window set
   } window[window_count_max];
 };
 struct Orphaned {
@@ -314,13 +314,13 @@ struct Orphaned {
   std::uint32_t reserved;
   std::uint64_t index;
   std::uint64_t generation;
-  std::uint64_t final_head;  // 0: there are too many; what is unread of it is lost, let go of it
+  std::uint64_t final_head;  // 0: too many are dead; unread messages are lost, unmap it
 };
 struct Refused {
   Header header;
   std::uint32_t code;  // Errc
   std::uint32_t os_errno;
-  Name text;  // what was refused, for people
+  Name text;  // the refused object, for diagnosis
 };
 struct Notice {
   Header header;
@@ -332,7 +332,7 @@ struct Notice {
   std::uint64_t generation;
   Name text;
 };
-/// What the daemon knows of an endpoint of the process that has come back.
+/// An endpoint of the rejoined process, as the daemon knows it.
 struct Own {
   Header header;
   Kind kind;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Packed 8-byte words of the shared regions. A word is the unit of commitment: one aligned store is
-// never torn, so what a word says is either the old truth or the new one.
+// Packed 8-byte words of the shared regions. A word is the unit of commitment: one aligned store
+// is never torn, so a reader sees either the old or the new state.
 #pragma once
 
 #include <cstdint>
@@ -26,14 +26,14 @@ constexpr std::uint32_t slot_of(std::uint64_t entry) noexcept {
 inline constexpr std::uint64_t retired_mark = std::uint64_t{1} << 63;
 
 // First sequence number of a publisher generation: 2^32 apart, so that the spaces of successive
-// publishers in one index do not overlap unless one publishes more than 2^32 messages (five days at
-// 10 kHz; then only this second line of defence is gone). The highest is 2^47, so 48 bits leave room
-// for 2^47 messages. The +1 keeps sequence 0 for "nothing yet".
+// publishers in one index do not overlap unless one publishes more than 2^32 messages (five days
+// at 10 kHz; then only this second line of defence is gone). The highest is 2^47, so 48 bits
+// leave room for 2^47 messages. The +1 keeps sequence 0 for "nothing yet".
 constexpr std::uint64_t first_sequence_of(std::uint64_t generation) noexcept {
   return (generation % 0x7fff + 1) << 32;
 }
 
-// --- membership word: generation (never re-used) in the upper 48 bits, flags, state
+// --- state word of an endpoint: generation (never reused) in the upper 48 bits, flags, state
 //
 //   63                                    16 15     8 7      0
 //   +---------------------------------------+--------+--------+
@@ -43,9 +43,9 @@ enum class MemberState : std::uint8_t {
   free = 0,
   active = 1,
   leaving = 2,  // a subscription that takes no more; its holds still count
-  orphan = 3,   // a publisher that publishes no more; what it committed is still delivered
-  revoked = 4,  // a subscription put out by the daemon
-  dead = 5,     // its process is gone
+  orphan = 3,   // a publisher that publishes no more; its committed messages are still delivered
+  revoked = 4,  // a subscription ended by the daemon
+  dead = 5,     // its process is dead
 };
 constexpr std::uint64_t pack_member(std::uint64_t generation, MemberState state) noexcept {
   return generation << 16 | static_cast<std::uint64_t>(state);
@@ -55,7 +55,7 @@ constexpr MemberState state_of(std::uint64_t member) noexcept {
   return static_cast<MemberState>(member & 0xff);
 }
 
-// --- quality of service word, what both sides of a match evaluate
+// --- quality of service word, evaluated by both sides of a match
 //
 //   bits 0-15 depth · bit 16 transient_local · bit 17 reliable · bit 18 keep_all
 struct Qos {
@@ -74,10 +74,10 @@ constexpr Qos unpack_qos(std::uint64_t word) noexcept {
   return {static_cast<std::uint32_t>(word & 0xffff), (word >> 16 & 1) != 0, (word >> 17 & 1) != 0,
           (word >> 18 & 1) != 0, false};
 }
-// Which policy keeps two sides apart, by the number that rmw_qos_policy_kind_t gives it.
+// The policy that prevents a match, numbered as in rmw_qos_policy_kind_t.
 enum class QosPolicy : std::uint32_t { none = 0, durability = 1 << 1, reliability = 1 << 4 };
-// Offered against requested (DDS 1.4, 2.2.3): a request may not exceed the offer. The first policy
-// where it does; the others are not looked at, as in DDS.
+// Returns the first policy where the request exceeds the offer (DDS 1.4, 2.2.3); as in DDS, later
+// policies are not evaluated.
 constexpr QosPolicy qos_mismatch(const Qos& offered, const Qos& requested) noexcept {
   if (requested.reliable && !offered.reliable) return QosPolicy::reliability;
   if (requested.transient_local && !offered.transient_local) return QosPolicy::durability;
@@ -86,20 +86,20 @@ constexpr QosPolicy qos_mismatch(const Qos& offered, const Qos& requested) noexc
 constexpr bool qos_match(const Qos& offered, const Qos& requested) noexcept {
   return qos_mismatch(offered, requested) == QosPolicy::none;
 }
-// How many of the newest messages a subscription can still ask for. A keep-all one has one more
-// than its bound: while it joins, the publisher may commit one message before it learns that there
-// is somebody to wait for.
+// Returns how many of the newest messages a subscription can still take. A keep-all one has one
+// more than its bound: while it joins, the publisher may commit one message before it learns
+// about the subscription that it must wait for.
 constexpr std::uint32_t window_of(const Qos& requested) noexcept {
   return requested.depth + (requested.keep_all ? 1 : 0);
 }
 
-// --- withdrawal: why a publisher serves a subscription no more, two bits for each subscription
+// --- withdrawal: why a publisher stopped serving a subscription, two bits for each subscription
 //
 //   bits 2i and 2i+1 of word w: the subscription with board index 32×w + i
 enum class Withdrawal : std::uint8_t {
   none = 0,
-  over_quota = 1,    // it holds more messages than it may
-  over_share = 2,    // its user holds more bytes than others leave to it, while the heap is full
+  over_quota = 1,    // it holds more messages than allowed
+  over_share = 2,    // its user holds more than its share of bytes, while the heap is full
   not_attached = 3,  // the publisher's process could not map it
 };
 inline constexpr std::uint64_t withdrawals_per_word = 32;
@@ -110,14 +110,15 @@ constexpr Withdrawal withdrawal_of(std::uint64_t word, std::uint64_t subscriptio
   return static_cast<Withdrawal>(word >> subscription % withdrawals_per_word * 2 & 3);
 }
 
-// --- intent.op: what a publisher was doing when it died
+// --- intent.op: the operation of a publisher that a death interrupts
 inline constexpr std::uint64_t intent_idle = 0;
 inline constexpr std::uint64_t intent_publish = 1;
-// After the daemon's store was lost: the queue gets no more, its publisher has another one now. Only
-// readers of a former membership look; no daemon ever does, because the one that made the region is gone.
+// After the loss of the daemon's store: this queue gets no more messages, its publisher has moved
+// to another one. Only readers of the previous session read it; no daemon does, because the one
+// that made the region is gone.
 inline constexpr std::uint64_t intent_moved = 2;
-// Of a link whose subscription is closed, when there is no daemon to say so: publishers wait for nothing
-// of it. A sequence number has 48 bits, so this is beyond every one.
+// Cursor of a link whose subscription closed while there was no daemon to tell: publishers do not
+// wait for it. Sequence numbers have 48 bits, so this is beyond all of them.
 inline constexpr std::uint64_t cursor_aside = std::uint64_t{1} << 62;
 
 }  // namespace agnocast::abi

@@ -77,13 +77,13 @@ TEST(BadInput, AMissingHookIsNamedWithThePreloadedLibraries) {
   DaemonProcess daemon;
   expect_refusal(node(daemon, "pub", ""), "LD_PRELOAD is not set", Errc::hook_missing);
   expect_refusal(node(daemon, "pub", "LD_PRELOAD=" AGNOCAST_OTHER_MALLOC),
-                 "LD_PRELOAD is \"" AGNOCAST_OTHER_MALLOC "\", which has not brought it",
+                 "LD_PRELOAD is \"" AGNOCAST_OTHER_MALLOC "\", which did not load it",
                  Errc::hook_missing);
 }
 
 TEST(BadInput, AnIneffectiveHookIsNamedWithTheLibraryInItsPlace) {
   DaemonProcess daemon;
-  const char* const why = "malloc is that of " AGNOCAST_OTHER_MALLOC ", not of " AGNOCAST_HOOK;
+  const char* const why = "malloc comes from " AGNOCAST_OTHER_MALLOC ", not from " AGNOCAST_HOOK;
   const char* const preload = "LD_PRELOAD=" AGNOCAST_OTHER_MALLOC ":" AGNOCAST_HOOK;
   const Outcome once = node(daemon, "pub", preload);
   expect_refusal(once, why, Errc::hook_ineffective);

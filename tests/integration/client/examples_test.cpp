@@ -132,7 +132,7 @@ TEST(Examples, AScanOfKittiHasFourFields) {
   EXPECT_THAT(refused(either), HasSubstr("its size fits 4 and 5 float32 per point"));
   EXPECT_THAT(refused(neither), HasSubstr("not a scan of 4 or 5 float32 per point"));
   EXPECT_THAT(refused(four + " --fields 5"), HasSubstr("not a scan of 5 float32 per point"));
-  EXPECT_THAT(refused(four + " --fields 6"), HasSubstr("3, 4 or 5 is wanted"));
+  EXPECT_THAT(refused(four + " --fields 6"), HasSubstr("must be 3, 4 or 5"));
   test::remove_directory(directory);
 }
 

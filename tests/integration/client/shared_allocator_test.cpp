@@ -245,7 +245,7 @@ TEST_F(ExplicitAllocator, OrdinaryTypesNeedTheHookInFrontOfMalloc) {
       if (publisher) continue;
       EXPECT_EQ(publisher.error().code, Errc::hook_ineffective);
       EXPECT_THAT(Error(publisher.error()).what(),
-                  testing::AllOf(testing::HasSubstr("malloc is that of "),
+                  testing::AllOf(testing::HasSubstr("malloc comes from "),
                                  testing::ContainsRegex("lib[at]san")));
     }
   }));

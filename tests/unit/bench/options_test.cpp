@@ -119,7 +119,7 @@ TEST(Options, NamingSystemsThatNoCaseComparesAreRefused) {
 TEST(Options, WithSizesThatACaseCannotHaveAreRefused) {
   EXPECT_EQ(parsed({"fanout", "--sizes", "1K"}).error, "");
   const std::string refused =
-      "fanout does not take more than one of --sizes; say one, or leave fanout out";
+      "fanout does not take more than one of --sizes; give one, or leave fanout out";
   EXPECT_EQ(parsed({"fanout", "--sizes", "1K,1M"}).error, refused);
   EXPECT_EQ(parsed({"fanout", "latency", "--sizes", "1K,1M"}).error, refused);
   EXPECT_EQ(parsed({"all", "--sizes", "64,1M"}).error, refused);

@@ -179,7 +179,7 @@ TEST(Generic, TypesAreFoundAlongEachKindOfPath) {
   EXPECT_EQ(nowhere.status, 1);
   EXPECT_EQ(nowhere.text, std::string("there is no support for a message type of this name: "
                                       "sensor_msgs/msg/PointCloud2: no ") +
-                              library + " in /here, /nowhere/lib, nor where the loader looks\n");
+                              library + " in /here, /nowhere/lib, nor where the loader searches\n");
 }
 
 TEST(Generic, TheFirstLibraryCountsEvenIfItIsBroken) {

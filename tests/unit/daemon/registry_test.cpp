@@ -256,16 +256,16 @@ TEST_F(RegistryTest, RefusesDamageAndDescribesIt) {
     return SharedMemory::word(memory.parts().log, offset);
   };
   Tables& tables = *reinterpret_cast<Tables*>(memory.parts().tables);
-  refused_with([&] { log_word(0).store(1); }, "does not begin like one");
-  refused_with([&] { log_word(128).store(log_word(64).load() + 1); }, "has not committed");
-  refused_with([&] { log_word(128).store(log_word(64).load() - 2); }, "has not committed");
+  refused_with([&] { log_word(0).store(1); }, "has no valid header");
+  refused_with([&] { log_word(128).store(log_word(64).load() + 1); }, "contradict each other");
+  refused_with([&] { log_word(128).store(log_word(64).load() - 2); }, "contradict each other");
   refused_with(
       [&] {
         const std::uint64_t committed = log_word(64).load();
         log_word(128).store(committed - 1);
         log_word(4096 + committed * sizeof(journal::Record) + 40).fetch_xor(1);
       },
-      "last record of the journal is not whole");
+      "last record of the redo log is not whole");
   refused_with([&] { tables.header.magic = 0; }, "do not begin like tables");
   refused_with([&] { tables.header.client_high = abi::client_count_max + 1; }, "out of range");
   refused_with([&] { tables.client[0].window_count = 99; }, "windows of a process");
