@@ -398,7 +398,7 @@ TEST(Ctl, NamesWhatIsWrongInTwoLines) {
        "agnocast-ctl: topic lst: unknown command\nhint: agnocast-ctl topic list\n"},
       {{"topics", "x"},
        2,
-       "agnocast-ctl: x: agnocast-ctl topic list takes no such word\n"
+       "agnocast-ctl: x: agnocast-ctl topic list takes no such argument\n"
        "hint: agnocast-ctl topic list --help\n"},
       {{"statsu"}, 2, "agnocast-ctl: statsu: unknown command\nhint: agnocast-ctl status\n"},
       {{"help"}, 2, "agnocast-ctl: help: unknown command\nhint: agnocast-ctl --help\n"},
@@ -414,16 +414,16 @@ TEST(Ctl, NamesWhatIsWrongInTwoLines) {
       {{"status", "-t"}, 2, "agnocast-ctl: -t: unknown option\nhint: agnocast-ctl status --help\n"},
       {{"status", "--json=xml"},
        2,
-       "agnocast-ctl: --json: \"xml\" is not known; known: short, pretty\n"
+       "agnocast-ctl: --json: \"xml\" is unknown; use one of short, pretty\n"
        "hint: agnocast-ctl status --help\n"},
       {{"topics"},
        2,
-       "agnocast-ctl: ROS_DOMAIN_ID: \"seven\" is no domain; it is a number from 0 to 232\n"
+       "agnocast-ctl: ROS_DOMAIN_ID: \"seven\" is not a domain; use a number from 0 to 232\n"
        "hint: ROS_DOMAIN_ID=0 agnocast-ctl topic list\n",
        {"ROS_DOMAIN_ID=seven"}},
       {{"topics", "--domain", "233"},
        2,
-       "agnocast-ctl: --domain: \"233\" is no domain; it is a number from 0 to 232\n"
+       "agnocast-ctl: --domain: \"233\" is not a domain; use a number from 0 to 232\n"
        "hint: ROS_DOMAIN_ID=0 agnocast-ctl topic list\n"},
       {{"status", "--socket", "/nonexistent/socket"},
        3,
