@@ -53,7 +53,7 @@ TEST(HostileMute, ASubscriptionThatNobodyCanRingKeepsNoPublisherFromItsSlots) {
     return result.out + result.err;
   };
   EXPECT_THAT(ctl({"doctor", "-j"}),
-              testing::HasSubstr(process + " hears of messages of " + stream_topic));
+              testing::HasSubstr(process + " finds messages of " + stream_topic));
   const std::string mute = "nobody can ring it, it hears of messages only when it looks";
   const std::string info = ctl({"topic", "info", "-v", stream_topic});
   EXPECT_THAT(info, testing::HasSubstr(process));

@@ -140,7 +140,7 @@ TEST_F(DoctorDaemon, SaysThatTheDaemonDiesAgainAndAgain) {
   }
   const Findings findings = doctor.look();
   EXPECT_THAT(findings.all,
-              ElementsAre("daemon-restarts: agnocastd was restarted 3 times within ten minutes"));
+              ElementsAre("daemon-restarts: agnocastd restarted 3 times within ten minutes"));
   EXPECT_THAT(findings.remedies[0], StartsWith("journalctl "));
 }
 

@@ -335,7 +335,7 @@ TEST_F(DoctorMembers, SaysWhoCannotBeRung) {
   EXPECT_THAT(
       findings.all[0],
       HasSubstr("/viewer of wire_client (pid " + std::to_string(reader.pid()) + ", uid " +
-                std::to_string(::geteuid()) + ") hears of messages of /points only when it looks"));
+                std::to_string(::geteuid()) + ") finds messages of /points only by polling"));
   EXPECT_THAT(run_ctl(socket(), {"topic", "info", "-v", "/points"}).out,
               HasSubstr("Bell: nobody can ring it"));
   const Remedy remedy(first_part(findings.remedies[0]));

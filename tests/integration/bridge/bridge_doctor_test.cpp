@@ -158,8 +158,9 @@ TEST_F(DoctorBridge, NamesTheDomainThatNodesHaveAndNoBridge) {
   auto publisher = create_publisher<String>(PlainNode(), topic(), 5);
   const Domain other;
   const auto running = bridge(other.id());
-  EXPECT_THAT(found(), testing::ElementsAre("bridge-elsewhere: nodes of this host are in domain " +
-                                            std::to_string(domain->id()) + ", and no bridge is"));
+  EXPECT_THAT(found(),
+              testing::ElementsAre("bridge-elsewhere: this host has nodes in domain " +
+                                   std::to_string(domain->id()) + ", but no bridge serves it"));
   const Remedy remedy(remedy_);
   EXPECT_TRUE(soon([&] { return found().empty(); }));
 }
@@ -213,7 +214,7 @@ TEST_F(DoctorBridge, LooksAtWhatTheSystemsUnitsHaveAndNotAtWhatIsLeftOfThem) {
   EXPECT_THAT(seen(), IsEmpty()) << "the unit is not there any more";
   etc.write("systemd/system/unit", "");
   EXPECT_THAT(seen(), testing::ElementsAre("bridge-not-running: agnocast-bridge@100.service is "
-                                           "enabled, and no bridge of it answers"));
+                                           "enabled, but its bridge does not answer"));
   EXPECT_THAT(remedy_, StartsWith("sudo systemctl restart agnocast-bridge@100.service || "));
   etc.disable("agnocast-bridge@100.service");
   etc.enable("agnocast-bridge.service");
@@ -234,7 +235,7 @@ TEST_F(DoctorBridge, NamesAFileOfCycloneDdsThatTheUnitsDoNotSeeAndItsRemedyMoves
   etc.write("default/agnocast-bridge", "CYCLONEDDS_URI=file://" + file + "\n");
   const auto seen = [&] { return found({"AGNOCAST_SOCKET", "CYCLONEDDS_URI"}); };
   EXPECT_THAT(seen(), testing::ElementsAre("cyclonedds-uri: CYCLONEDDS_URI of the units names " +
-                                           file + ", which they do not see"));
+                                           file + ", which the units cannot see"));
   EXPECT_EQ(etc.mend(remedy_), 0) << remedy_;
   EXPECT_THAT(seen(), IsEmpty());
   std::filesystem::remove(file);
@@ -286,9 +287,10 @@ TEST_F(DoctorBridge, NamesASocketsBufferThatIsSmallForWhatComes) {
   doctor_.overlay()[rmem_max] = "212992\n";
   // The bridge counts a message when it has published it, and that may be after it was taken.
   EXPECT_TRUE(soon([&] { return !found().empty(); }));
-  EXPECT_THAT(found(), testing::ElementsAre("receive-buffer: " + topic() +
-                                            " has messages of 976.6 KiB from DDS, and a socket may "
-                                            "have 208.0 KiB"));
+  EXPECT_THAT(found(),
+              testing::ElementsAre("receive-buffer: " + topic() +
+                                   " receives messages of 976.6 KiB from DDS, but a socket "
+                                   "buffer is limited to 208.0 KiB"));
   EXPECT_THAT(remedy_, HasSubstr("net.core.rmem_max = "));
   EXPECT_EQ(findings_.result.status, 0) << "a warning";
 }

@@ -268,7 +268,7 @@ std::string remedy_of(const std::string& check, const std::string& environment) 
   bool is_it = false;
   for (std::string line; std::getline(said, line);) {
     if (!line.starts_with(' ')) is_it = line.find(": " + check + ": ") != std::string::npos;
-    if (const std::string key = "  mend:  "; is_it && line.starts_with(key))
+    if (const std::string key = "  fix:   "; is_it && line.starts_with(key))
       return line.substr(key.size());
   }
   return {};
