@@ -67,7 +67,7 @@ TEST(HostileMute, ASubscriptionThatNobodyCanRingKeepsNoPublisherFromItsSlots) {
     const std::string said = ctl({"journal", "-n", "4096", "--topic", stream_topic, "--process",
                                   std::to_string(attacker.pid())});
     return said.find(", uid " + std::to_string(hostile_uid) +
-                     "), it hears of messages only when it looks") != std::string::npos;
+                     "), it finds messages only by polling") != std::string::npos;
   })) << "the flight recorder does not say so";
   attacker.end();
   stage.honest_goes_on();

@@ -66,16 +66,15 @@ TEST(CtlJournal, TellsADeathAndWhatItLeft) {
   const CtlResult all = run_ctl(socket, {"journal"});
   EXPECT_EQ(all.status, 0) << all.err;
   EXPECT_EQ(all.err, "");
-  EXPECT_EQ(without_times(all.out),
-            "#1 " + process + "joined, uid " + std::to_string(::geteuid()) +
-                ", domain 0\n#2 " + process +
-                "publishes, for one set of readers\n#3 topic /points: created\n#4 " + publisher +
-                "created, 384 slots\n#5 " + process + "died\n#6 " + publisher +
-                "ended with its process, last message rolled back\n#7 " + publisher +
-                "is over, its place is free\n#8 topic /points: is over: nobody publishes or "
-                "subscribes there\n#9 " +
-                process + "has let go of everything of others\n#10 " + process +
-                "is over, its place is free\n");
+  EXPECT_EQ(
+      without_times(all.out),
+      "#1 " + process + "joined, uid " + std::to_string(::geteuid()) + ", domain 0\n#2 " + process +
+          "publishes for one set of readers\n#3 topic /points: created\n#4 " + publisher +
+          "created, 384 slots\n#5 " + process + "died\n#6 " + publisher +
+          "ended with its process, last message rolled back\n#7 " + publisher +
+          "removed, its entry is free\n#8 topic /points: removed: it has no endpoints left\n#9 " +
+          process + "has unmapped everything of other processes\n#10 " + process +
+          "removed, its entry is free\n");
   EXPECT_EQ(without_times(run_ctl(socket, {"journal", "-n", "2"}).out).substr(0, 3), "#9 ");
   const std::string of_topic = run_ctl(socket, {"journal", "--topic", "points", "-n", "1"}).out;
   EXPECT_THAT(of_topic, HasSubstr("#8 topic /points"));
@@ -131,8 +130,8 @@ TEST(CtlJournal, GoesOnOverARestartAndTellsIt) {
   const std::string out = run_ctl(socket, {"journal"}).out;
   EXPECT_THAT(out, HasSubstr("last message rolled back\n")) << "and so does the journal";
   EXPECT_THAT(out, HasSubstr("agnocastd (pid " + std::to_string(daemon.pid()) +
-                             "): took over, nothing was under way, 0 processes had died, 0 words "
-                             "of the board written again\n"));
+                             "): took over, no operation was in progress, 0 processes had died, 0 "
+                             "words of the board rewritten\n"));
 }
 
 TEST(CtlJournal, SaysThatOlderOnesAreOverwritten) {
@@ -179,12 +178,15 @@ TEST(CtlJournal, TellsWhoIsServedNoMoreAndIsNotFloodedWithIt) {
   ASSERT_TRUE(eventually([&] { return counters()["readers_served_again"] == 1; }));
   EXPECT_EQ(counters()["readers_withdrawn"], 1);
   const std::string self = std::to_string(::getpid());
-  const std::string serves = "publisher 0 of /points (camera, pid " + self +
-                             "): says that it serves subscription 0 (viewer, pid " + self + ", uid " +
-                             std::to_string(::geteuid()) + ") ";
+  const auto sentence = [&](const std::string& which, const std::string& end) {
+    return "publisher 0 of /points (camera, pid " + self + "): reports that it " + which +
+           " subscription 0 (viewer, pid " + self + ", uid " + std::to_string(::geteuid()) + ")" +
+           end + '\n';
+  };
   EXPECT_THAT(run_ctl(socket, {"journal", "--process", "viewer", "-n", "2"}).out,
-              testing::AllOf(HasSubstr(serves + "no more: its user kept too much of the heap\n"),
-                             HasSubstr(serves + "again\n")));
+              testing::AllOf(
+                  HasSubstr(sentence("no longer serves", ": its user kept too much of the heap")),
+                  HasSubstr(sentence("serves", " again"))));
   EXPECT_THAT(daemon.log(), HasSubstr("reader served again"));
 
   // Of a reader that is not there, or a publisher that is another's: no word of it.

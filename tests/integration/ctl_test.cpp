@@ -521,7 +521,7 @@ TEST(Ctl, SaysWhenTheSocketIsAnotherPrograms) {
   const CtlResult result = run_ctl(path, {"status"});
   EXPECT_EQ(result.status, 3);
   EXPECT_THAT(result.err, StartsWith("agnocast-ctl: " + path +
-                                     ": this is another program's socket\nhint: start it: "));
+                                     ": this is the socket of another program\nhint: start it: "));
   remove_directory(directory);
 }
 

@@ -215,7 +215,7 @@ TEST_F(DoctorMembers, SaysWhichQualitiesDoNotMatch) {
                               std::to_string(::geteuid()) + ")";
   ASSERT_THAT(findings.all,
               ElementsAre("qos-mismatch: /points: /lidar" + process + " -> /viewer" + process +
-                          ": the publisher is best_effort, the subscription asks for reliable"));
+                          ": the publisher is best_effort, the subscription requests reliable"));
   const Remedy remedy(findings.remedies[0], {environment()});
   EXPECT_EQ(remedy.status(), 0) << findings.remedies[0];
 }
@@ -285,7 +285,7 @@ TEST_F(DoctorMembers, SaysWhomAPublisherServesNoMore) {
   words.withdrawn(s.index).store(abi::pack_withdrawal(s.index, abi::Withdrawal::over_share));
   const Findings findings = doctor_.look();
   ASSERT_THAT(findings.ids(), ElementsAre("reader-withdrawn"));
-  EXPECT_THAT(findings.all[0], HasSubstr("the publisher says that its user kept too much"));
+  EXPECT_THAT(findings.all[0], HasSubstr("the publisher reports that its user kept too much"));
   words.withdrawn(s.index).store(0);
   EXPECT_TRUE(is_well());
 }

@@ -165,7 +165,7 @@ TEST_F(CtlCall, RefusesWhatIsNoRequestOfThatService) {
   refused({"/refuses"}, 2, "TYPE: is missing\n");
   refused({"/refuses", "nowhere/srv/X"}, 4, "nowhere/srv/X: ");
   refused({"/refuses", add_type, "{c: 1}"}, 1, "'c'");
-  refused({"/refuses", add_type, "{a: x}"}, 1, "a: 'x' is no int64");
+  refused({"/refuses", add_type, "{a: x}"}, 1, "a: 'x' is not of type int64");
   refused({"/refuses", "std_srvs/srv/SetBool", "{data: true}"}, 1,
           "/refuses: " + std::string(sentence_of(Errc::type_mismatch)));
   refused({"no name", add_type}, 2, "a name is not a ROS 2 name");
