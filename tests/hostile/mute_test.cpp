@@ -54,10 +54,10 @@ TEST(HostileMute, ASubscriptionThatNobodyCanRingKeepsNoPublisherFromItsSlots) {
   };
   EXPECT_THAT(ctl({"doctor", "-j"}),
               testing::HasSubstr(process + " finds messages of " + stream_topic));
-  const std::string mute = "nobody can ring it, it hears of messages only when it looks";
+  const std::string mute = "it has no doorbell, it finds messages only by polling";
   const std::string info = ctl({"topic", "info", "-v", stream_topic});
   EXPECT_THAT(info, testing::HasSubstr(process));
-  EXPECT_THAT(info, testing::HasSubstr("Bell: nobody can ring it"));
+  EXPECT_THAT(info, testing::HasSubstr("Doorbell: none"));
   EXPECT_THAT(ctl({"verify"}), testing::HasSubstr(std::string("not broken, but: ") + stream_topic));
   EXPECT_THAT(ctl({"verify"}), testing::HasSubstr(process + ": mute: " + mute));
   EXPECT_EQ(run_ctl(stage.socket_path(), {"verify"}).status, 0);

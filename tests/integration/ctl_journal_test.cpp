@@ -149,10 +149,10 @@ TEST(CtlJournal, SaysThatOlderOnesAreOverwritten) {
     return std::pair(out.substr(0, out.find('\n')), std::count(out.begin(), out.end(), '\n'));
   };
   const auto all = lines({"-n", "100000"});
-  EXPECT_THAT(all.first, MatchesRegex("what was before #[0-9]+ has been overwritten"));
+  EXPECT_THAT(all.first, MatchesRegex("records before #[0-9]+ have been overwritten"));
   EXPECT_EQ(all.second, 4096 + 1);
   EXPECT_EQ(lines({}).second, 20) << "more is there, and was not asked for";
-  EXPECT_THAT(lines({"--process", "nobody"}).first, HasSubstr("has been overwritten"));
+  EXPECT_THAT(lines({"--process", "nobody"}).first, HasSubstr("have been overwritten"));
 }
 
 // The publisher is a client that says so as often as it likes.

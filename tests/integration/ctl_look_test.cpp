@@ -280,7 +280,7 @@ TEST_F(CtlLook, TellsOfOneProcess) {
     EXPECT_THAT(info, HasSubstr("wire_client (pid " + pid + ", uid "));
     EXPECT_THAT(info, HasSubstr("Publishers:\n    /points: test/msg/Type\n"));
     EXPECT_THAT(info, HasSubstr("Subscribers:\n    /clock: test/msg/Type\n"));
-    EXPECT_THAT(info, HasSubstr("Refused lately:\n    type_mismatch: publisher of /points: "));
+    EXPECT_THAT(info, HasSubstr("Refused recently:\n    type_mismatch: publisher of /points: "));
   }
   const auto info = json({"process", "info", pid});
   EXPECT_EQ(info["processes"][0]["windows"].size(), 1u);
@@ -301,7 +301,7 @@ TEST_F(CtlLook, ChangesWhatTheDaemonLogs) {
   EXPECT_EQ(wrong.status, 2);
   EXPECT_EQ(
       wrong.err,
-      "agnocast-ctl: \"debgu\": this is no level; known: error, warning, notice, info, debug\n"
+      "agnocast-ctl: \"debgu\": unknown level; use one of error, warning, notice, info, debug\n"
       "hint: agnocast-ctl log-level debug\n");
 }
 

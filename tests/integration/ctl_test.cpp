@@ -224,9 +224,9 @@ TEST(Ctl, ListsProcessesAliveOrphanedAndDead) {
   EXPECT_THAT(text.out, HasSubstr("  orphaned  "));
   EXPECT_THAT(text.out, HasSubstr("  dead  "));
   EXPECT_THAT(run_ctl(daemon.socket_path(), {"topic", "info", "-v", "/topic"}).out,
-              HasSubstr("Publisher count: 0 (and 1 that has left or died)"));
+              HasSubstr("Publisher count: 0 (and 1 that left or died)"));
   EXPECT_THAT(run_ctl(daemon.socket_path(), {"topic", "info", "-v", "/topic"}).out,
-              HasSubstr("State: orphan: publishes no more, is being read to its end"));
+              HasSubstr("State: orphan: has ended, its last messages are still being read"));
   const CtlResult verdict = run_ctl(daemon.socket_path(), {"verify"});
   EXPECT_EQ(verdict.status, 0) << verdict.out << verdict.err;
 }

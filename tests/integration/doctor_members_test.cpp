@@ -337,7 +337,7 @@ TEST_F(DoctorMembers, SaysWhoCannotBeRung) {
       HasSubstr("/viewer of wire_client (pid " + std::to_string(reader.pid()) + ", uid " +
                 std::to_string(::geteuid()) + ") finds messages of /points only by polling"));
   EXPECT_THAT(run_ctl(socket(), {"topic", "info", "-v", "/points"}).out,
-              HasSubstr("Bell: nobody can ring it"));
+              HasSubstr("Doorbell: none"));
   const Remedy remedy(first_part(findings.remedies[0]));
   EXPECT_EQ(reader.wait(), -SIGTERM);
   EXPECT_TRUE(is_well());

@@ -228,8 +228,8 @@ TEST_F(BridgeCtl, SaysWhyWhatBothSidesHaveIsNotBridged) {
   const std::string text = ctl({"list"}).out;
   EXPECT_THAT(text, HasSubstr("reliability or durability do not match"));
   EXPECT_THAT(text, HasSubstr("it has another type in DDS"));
-  EXPECT_THAT(text, testing::Not(HasSubstr("nobody in DDS reads it")));
-  EXPECT_THAT(ctl({"list", "-v"}).out, HasSubstr("nobody in DDS reads it"));
+  EXPECT_THAT(text, testing::Not(HasSubstr("it has no reader in DDS")));
+  EXPECT_THAT(ctl({"list", "-v"}).out, HasSubstr("it has no reader in DDS"));
   EXPECT_THAT(ctl({"info", topic() + "_qos"}).out, HasSubstr("Not to DDS: reliability"));
 }
 
@@ -283,7 +283,7 @@ TEST_F(BridgeCtl, ShowsAServiceOfThisHostThatAClientInDdsAsks) {
   const auto info = ctl({"info", topic(), "-j"}).json();
   EXPECT_EQ(info["bridges"][0]["services"][0]["reader_guid"], now["reader_guid"]);
   const std::string text = ctl({"info", topic().substr(1)}).out;
-  EXPECT_THAT(text, HasSubstr("Service to DDS, served by /ns/node"));
+  EXPECT_THAT(text, HasSubstr("Service to DDS, server: /ns/node"));
   EXPECT_THAT(text, HasSubstr("Matched: 2 clients"));
   EXPECT_THAT(text, HasSubstr("Requests: 3, 108 B"));
   EXPECT_THAT(text, HasSubstr("Dropped: 1 malformed, 0 refused, 1 timed out, 0 forgotten"));
@@ -302,7 +302,7 @@ TEST_F(BridgeCtl, ShowsAServiceInDdsThatThisHostAsksAndSaysWhenThereIsNone) {
   EXPECT_EQ(lack_of(topic(), "in")["kind"], "service");
   EXPECT_EQ(lack_of(topic(), "in")["why"], "no_server");
   EXPECT_THAT(ctl({"info", topic()}).out,
-              HasSubstr("Service not from DDS: nobody in DDS serves it"));
+              HasSubstr("Service not from DDS: it has no server in DDS"));
   EXPECT_THAT(ctl({"list"}).out, testing::Not(HasSubstr(topic()))) << "that is no mistake";
   EXPECT_THAT(ctl({"list", "-v"}).out, HasSubstr(topic()));
 
@@ -328,7 +328,7 @@ TEST_F(BridgeCtl, ShowsAServiceInDdsThatThisHostAsksAndSaysWhenThereIsNone) {
   EXPECT_EQ(now["response_bytes"], 28);
   EXPECT_TRUE(lack_of(topic(), "in").is_null());
   const std::string text = ctl({"info", topic()}).out;
-  EXPECT_THAT(text, HasSubstr("Service from DDS, for /ns/node"));
+  EXPECT_THAT(text, HasSubstr("Service from DDS, client: /ns/node"));
   EXPECT_THAT(text, HasSubstr("Matched: 1 server"));
   test::judge_json(status_of(socket_of(domain->id())));
 }
@@ -540,14 +540,14 @@ TEST_F(BridgeCtl, SaysWhichBridgeStandsByAndWhatItHasLost) {
         R"("services":[],"unbridged":[],"failures":[]})");
   }));
   const std::string text = ctl({"list", "-d", "0.05"}).out;
-  EXPECT_THAT(text, HasSubstr("the bridge of domain 7 (pid 12) stands by for pid 11"));
+  EXPECT_THAT(text, HasSubstr("the bridge of domain 7 (pid 12) is on standby for pid 11"));
   EXPECT_THAT(text, HasSubstr("has lost 3 messages of publishers"));
   const auto said = ctl({"list", "-d", "0.05", "-j"}).json()["bridges"][0];
   EXPECT_EQ(said["standby_for"], 11);
   EXPECT_EQ(said["lost_early"], 3);
   EXPECT_THAT(text, HasSubstr("has refused 4 messages about nodes in DDS"));
   EXPECT_EQ(said["discovery_info_refused"], 4);
-  EXPECT_THAT(text, HasSubstr("announces 6 publishers in DDS that nobody reads there"));
+  EXPECT_THAT(text, HasSubstr("announces 6 publishers in DDS without a reader there"));
   EXPECT_EQ(said["announced"], 6);
   EXPECT_THAT(text, HasSubstr("has refused 7 beyond the limit endpoints (9)"));
   EXPECT_THAT(text, testing::Not(HasSubstr("limit x")));
@@ -558,8 +558,9 @@ TEST_F(BridgeCtl, SaysWhichBridgeStandsByAndWhatItHasLost) {
   EXPECT_THAT(text, HasSubstr("/i")) << "a route that only drops is shown";
   const auto inlet = ctl({"info", "/i", "-j"}).json()["bridges"][0]["inlets"][0];
   EXPECT_EQ(inlet["overflow"], 8);
-  EXPECT_THAT(ctl({"info", "/i"}).out,
-              HasSubstr("Dropped: 0 malformed, 0 of writers without a publisher here, 8 beyond a limit"));
+  EXPECT_THAT(
+      ctl({"info", "/i"}).out,
+      HasSubstr("Dropped: 0 malformed, 0 of writers without a publisher here, 8 over a limit"));
   EXPECT_EQ(said["routes"][1]["lost"], 5);
   EXPECT_THAT(ctl({"info", "/t"}).out,
               HasSubstr("Lost on the way to DDS: 5 messages (reliable, volatile, keep_last 2)"));

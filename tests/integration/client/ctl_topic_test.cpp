@@ -207,9 +207,9 @@ TEST_F(CtlTopic, EchoTakesWhatAllPublishersOffer) {
   EXPECT_EQ(noted.status, 124);
   EXPECT_EQ(
       noted.err,
-      "agnocast-ctl: some publishers are reliable and some best effort; taking best effort of "
-      "all; some publishers are transient local and some volatile; taking volatile of all\n"
-      "agnocast-ctl: /mixed: 0 messages came within 0.2 s\n"
+      "agnocast-ctl: some publishers are reliable and some best effort; using best effort for "
+      "all; some publishers are transient local and some volatile; using volatile for all\n"
+      "agnocast-ctl: /mixed: 0 messages arrived within 0.2 s\n"
       "hint: agnocast-ctl topic info -v /mixed\n");
   reliable.reset();
   const CtlResult refused =
@@ -282,7 +282,7 @@ TEST_F(CtlTopic, PubSendsAsOftenAsItIsTold) {
   EXPECT_EQ(alone.status, 124);
   EXPECT_EQ(alone.out, "Waiting for at least 1 matching subscription(s)...\n");
   EXPECT_EQ(alone.err,
-            "agnocast-ctl: /nobody: 0 matching subscriptions of 1 came in time\n"
+            "agnocast-ctl: /nobody: 0 matching subscriptions of 1 matched in time\n"
             "hint: agnocast-ctl topic info -v /nobody\n");
 }
 
@@ -392,7 +392,7 @@ TEST_F(CtlTopic, AClosedPipeEndsThemWithoutNoise) {
     EXPECT_EQ(status, 0) << words;
     std::string noise;
     std::getline(std::ifstream(errors), noise, '\0');
-    EXPECT_TRUE(noise.empty() || noise.find("came faster") != noise.npos) << noise;
+    EXPECT_TRUE(noise.empty() || noise.find("arrived faster") != noise.npos) << noise;
     std::filesystem::remove(directory.path("status"));
   }
   is_over = true;
@@ -443,7 +443,7 @@ TEST_F(CtlTopic, BadInputIsRefusedInTwoLines) {
                 "--filter: character 10 of \"m.height = 1\": write == for equality\n"},
            Case{{"echo", "/refused", "--raw", "--csv"},
                 2,
-                "--raw: goes without --csv, --field and --filter\n"},
+                "--raw: cannot be combined with --csv, --field and --filter\n"},
            Case{{"echo", "/refused", "--timeout", "0"},
                 2,
                 "--timeout: \"0\" is not a number above 0\n"},
@@ -474,7 +474,9 @@ TEST_F(CtlTopic, BadInputIsRefusedInTwoLines) {
                 1,
                 "/nowhere: the operating system refused an operation: opening: No such file or "
                 "directory\n"},
-           Case{{"pub", "/x", type, "--once", "--times", "3"}, 2, "--once: goes without --times\n"},
+           Case{{"pub", "/x", type, "--once", "--times", "3"},
+                2,
+                "--once: cannot be combined with --times\n"},
            Case{{"pub", "/x", type, "--rate", "0"}, 2, "--rate: \"0\" is not a number above 0"},
            Case{{"pub", "/x", type, "--max-wait-time-secs", "1"},
                 2,

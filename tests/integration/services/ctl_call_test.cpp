@@ -127,7 +127,7 @@ TEST_F(CtlCall, EndsWhenNobodyAnswersInTime) {
   EXPECT_EQ(nobody.status, 124);
   EXPECT_EQ(nobody.out, "waiting for service to become available...\n");
   EXPECT_EQ(nobody.err,
-            "agnocast-ctl: /nobody: nobody serves it within 0.2 s\n"
+            "agnocast-ctl: /nobody: it has no server within 0.2 s\n"
             "hint: agnocast-ctl service info -v /nobody\n");
   const auto silent =
       node.create_service<AddTwoInts>("/silent", [](const ServiceRequest<AddTwoInts>&) {});
