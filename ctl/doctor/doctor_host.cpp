@@ -20,9 +20,9 @@ using Ailments = std::vector<Ailment>;
 constexpr std::uint64_t unlimited = std::numeric_limits<std::uint64_t>::max();
 // Updates and changes of the configuration restart it as well.
 constexpr std::uint64_t restarts_max = 3;
-// Of everything that is bounded: time enough to do something.
-For every limit
-    : a warning at nine tenths leaves time to act.constexpr std::uint64_t log_level_debug = 7;
+// For every limit: a warning at nine tenths leaves time to act.
+constexpr std::uint64_t near_in_tenths = 9;
+constexpr std::uint64_t log_level_debug = 7;
 // LimitNOFILE= of the unit, and four times the kernel's usual number of mappings.
 constexpr std::uint64_t usual_descriptors = 65536, many_mappings = 262144;
 
@@ -50,8 +50,7 @@ std::optional<Named> named_in(const std::string& why) {
   if (std::from_chars(digits, why.data() + why.size(), named.value).ec != std::errc() ||
       (named.section != "quota" && named.section != "limits" && named.section != "heap") ||
       named.key.find_first_not_of("abcdefghijklmnopqrstuvwxyz_") != std::string::npos)
-    return std::
-        nullopt;  // it becomes part of a command, and the text may hold names of other users
+    return std::nullopt;  // it becomes part of a command, and may contain names of other users
   return named;
 }
 
