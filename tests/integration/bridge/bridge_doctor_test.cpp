@@ -205,8 +205,9 @@ TEST_F(DoctorBridge, LooksAtWhatTheSystemsUnitsHaveAndNotAtWhatIsLeftOfThem) {
   ASSERT_THAT(seen(), IsEmpty());
 
   etc.write("agnocast/bridge-100.toml", "default = 3\n");
-  EXPECT_THAT(seen(), testing::ElementsAre("bridge-configuration: /etc/agnocast/"
-                                           "bridge-100.toml:1:11: default: this is no direction"));
+  EXPECT_THAT(seen(),
+              testing::ElementsAre("bridge-configuration: /etc/agnocast/"
+                                   "bridge-100.toml:1:11: default: this is not a direction"));
   EXPECT_THAT(remedy_, HasSubstr("--config /etc/agnocast/bridge-100.toml"));
   etc.write("agnocast/bridge-100.toml", "");
 
@@ -259,7 +260,7 @@ TEST_F(DoctorBridge, NamesMistakesInTheConfigurationOfOneThatRuns) {
   EXPECT_THAT(found(), IsEmpty());
   std::ofstream(file) << "default = \"some\"\n";
   EXPECT_THAT(found(), testing::ElementsAre("bridge-configuration: " + file +
-                                            ":1:11: default: this is no direction"));
+                                            ":1:11: default: this is not a direction"));
   EXPECT_THAT(remedy_, HasSubstr("agnocast-bridge --check-config --config " + file));
 }
 

@@ -233,8 +233,8 @@ TEST_F(BridgeUnit, TakesRulesOverThatAreReadAgainAndLeavesThemWhenTheyAreWrong) 
   ASSERT_EQ(::kill(pid, SIGHUP), 0);
   EXPECT_TRUE(eventually([] {
     return output_of(
-               "journalctl -u agnocast-bridge --no-pager 'AGNOCAST_EVENT=configuration not "
-               "taken over' AGNOCAST_WHY='this is no direction' -o cat")
+               "journalctl -u agnocast-bridge --no-pager 'AGNOCAST_EVENT=configuration "
+               "rejected' AGNOCAST_WHY='this is not a direction' -o cat")
                .find("bridge.toml:2:11") != std::string::npos;
   }));
   EXPECT_FALSE(traffic.is_read());

@@ -116,7 +116,7 @@ TEST_F(Standby, HasNoRouteAndTakesOverFromOneThatIsKilled) {
   // Nobody has a topic yet.
   auto second = bridge(2);
   ASSERT_TRUE(other_.eventually([&] { return is_standby(2); }));
-  EXPECT_EQ(said("stands by"), 1u);
+  EXPECT_EQ(said("another bridge serves this domain"), 1u);
   Flow flow(other_, topic());
   ASSERT_TRUE(flow.flows());
   flow.expect_each_once();
@@ -131,7 +131,7 @@ TEST_F(Standby, HasNoRouteAndTakesOverFromOneThatIsKilled) {
     ASSERT_TRUE(flow.flows()) << "nobody has taken over";
     flow.expect_each_once();
   }
-  EXPECT_EQ(said("takes over"), 3u);
+  EXPECT_EQ(said("the other bridge of this domain has ended"), 3u);
 }
 
 TEST_F(Standby, TakesOverFromOneThatIsRevokedWhichEndsItself) {
