@@ -5,13 +5,13 @@
 //
 // Outward, from agnocast to DDS, for a topic with remote readers and local publishers:
 //
-//   publisher A ─┐                  ┌─▶ DDS writer A, with A's QoS, owned by A's node
+//   publisher A ─┐                   ┌─▶ DDS writer A, with A's QoS, owned by A's node
 //                ├─ local reader of ─┤
 //   publisher B ─┘  their QoS        └─▶ DDS writer B
 //
 // Inward, for a topic with remote writers and local subscriptions:
 //
-//   remote writer C ─┐                  ┌─▶ remote publisher C: a publisher here, with C's QoS
+//   remote writer C ─┐                   ┌─▶ remote publisher C: a publisher here, with C's QoS
 //                    ├─ DDS reader with ─┤
 //   remote writer D ─┘  one request      └─▶ remote publisher D
 //
