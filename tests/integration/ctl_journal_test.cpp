@@ -111,7 +111,7 @@ TEST(CtlJournal, TellsADeathAndWhatItLeft) {
   EXPECT_EQ(counters["intents_corrupt"], 0);
   EXPECT_THAT(
       run_ctl(socket, {"status"}).out,
-      HasSubstr("deaths         1 process: 1 died, 0 let go, 0 revoked\nintents        1 "
+      HasSubstr("deaths         1 process: 1 died, 0 left, 0 revoked\nintents        1 "
                 "rolled back, 0 rolled forward, 0 corrupt\nrestarts       0 of the daemon"));
 }
 
@@ -215,7 +215,7 @@ TEST(CtlJournal, TellsWhomNobodyCanRing) {
   b.subscription("/left");
   const auto mute = [&](const std::string& topic) {
     const std::string out = run_ctl(socket, {"journal", "-n", "4096", "--topic", topic}).out;
-    return out.find("(viewer, pid " + std::to_string(::getpid()) + "): nobody can ring it") !=
+    return out.find("(viewer, pid " + std::to_string(::getpid()) + "): has no doorbell") !=
            std::string::npos;
   };
   EXPECT_FALSE(mute("/points"));

@@ -162,12 +162,11 @@ TEST_F(CtlLook, AnswersOfEachPairWhetherItIsZeroCopyAndWhyNot) {
   EXPECT_EQ(states(), (std::vector<std::string>{"zero_copy", "incompatible_qos"}));
   const std::string process = " of wire_client (pid " + std::to_string(::getpid()) + ", uid " +
                               std::to_string(::geteuid()) + ")";
-  EXPECT_THAT(
-      out({"topic", "info", "-v", "/points"}),
-      HasSubstr("Is it zero-copy?\n  /lidar -> /viewer: yes\n  /weak" + process + " -> /viewer" +
-                process +
-                ": no, incompatible_qos: the publisher is best_effort, the subscription asks "
-                "for reliable\n"));
+  EXPECT_THAT(out({"topic", "info", "-v", "/points"}),
+              HasSubstr("Is it zero-copy?\n  /lidar -> /viewer: yes\n  /weak" + process +
+                        " -> /viewer" + process +
+                        ": no, incompatible_qos: the publisher is best_effort, the subscription "
+                        "requests reliable\n"));
   auto& endpoint = *reinterpret_cast<abi::PublisherEndpoint*>(a.region.base() + p.extent);
   a.commit(p, 3);
   endpoint.adopted_messages.store(2);

@@ -56,7 +56,7 @@ TEST_F(DoctorDaemon, SaysWhichQuotaIsUsedUp) {
   node.publisher("/d");
   const Findings findings = doctor.look();
   ASSERT_THAT(findings.all, ElementsAre("quota: uid " + std::to_string(::geteuid()) +
-                                        " has 4 of [quota] topics = 4"));
+                                        " uses 4 of [quota] topics = 4"));
   EXPECT_EQ(findings.result.status, 6);
   expect_mended_by_reload(daemon, doctor, findings);
 }

@@ -105,8 +105,7 @@ TEST(Filter, IsRefusedWhereItGoesWrong) {
            {"m.flags[0] == 1",
             "character 12 of \"m.flags[0] == 1\": a truth value cannot be compared with a number"},
            {"m.flags == 1",
-            "character 1 of \"m.flags == 1\": bool[] is not compared; name a field of "
-            "it"},
+            "character 1 of \"m.flags == 1\": bool[] cannot be compared; name one of its fields"},
            {"m == 1", "character 1 of \"m == 1\": write a field as m.name"},
            {"text == 'a'",
             "character 1 of \"text == 'a'\": write a field as m.name, a text in quotes"},
