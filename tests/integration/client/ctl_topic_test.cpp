@@ -215,7 +215,7 @@ TEST_F(CtlTopic, EchoTakesWhatAllPublishersOffer) {
   const CtlResult refused =
       ctl({"topic", "echo", "/mixed", "--timeout", "0.5", "--qos-reliability", "reliable"});
   EXPECT_EQ(refused.status, 124);
-  EXPECT_THAT(refused.err, HasSubstr("offers less than is asked for: reliability\n"));
+  EXPECT_THAT(refused.err, HasSubstr("offers less than requested: reliability\n"));
 }
 
 TEST_F(CtlTopic, PubReachesATypedNodeWithoutACopy) {
@@ -480,7 +480,7 @@ TEST_F(CtlTopic, BadInputIsRefusedInTwoLines) {
            Case{{"pub", "/x", type, "--rate", "0"}, 2, "--rate: \"0\" is not a number above 0"},
            Case{{"pub", "/x", type, "--max-wait-time-secs", "1"},
                 2,
-                "--max-wait-time-secs: goes with --once, "},
+                "--max-wait-time-secs: needs --once, "},
            Case{{"pub", "/x", type, "--node-name", "a/b"}, 2, "a/b: a name is not a ROS 2 name: "},
            Case{{"pub", "/refused", "std_msgs/msg/String", "-1"},
                 1,
