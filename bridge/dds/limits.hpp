@@ -55,7 +55,7 @@ inline constexpr LimitRow limit_table[] = {
     {Limit::unread_bytes_of_reader, "unread_bytes_of_reader", 256 * mebibyte},
     // All readers together: two flooded readers leave one message to each of the others.
     {Limit::unread_bytes, "unread_bytes", 512 * mebibyte},
-    // Of writers that the next plan will know: the size of ROS's /rosout history.
+    // For writers that the next plan will know: the size of ROS's /rosout history.
     {Limit::unplaced_messages, "unplaced_messages", 1'000},
     // As CDR, the history of a transient-local writer that its publisher here keeps: ten point
     // clouds of 6 MB.

@@ -66,7 +66,7 @@ class Sources {
   /// Ends everything at once, with the waiting messages.
   void clear();
 
-  /// By remote writer.
+  /// Keyed by remote writer.
   std::map<Guid, OpenSource>& all() noexcept { return open_; }
   const std::map<Guid, OpenSource>& all() const noexcept { return open_; }
 

@@ -138,7 +138,7 @@ QoS qos_of(const QosClass& qos_class, std::size_t depth, bool keep_all);
 
 struct Plan {
   std::map<std::uint64_t, Outlet> outlets;  ///< by generation of the publisher
-  /// By the same key: publishers without a reader in DDS whose writers are announced; `tap` is not
+  /// With the same key: publishers without a reader in DDS whose writers are announced; `tap` is not
   /// made.
   std::map<std::uint64_t, Outlet> announced;
   std::set<ReaderKey> taps;

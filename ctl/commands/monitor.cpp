@@ -30,7 +30,7 @@ struct Snapshot {
     std::uint64_t value = 0;
     std::string subject, topic;  // "subscription of /points by listener (pid 1, uid 2)"
   };
-  // By generation of the endpoint and name of the counter.
+  // Keyed by generation of the endpoint and name of the counter.
   std::map<std::pair<std::uint64_t, const char*>, Counter> counters;
   std::map<std::uint64_t, std::pair<std::string, std::string>> states;  // of processes: name, state
   std::map<std::tuple<std::uint32_t, std::uint32_t, std::uint32_t, std::string, std::uint32_t>,

@@ -197,7 +197,7 @@ Outcome<void> list_processes(const Arguments& arguments, Console& console) {
 
 namespace {
 
-// Not by name: several processes may share it, and a revocation cannot be undone.
+// Takes no name: several processes may share it, and a revocation cannot be undone.
 Outcome<std::vector<const Process*>> find_members(const System& system, const std::string& name) {
   if (name.find_first_not_of("0123456789.") != std::string::npos)
     return problem(Status::wrong_usage, escaped(name), "this is neither a pid nor INDEX.GENERATION",

@@ -469,7 +469,7 @@ TEST_F(CtlTopic, BadInputIsRefusedInTwoLines) {
            Case{{"pub", "/x", type, "{height: "}, 1, "YAML: line 1, column "},
            Case{{"pub", "/x", type, "{}", "--stdin"},
                 2,
-                "VALUES: only one of VALUES, --stdin and --yaml-file\n"},
+                "VALUES: use only one of VALUES, --stdin and --yaml-file\n"},
            Case{{"pub", "/x", type, "--yaml-file", "/nowhere"},
                 1,
                 "/nowhere: the operating system refused an operation: opening: No such file or "
