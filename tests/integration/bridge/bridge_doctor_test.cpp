@@ -177,7 +177,7 @@ TEST_F(DoctorBridge, NamesATypeThatABridgeDoesNotFind) {
   ASSERT_TRUE(soon([&] { return !found().empty(); }));
   EXPECT_THAT(found(),
               testing::ElementsAre("bridge-type: " + topic() + ": the bridge of domain " +
-                                   std::to_string(domain->id()) + " finds no std_msgs/msg/String"));
+                                   std::to_string(domain->id()) + " cannot find std_msgs/msg/String"));
   EXPECT_THAT(findings_.result.out,
               HasSubstr("no libstd_msgs__rosidl_typesupport_introspection_cpp.so"));
   const Findings without = doctor_.look({"AMENT_PREFIX_PATH"});
